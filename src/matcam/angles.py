@@ -1,0 +1,77 @@
+"""Half and difference angles (Rusinkiewicz 1998), and the grid on which MERL tabulates them.
+
+A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's
+direction in the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is
+phi_d -> phi_d + pi.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam._jax import jax, jnp
+
+GRID_SHAPE = (90, 90, 180)
+"""Cells of a MERL table along (theta_h, theta_d, phi_d)."""
+
+Sampling = Literal["centre", "edge"]
+SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
+"""Where in its cell a tabulated value was sampled; loaders of MERL files disagree."""
+
+
+class Grid(NamedTuple):
+    """Sampling points of a MERL table, rad: theta_h (90,), theta_d (90,), phi_d (180,)."""
+
+    theta_h: np.ndarray
+    theta_d: np.ndarray
+    phi_d: np.ndarray
+
+
+def merl_grid(sampling: Sampling) -> Grid:
+    """Angles at which the cells of a MERL table are sampled.
+
+    theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi / 2)))).
+    """
+    shift = 0.5 if sampling == "centre" else 0.0
+    n_h, n_d, n_p = GRID_SHAPE
+    return Grid(
+        ((np.arange(n_h) + shift) / n_h) ** 2 * np.pi / 2,
+        (np.arange(n_d) + shift) / n_d * np.pi / 2,
+        (np.arange(n_p) + shift) / n_p * np.pi,
+    )
+
+
+def theta_h_edges() -> np.ndarray:
+    """Borders of the theta_h cells, rad, shape (91,)."""
+    return (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2 * np.pi / 2
+
+
+def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """(cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
+    theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+    mean = jnp.cos(theta_h) * jnp.cos(theta_d)
+    half_difference = jnp.sin(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
+    return mean - half_difference, mean + half_difference
+
+
+def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> jax.Array:
+    """Azimuth between light and view about the surface normal, rad, wrapped to [0, pi]; pi is mirror side."""
+    theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+    # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
+    # view the same with pd + pi; their projections on the surface:
+    along = jnp.cos(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
+    offset = jnp.sin(theta_h) * jnp.cos(theta_d)
+    across = jnp.sin(theta_d) * jnp.sin(phi_d)
+    x_i, x_o = offset + along, offset - along
+    return jnp.abs(jnp.arctan2(x_i * -across - across * x_o, x_i * x_o - across * across))
+
+
+def below_horizon(sampling: Sampling) -> np.ndarray:
+    """Which cells of a MERL table, by their sampling points, have a direction at or below the horizon; bool (90, 90, 180)."""
+    theta_h, theta_d, phi_d = merl_grid(sampling)
+    mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
+    half_difference = np.sin(theta_h)[:, None] * np.sin(theta_d)
+    return mean[:, :, None] <= half_difference[:, :, None] * np.abs(np.cos(phi_d))

@@ -1,0 +1,116 @@
+"""The camera: lens and pixel together, as the one effective kernel that a picture has been through (MODEL 2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+from jax.typing import ArrayLike
+
+from matcam import checks
+from matcam._jax import jax, jnp
+from matcam.camera import fourier, profile, tilted_square
+from matcam.camera.gaussian import GaussianOptics
+from matcam.camera.optics import Optics
+from matcam.camera.pixel import BoxPixel, PixelResponse
+from matcam.camera.uncertainty import Provenance, Uncertainty
+from matcam.errors import ArgumentError
+
+
+class Camera(eqx.Module):
+    """Effective kernel of a camera: optics and pixel, sampled at pixel centres.
+
+    optics: `Optics`. pixel: `PixelResponse`. A `Camera` is neither, so nothing can be blurred twice.
+    uncertainty: how well its parameters are known (`Uncertainty`); None: they are taken as exact.
+    provenance: where it comes from; carried by the profile file.
+
+    Angles are those of a direction on the sensor to the pixel grid's rows, rad: a square pixel looks different from
+    every angle.
+    """
+
+    optics: Optics
+    pixel: PixelResponse
+    uncertainty: Uncertainty | None
+    provenance: Provenance = eqx.field(static=True)
+
+    def __init__(
+        self,
+        optics: Optics,
+        pixel: PixelResponse | None = None,
+        *,
+        uncertainty: Uncertainty | None = None,
+        provenance: Provenance | None = None,
+    ):
+        pixel = BoxPixel() if pixel is None else pixel
+        if not isinstance(optics, Optics):
+            hint = ": a Camera already contains its pixel" if isinstance(optics, Camera) else ""
+            raise ArgumentError(f"optics must be Optics, got {type(optics).__name__}{hint}")
+        if not isinstance(pixel, PixelResponse):
+            raise ArgumentError(f"pixel must be a PixelResponse, got {type(pixel).__name__}")
+        self.optics = optics
+        self.pixel = pixel
+        self.uncertainty = uncertainty
+        self.provenance = provenance or Provenance()
+        if uncertainty is not None:
+            uncertainty.check_names(self.parameters())
+
+    # ------------------------------------------------------------------ the effective kernel
+
+    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """Effective point spread function, 1/px^2: what a pixel reads of a point of light (x, y) px from its centre."""
+        x, y = checks.number("x", x), checks.number("y", y)
+        if isinstance(self.optics, GaussianOptics):
+            return self.pixel.of_gaussian(x, self.optics.sigma) * self.pixel.of_gaussian(y, self.optics.sigma)
+        reach, band = fourier.reach_of(jnp.hypot(x, y)), self.optics.band()
+        rule = self.optics.frequency_rule(fourier.panels_for(reach + 1, band))
+        return fourier.plane_kernel(rule, self.transfer, x, y, fourier.turns_for(reach + 1, band))
+
+    def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
+        """Effective line spread function, 1/px: what a pixel reads of a line x px away whose normal is at `angle`."""
+        x, angle = checks.number("x", x), checks.number("angle", angle)
+        if isinstance(self.optics, GaussianOptics) and isinstance(self.pixel, BoxPixel):
+            return tilted_square.line(x, angle, self.pixel.half_width, self.optics.sigma)
+        return fourier.line_kernel(self._rule(x), self._along, x, angle)
+
+    def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
+        """Effective edge spread function: what a pixel x px inside the bright side of a 0-1 edge reads."""
+        x, angle = checks.number("x", x), checks.number("angle", angle)
+        if isinstance(self.optics, GaussianOptics) and isinstance(self.pixel, BoxPixel):
+            return tilted_square.edge(x, angle, self.pixel.half_width, self.optics.sigma)
+        return fourier.step_response(self._rule(x), self._along, x, angle)
+
+    def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
+        """Total transfer function at f cycles/px along `angle`: optics times pixel, signed (the pixel's is negative
+        beyond 1 / (2 half_width))."""
+        return self._along(checks.number("f", f), checks.number("angle", angle))
+
+    def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
+        """Total transfer function at (fx, fy) cycles/px."""
+        return self.optics.mtf(jnp.hypot(fx, fy)) * self.pixel.mtf(fx) * self.pixel.mtf(fy)
+
+    def _along(self, f: jax.Array, angle: jax.Array) -> jax.Array:
+        return self.optics.mtf(f) * self.pixel.mtf(f * jnp.cos(angle)) * self.pixel.mtf(f * jnp.sin(angle))
+
+    def _rule(self, x: jax.Array) -> fourier.Rule:
+        # the pixel's own transform oscillates as if 1 px further away
+        return self.optics.frequency_rule(fourier.panels_for(fourier.reach_of(x) + 1, self.optics.band()))
+
+    # ------------------------------------------------------------------ its numbers and its file
+
+    def parameters(self) -> dict[str, jax.Array]:
+        """Numbers that describe the camera, by their names in the profile: scalars, one per entry."""
+        return {**profile.numbers("optics", self.optics), **profile.numbers("pixel", self.pixel)}
+
+    def with_parameters(self, values: dict[str, Any]) -> Camera:
+        """The same camera with some of its `parameters()` replaced."""
+        return profile.replaced(self, values)
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the profile (JSON, see `profile`): kernel, uncertainty, provenance. OutputError where it cannot go."""
+        profile.write(self, path, force=force)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Camera:
+        """Read a profile. FileFormatError naming the file and the field where it is not one."""
+        return cls(**profile.read(path))

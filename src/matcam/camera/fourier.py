@@ -1,0 +1,101 @@
+"""Inverse Fourier transforms of a transfer function that ends at a known frequency, by Gauss-Legendre on panels.
+
+Used where an effective kernel has no closed form. All transforms are of even functions (zero phase), so cosines and
+the positive half of the frequencies are enough. The error is that of Gauss-Legendre with 16 nodes to at most one
+period: below 1e-12 of the kernel's peak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam._jax import is_concrete, jax, jnp
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_DEFAULT_REACH = 64.0  # px; assumed for traced positions, whose extent is not known
+_POINTS_AT_ONCE = 64
+
+
+class Rule(NamedTuple):
+    """Nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
+
+    frequency: jax.Array | np.ndarray
+    weight: jax.Array | np.ndarray
+
+
+def unit_rule(panels: int, grade: int = 1) -> Rule:
+    """Gauss-Legendre nodes on [0, 1], on panels whose borders are (i / panels)^grade: crowded towards 0 if grade > 1."""
+    return piecewise_rule(np.linspace(0, 1, panels + 1) ** grade)
+
+
+def piecewise_rule(edges: np.ndarray) -> Rule:
+    """Gauss-Legendre nodes on the panels between consecutive edges."""
+    widths = np.diff(edges)[:, None]
+    nodes = edges[:-1, None] + widths * (_NODES + 1) / 2
+    return Rule(nodes.ravel(), (widths * _WEIGHTS / 2).ravel())
+
+
+def panels_for(reach: float, band: float) -> int:
+    """Panels over [0, band] cycles/px that resolve positions out to `reach` px."""
+    return 6 + int(np.ceil(reach * band))
+
+
+def reach_of(*positions: jax.Array) -> float:
+    """Largest distance (px) among positions, or a default for traced ones."""
+    if not all(is_concrete(p) for p in positions):
+        return _DEFAULT_REACH
+    return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
+
+
+def line_kernel(rule: Rule, transfer: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, angle: jax.Array) -> jax.Array:
+    """Kernel on a line: integral of transfer(f, angle) exp(2 pi i f x) df. x px and angle rad broadcast."""
+
+    def at(point: jax.Array) -> jax.Array:
+        return jnp.cos(2 * jnp.pi * rule.frequency * point[0]) @ (2 * rule.weight * transfer(rule.frequency, point[1]))
+
+    return _at_each_pair(at, x, angle)
+
+
+def step_response(
+    rule: Rule, transfer: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, angle: jax.Array
+) -> jax.Array:
+    """Integral of the line kernel from -infinity to x."""
+
+    def at(point: jax.Array) -> jax.Array:
+        # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
+        ramp = 2 * point[0] * jnp.sinc(2 * rule.frequency * point[0])
+        return 0.5 + ramp @ (rule.weight * transfer(rule.frequency, point[1]))
+
+    return _at_each_pair(at, x, angle)
+
+
+def plane_kernel(
+    rule: Rule, transfer: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, y: jax.Array, turns: int
+) -> jax.Array:
+    """Kernel in the plane of a transfer(fx, fy) that is even in both: polar nodes, `turns` angles to a quarter turn."""
+    # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
+    angle = jnp.linspace(0, jnp.pi / 2, turns + 1)
+    ends = jnp.ones(turns + 1).at[jnp.array([0, -1])].set(0.5)
+    fx = rule.frequency[:, None] * jnp.cos(angle)
+    fy = rule.frequency[:, None] * jnp.sin(angle)
+    area = (rule.weight * rule.frequency)[:, None] * ends * (jnp.pi / 2 / turns)
+    amplitude = 4 * area * transfer(fx, fy)
+
+    def at(point: jax.Array) -> jax.Array:
+        return jnp.sum(jnp.cos(2 * jnp.pi * fx * point[0]) * jnp.cos(2 * jnp.pi * fy * point[1]) * amplitude)
+
+    return _at_each_pair(at, x, y)
+
+
+def turns_for(reach: float, band: float) -> int:
+    """Angles to a quarter turn that resolve positions out to `reach` px (Jacobi-Anger: the order must pass 2 pi f r)."""
+    return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
+
+
+def _at_each_pair(function: Callable[[jax.Array], jax.Array], first: jax.Array, second: jax.Array) -> jax.Array:
+    first, second = jnp.broadcast_arrays(first, second)
+    pairs = jnp.stack([first.ravel(), second.ravel()], axis=-1)
+    return jax.lax.map(function, pairs, batch_size=_POINTS_AT_ONCE).reshape(first.shape)

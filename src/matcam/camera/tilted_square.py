@@ -1,0 +1,75 @@
+"""Lines and edges with a Gaussian profile, seen by a square pixel at any angle: closed forms.
+
+Seen along a direction at an angle to the grid, a square is the sum of two boxes, half widths p |cos| and p |sin|. A
+Gaussian through two boxes is a second difference of the normal distribution function's antiderivative; an edge, of the
+antiderivative's antiderivative. Both antiderivatives are split into a polynomial for x > 0 and a remainder that dies
+out, so that no large numbers cancel. Where the short box is a sliver of the Gaussian, the second difference would lose
+digits: its mean is then taken by quadrature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from matcam._jax import jax, jnp
+from matcam.camera.pixel import gaussian_over_interval, mean_over_interval
+
+_SLIVER = 0.05  # short half width / std
+
+
+def line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
+    """What the pixel reads of a line whose profile is a unit-area Gaussian, x px away, normal at `angle`; 1/px."""
+    long, sliver, short = _boxes(angle, half_width, std)
+    safe = jnp.where(sliver, std, short)  # the branch not taken must not divide by 0, nor its gradient
+    remainder = _second_difference(lambda u: _first_remainder(u, std), x, long, safe)
+    trapezoid = jnp.clip(jnp.minimum(2 * safe, long + safe - jnp.abs(x)), 0)
+    closed = (trapezoid + remainder) / (4 * long * safe)
+    by_sliver = mean_over_interval(lambda u: gaussian_over_interval(u, long[..., None], std), x, short)
+    return jnp.where(sliver, by_sliver, closed)
+
+
+def edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
+    """What the pixel reads x px inside the bright side of a Gaussian-blurred 0-1 edge."""
+    long, sliver, short = _boxes(angle, half_width, std)
+    safe = jnp.where(sliver, std, short)
+    reach = long + safe
+    near = jnp.clip(x, -reach, reach)  # beyond, the polynomials' second difference is exactly 0 or 1
+    polynomial = _second_difference(lambda u: jnp.where(u > 0, (u**2 + std**2) / 2, 0), near, long, safe)
+    polynomial = jnp.where(jnp.abs(x) < reach, polynomial, jnp.where(x > 0, 4 * long * safe, 0))
+    remainder = _second_difference(lambda u: _second_remainder(u, std), x, long, safe)
+    closed = (polynomial + remainder) / (4 * long * safe)
+
+    def box_edge(u: jax.Array) -> jax.Array:
+        wide = long[..., None]
+        upper, lower = u + wide, u - wide
+        ramp = jnp.clip(upper, 0) - jnp.clip(lower, 0)
+        return (ramp + _first_remainder(upper, std) - _first_remainder(lower, std)) / (2 * wide)
+
+    return jnp.where(sliver, mean_over_interval(box_edge, x, short), closed)
+
+
+def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    a, b = half_width * jnp.abs(jnp.cos(angle)), half_width * jnp.abs(jnp.sin(angle))
+    long, short = jnp.maximum(a, b), jnp.minimum(a, b)
+    return long, short < _SLIVER * std, short
+
+
+def _second_difference(
+    function: Callable[[jax.Array], jax.Array], x: jax.Array, long: jax.Array, short: jax.Array
+) -> jax.Array:
+    return (
+        function(x + long + short) - function(x + long - short) - function(x - long + short) + function(x - long - short)
+    )
+
+
+def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
+    """Integral of the normal distribution function from -infinity to x, less max(x, 0)."""
+    t = jnp.abs(x) / std
+    return std * (jax.scipy.stats.norm.pdf(t) - t * jax.scipy.special.ndtr(-t))
+
+
+def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
+    """Second integral of the normal distribution function, less (x^2 + std^2) / 2 where x > 0."""
+    t = jnp.abs(x) / std
+    tail = std**2 / 2 * ((t**2 + 1) * jax.scipy.special.ndtr(-t) - t * jax.scipy.stats.norm.pdf(t))
+    return jnp.where(x > 0, -tail, tail)

@@ -1,0 +1,67 @@
+"""The table that a rig records of a single specular lobe, in the tangent plane, with the noise of its pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam import checks
+from matcam._jax import jax, jnp
+from matcam.angles import GRID_SHAPE, Sampling, below_horizon, merl_grid
+from matcam.camera.noise import PixelNoise
+from matcam.errors import ArgumentError
+from matcam.forward.cells import CellSet, cell_pixels
+from matcam.forward.lobe import lobe_record, tangent_offsets
+from matcam.material.microfacet import Microfacet
+from matcam.rigs import Rig
+from matcam.sample import Sphere
+from matcam.table import CHANNELS, brdf_table
+
+
+def lobe_table(material: Microfacet, rig: Rig, sampling: Sampling = "centre") -> xr.DataArray:
+    """BRDF table of `material` as `rig` records it around its highlight: F D(0) G / (4 cos_i cos_o) times the record of
+    the lobe (MODEL 4), plus the diffuse part; 1/sr, NaN below the horizon.
+
+    Tangent plane: right around the peak, where the camera matters; far from it a broad lobe's record is its own value.
+    Each value is one pixel centred on the cell's sampling point.
+    """
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+    checks.choice("sampling", sampling, ("centre", "edge"))
+    grid = merl_grid(sampling)
+    theta_h, phi_d = (jnp.asarray(a.ravel()) for a in np.meshgrid(grid.theta_h, grid.phi_d, indexing="ij"))
+    peak = material.ndf.d(0.0)
+    flattening = material.ndf.flattening(theta_h)
+
+    def one_slice(theta_d: jax.Array) -> jax.Array:
+        x, y = tangent_offsets(rig, material.ndf, theta_h, theta_d, phi_d)
+        recorded = peak * flattening * lobe_record(rig, material.ndf, theta_d[None], x[None], y[None])[0]
+        specular, _ = material.without_d(theta_h, jnp.broadcast_to(theta_d, theta_h.shape), phi_d)
+        per_channel = specular if specular.ndim == 2 else specular[:, None]
+        return per_channel * recorded[:, None] + jnp.asarray(material.diffuse) / jnp.pi
+
+    values = np.array(jax.lax.map(jax.jit(one_slice), jnp.asarray(grid.theta_d)))
+    values = np.broadcast_to(values, (*values.shape[:2], len(CHANNELS))).reshape(*np.array(GRID_SHAPE)[[1, 0, 2]], -1)
+    values = np.ascontiguousarray(values.transpose(1, 0, 2, 3))
+    values[below_horizon(sampling)] = np.nan
+    return brdf_table(values, sampling)
+
+
+def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int) -> xr.DataArray:
+    """Add to a table the noise of the pixels that it was read from; cells that share a pixel share its noise.
+
+    Each theta_d slice is one picture. Negative results stay negative: clipping would bias faint cells.
+    """
+    noise.checked()
+    rng = np.random.default_rng(seed)
+    i_theta_h, i_phi_d = (a.ravel() for a in np.indices((GRID_SHAPE[0], GRID_SHAPE[2])))
+    pixels = cell_pixels(rig.sample, table.attrs["sampling"], CellSet(i_theta_h, i_phi_d, np.ones(i_theta_h.size)))
+    values = table.values.copy()
+    for j in range(GRID_SHAPE[1]):
+        numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
+        draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place.reshape(2, -1)].mean(axis=1)
+        picture = values[:, j].reshape(i_theta_h.size, -1)
+        brightest = np.nanmax(picture, axis=0, initial=0.0)
+        noisy = picture * (1 + noise.relative * draws[0]) + noise.floor * brightest * draws[1]
+        values[:, j] = noisy.reshape(values[:, j].shape)
+    return table.copy(data=values)

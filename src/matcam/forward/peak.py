@@ -1,0 +1,53 @@
+"""The loss at the specular peak: how much of a highlight's brightness the camera keeps (MODEL 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam import checks
+from matcam._jax import jax, jnp
+from matcam.errors import ArgumentError
+from matcam.forward.lobe import line_record, lobe_record
+from matcam.material.ndf import NDF
+from matcam.rigs import Rig
+
+LOSS = 0.05
+"""Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
+
+
+def peak_response(rig: Rig, ndf: NDF, theta: ArrayLike, dims: int = 2) -> jax.Array:
+    """Recorded peak / true peak of a material's highlight, in the tangent plane.
+
+    theta: viewing angle of the highlight = half the angle between lamp and camera, rad, [0, pi/2), any shape.
+    dims: 2, a real sample; 1, the paper's one-dimensional model (towards the limb only). In (0, 1]; on a sphere the
+    loss relative to theta = 0 is at most cos(theta), for lobes much narrower than the kernel.
+    Source: Holzschuch & Pacanowski (2017), section 3, as corrected in MODEL 4: a(w r cos theta) a(w r).
+    """
+    theta = checks.viewing_angle("theta", theta)
+    checks.choice("dims", dims, (1, 2))
+    _check_kinds(rig, ndf)
+    flat = jnp.reshape(theta, -1)
+    if dims == 1:
+        return line_record(rig, ndf, flat).reshape(theta.shape)
+    centre = np.zeros((flat.size, 1))
+    return lobe_record(rig, ndf, flat, centre, centre).reshape(theta.shape)
+
+
+def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
+    """First angle, rad, at which the peak has lost more than 5 % against theta = 0; pi/2 if none has below 89.9 degrees."""
+    theta = np.radians(np.arange(0, 90, 0.1))
+    response = np.asarray(peak_response(rig, ndf, theta, dims=dims))
+    lost = 1 - response / response[0] - LOSS
+    beyond = np.flatnonzero(lost > 0)
+    if not beyond.size:
+        return np.pi / 2
+    i = beyond[0]
+    return float(np.interp(0.0, lost[i - 1 : i + 1], theta[i - 1 : i + 1]))
+
+
+def _check_kinds(rig: Rig, ndf: NDF) -> None:
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    if not isinstance(ndf, NDF):
+        raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")

@@ -1,0 +1,110 @@
+"""Reflectance of a single facet: how much light a smooth interface sends back at each angle."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import equinox as eqx
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam import checks
+from matcam._jax import jax, jnp
+from matcam.errors import ArgumentError
+
+
+def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
+    """Unpolarised reflectance of an interface from air to a medium of complex index n + i k (complex Snell's law;
+    Born & Wolf, 14.2). theta: angle of incidence, rad, [0, pi/2]. Arguments broadcast.
+    """
+    theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
+    n = checks.positive("n", n)
+    k = checks.within("k", k, 0, np.inf, open_high=True)
+    index = n + 1j * k
+    cos_i, sin2 = jnp.cos(theta), jnp.sin(theta) ** 2
+    inside = jnp.sqrt(index**2 - sin2)  # index times the cosine of the refracted ray
+    r_s = (cos_i - inside) / (cos_i + inside)
+    r_p = (index**2 * cos_i - inside) / (index**2 * cos_i + inside)
+    return (_squared(r_s) + _squared(r_p)) / 2
+
+
+def _squared(z: jax.Array) -> jax.Array:
+    return z.real**2 + z.imag**2
+
+
+class Reflectance(eqx.Module):
+    """A Fresnel term; its parameters are single numbers, or lists with one entry per colour channel."""
+
+    @abstractmethod
+    def at(self, theta: jax.Array) -> jax.Array:
+        """Reflectance at angle of incidence theta, rad: shape theta.shape, and (channels,) behind it if there are any."""
+
+
+class Conductor(Reflectance):
+    """A metal of complex index n + i k. n > 0, k >= 0: numbers, or shape (channels,)."""
+
+    n: jax.Array
+    k: jax.Array
+
+    def __init__(self, n: ArrayLike, k: ArrayLike):
+        n, k = checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True)
+        self.n, self.k = jnp.broadcast_arrays(_per_channel("n", n), _per_channel("k", k))
+
+    def at(self, theta: jax.Array) -> jax.Array:
+        """`fresnel_conductor`."""
+        return fresnel_conductor(_beside_channels(theta, self.n), self.n, self.k)
+
+
+class Dielectric(Reflectance):
+    """A transparent medium of relative index eta > 1, seen from outside. A number, or shape (channels,)."""
+
+    eta: jax.Array
+
+    def __init__(self, eta: ArrayLike):
+        self.eta = _per_channel("eta", checks.within("eta", eta, 1, np.inf, open_low=True, open_high=True))
+
+    def at(self, theta: jax.Array) -> jax.Array:
+        """Fresnel's equations, unpolarised: `fresnel_conductor` with k = 0."""
+        return fresnel_conductor(_beside_channels(theta, self.eta), self.eta, 0.0)
+
+
+class Schlick(Reflectance):
+    """f0 + (1 - f0) (1 - cos theta)^5 (Schlick 1994, (15)). f0 in [0, 1]: a number, or shape (channels,)."""
+
+    f0: jax.Array
+
+    def __init__(self, f0: ArrayLike):
+        self.f0 = _per_channel("f0", checks.within("f0", f0, 0, 1))
+
+    def at(self, theta: jax.Array) -> jax.Array:
+        """Schlick's approximation."""
+        return self.f0 + (1 - self.f0) * (1 - jnp.cos(_beside_channels(theta, self.f0))) ** 5
+
+
+class Constant(Reflectance):
+    """The same reflectance at every angle, in [0, 1]: a number, or shape (channels,)."""
+
+    value: jax.Array
+
+    def __init__(self, value: ArrayLike):
+        self.value = _per_channel("reflectance", checks.within("reflectance", value, 0, 1))
+
+    def at(self, theta: jax.Array) -> jax.Array:
+        """The value."""
+        return self.value + 0 * _beside_channels(theta, self.value)
+
+
+def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
+    """A `Reflectance` as it is; numbers as `Constant`."""
+    return value if isinstance(value, Reflectance) else Constant(value)
+
+
+def _per_channel(name: str, value: jax.Array) -> jax.Array:
+    if value.ndim > 1:
+        raise ArgumentError(f"{name} must be a number or a list with one entry per channel, got shape {value.shape}")
+    return value
+
+
+def _beside_channels(theta: jax.Array, parameter: jax.Array) -> jax.Array:
+    theta = jnp.asarray(theta)
+    return theta[..., None] if parameter.ndim else theta
