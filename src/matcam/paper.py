@@ -1,15 +1,26 @@
 """The paper as printed: Holzschuch & Pacanowski, "The Effects of Digital Cameras Optics and Electronics for Material
 Acquisition", Workshop on Material Appearance Modeling 2017 (hal-01576742).
 
-Its equation (11), and the data of its Figures 3 to 6 (figures/paper.py draws them).
+Its equation (11), and the data of its Figures 3, 4 and 5 (`figures.paper` draws them; Figure 6 is `fresnel`).
 """
 
 from __future__ import annotations
 
+import numpy as np
+import xarray as xr
 from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax, jnp
+from matcam.forward.lobe import lobe_record
+from matcam.forward.peak import peak_response
+from matcam.material.ndf import GaussianNDF
+from matcam.rigs import Rig, merl
+
+FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)
+"""Widths of the lobe in units of sigma_mtf / radius."""
+
+_FIGURE_3_ANGLES = (0.0, 45.0, 60.0, 75.0)
 
 
 def peak_eq11(
@@ -31,3 +42,60 @@ def peak_eq11(
     theta = checks.viewing_angle("theta", theta)
     sigma_m = jnp.hypot(sigma, sigma_mtf / (radius * jnp.cos(theta)))
     return jax.scipy.special.erf(sigma_p / radius / (jnp.sqrt(2) * sigma_m))
+
+
+def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
+    """Figures 3 (ratio 10) and 4 (ratio 1): a Gaussian highlight of std ratio sigma_mtf / radius, as it arrives on the
+    sensor, after the optics, and as the pixels record it, across the plane of camera and lamp at several theta_o.
+
+    Dataset over (theta_o, x): signal, after_optics; over (theta_o, pixel): recorded. x, pixel: px from the peak.
+    """
+    rig = rig or merl()
+    sigma, half_width, radius = _gaussian_numbers(rig)
+    theta = np.radians(_FIGURE_3_ANGLES)
+    ndf = GaussianNDF(ratio * sigma / radius)
+    reach = np.ceil(3.5 * sigma * np.hypot(ratio, 1) + 0.5)
+    x = np.linspace(-reach - 0.5, reach + 0.5, 801)
+    pixel = np.arange(-reach, reach + 1)
+    std = (ratio * sigma * np.cos(theta))[:, None]
+    blurred = np.hypot(std, sigma)
+    # the figure is one-dimensional: divide out what the direction across takes from every pixel alike
+    recorded = lobe_record(rig, ndf, theta, np.tile(pixel, (theta.size, 1)), np.zeros((theta.size, pixel.size)))
+    across = peak_response(rig, ndf, 0.0, dims=1)
+    return xr.Dataset(
+        {
+            "signal": (("theta_o", "x"), np.exp(-((x / std) ** 2) / 2)),
+            "after_optics": (("theta_o", "x"), std / blurred * np.exp(-((x / blurred) ** 2) / 2)),
+            "recorded": (("theta_o", "pixel"), np.asarray(recorded / across)),
+        },
+        coords={"theta_o": theta, "x": x, "pixel": pixel},
+        attrs={"ratio": ratio, "sigma_mtf_px": sigma, "half_width_px": half_width, "radius_px": radius},
+    )
+
+
+def figure_5(rig: Rig | None = None) -> xr.Dataset:
+    """Figure 5: loss at the peak relative to theta = 0, against theta, for lobes of width ratio sigma_mtf / radius.
+
+    Dataset over (ratio, theta): loss (MODEL 4's a(s)), loss_printed (equation (11)); over theta: cosine.
+    """
+    rig = rig or merl()
+    sigma, half_width, radius = _gaussian_numbers(rig)
+    theta = np.radians(np.append(np.arange(0, 90, 0.5), 89.9))
+    widths = np.array(FIGURE_5_RATIOS) * sigma / radius
+    loss = np.stack([np.asarray(peak_response(rig, GaussianNDF(w), theta)) for w in widths])
+    printed = np.asarray(peak_eq11(widths[:, None], sigma, half_width, radius, theta))
+    return xr.Dataset(
+        {
+            "loss": (("ratio", "theta"), loss / loss[:, :1]),
+            "loss_printed": (("ratio", "theta"), printed / printed[:, :1]),
+            "cosine": ("theta", np.cos(theta)),
+        },
+        coords={"ratio": list(FIGURE_5_RATIOS), "theta": theta},
+        attrs={"sigma_mtf_px": sigma, "half_width_px": half_width, "radius_px": radius},
+    )
+
+
+def _gaussian_numbers(rig: Rig) -> tuple[float, float, float]:
+    """(sigma_mtf, sigma_p, radius) of a rig of the paper's kind."""
+    sigma = rig.camera.parameters()["optics.sigma_px"]
+    return float(sigma), float(rig.camera.pixel.half_width), float(rig.sample.radius)  # type: ignore[attr-defined]

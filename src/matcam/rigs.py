@@ -42,6 +42,9 @@ class Rig(eqx.Module):
         quarter = self.lamp_radius / 4
         return quarter + jnp.zeros_like(theta_d), quarter / jnp.cos(theta_d)
 
+    def __repr__(self) -> str:
+        return f"Rig({self.camera!r}, {self.sample!r}, lamp_radius={self.lamp_radius!s})"
+
 
 def merl() -> Rig:
     """The rig of the MERL database as Holzschuch & Pacanowski (2017), section 4, reconstruct it.

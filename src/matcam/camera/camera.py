@@ -114,3 +114,7 @@ class Camera(eqx.Module):
     def load(cls, path: str | Path) -> Camera:
         """Read a profile. FileFormatError naming the file and the field where it is not one."""
         return cls(**profile.read(path))
+
+    def __repr__(self) -> str:
+        uncertainty = "" if self.uncertainty is None else f", uncertainty={self.uncertainty!r}"
+        return f"Camera({self.optics!r}, {self.pixel!r}{uncertainty})"

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import xarray as xr
 from jax.typing import ArrayLike
 
 from matcam import checks
@@ -34,11 +37,33 @@ def peak_response(rig: Rig, ndf: NDF, theta: ArrayLike, dims: int = 2) -> jax.Ar
     return lobe_record(rig, ndf, flat, centre, centre).reshape(theta.shape)
 
 
+def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2) -> xr.Dataset:
+    """What to expect of a rig, for several lobes of one family.
+
+    Dataset over (roughness, theta): response, relative_response (to theta = 0); over roughness: loss_angle, the first
+    angle, rad, whose relative loss exceeds 5 % (pi/2 where none below 89.9 degrees does).
+    """
+    theta = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
+    response = np.stack([np.asarray(peak_response(rig, ndf, theta, dims=dims)) for ndf in ndfs])
+    relative = response / response[:, :1]
+    return xr.Dataset(
+        {
+            "response": (("roughness", "theta"), response),
+            "relative_response": (("roughness", "theta"), relative),
+            "loss_angle": ("roughness", [_first_beyond(theta, row) for row in relative], {"units": "rad"}),
+        },
+        coords={"roughness": [float(ndf.roughness) for ndf in ndfs], "theta": ("theta", theta, {"units": "rad"})},
+        attrs={"ndf": ndfs[0].family, "loss": LOSS, "dims": dims},
+    )
+
+
 def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
     """First angle, rad, at which the peak has lost more than 5 % against theta = 0; pi/2 if none has below 89.9 degrees."""
-    theta = np.radians(np.arange(0, 90, 0.1))
-    response = np.asarray(peak_response(rig, ndf, theta, dims=dims))
-    lost = 1 - response / response[0] - LOSS
+    return float(predict(rig, [ndf], dims)["loss_angle"][0])
+
+
+def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
+    lost = 1 - relative - LOSS
     beyond = np.flatnonzero(lost > 0)
     if not beyond.size:
         return np.pi / 2

@@ -13,10 +13,10 @@ from matcam._jax import jax, jnp
 from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError, FitError
 from matcam.forward.peak import peak_response
-from matcam.inverse.lobe_through_camera import FAMILIES, LobeFit, fit_lobe
+from matcam.inverse.lobe_through_camera import LobeFit, fit_lobe
 from matcam.inverse.peak_cells import peak_data
 from matcam.material.masking import MASKINGS, Masking, g2, smith_lambda
-from matcam.material.ndf import NDF
+from matcam.material.ndf import FAMILIES, NDF
 from matcam.rigs import Rig
 from matcam.sample import Sphere
 from matcam.table import checked_table
@@ -45,15 +45,18 @@ def fresnel(
     normalise: range of theta_d, rad, over which the mean of the corrected F is 1.
 
     Returns a Dataset over (theta_d, channel), all dimensionless but for the angles:
-      raw, raw_std                F from the recorded peak alone
+      raw, raw_std                F from the recorded peak alone, as if the camera were perfect
+      corrected_peak              the paper's estimate: raw over the loss at the peak, relative to theta_d = 0
       corrected, corrected_std    F from the lobe fitted through the camera; its std is that of pixel noise
                                   (corrected_std_noise) and of the camera's stated uncertainty (corrected_std_camera)
       absolute, absolute_std      the same, not normalised: needs D(0), that is the lobe's width; NaN where unknown
       response                    recorded / true peak; masking: G in the mirror direction
       supported_angle             last theta_d, rad, up to which corrected_std stays under 5 % of corrected
       width, width_std            of the lobe, as its NDF defines it, freed from the camera
-    raw and corrected are in units of the corrected mean, and raw is freed from the loss that all angles share: their
-    ratio is the loss relative to theta_d = 0. Errors: ArgumentError for a wrong argument, FitError without a highlight.
+    corrected and corrected_peak have mean 1 over the range; raw has not: it is corrected_peak times the loss relative to
+    theta_d = 0. Where corrected and corrected_peak disagree by more than their errors, the lobe is not the shape, or does
+    not widen with theta_d as, this camera would make it. Errors: ArgumentError for a wrong argument, FitError without a
+    highlight.
     """
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
@@ -69,8 +72,9 @@ def fresnel(
     peak = data.values[..., data.theta_h == data.theta_h[0]].mean(-1)
     peak = np.where((data.content[..., 0] > 0) & (peak > 0), peak, np.nan)
     noise_of_pixel = np.hypot(fit.noise.relative, fit.noise.floor)
-    # the shared loss a(w r) belongs to the corrected scale, because both are divided by the corrected mean
-    raw = peak * term.per_amplitude / term.mean[:, None] / centre
+    lossless = peak * term.per_amplitude / (response / centre)
+    scale = np.nanmean(np.where(term.used, lossless, np.nan), axis=-1, keepdims=True)
+    raw, corrected_peak = peak * term.per_amplitude / scale, lossless / scale
     labels = ("theta_d", "channel")
 
     def variable(values: np.ndarray, text: str) -> tuple[Any, ...]:
@@ -80,6 +84,7 @@ def fresnel(
         {
             "raw": variable(raw, "F from the recorded peak"),
             "raw_std": variable(raw * noise_of_pixel, "standard deviation of raw (noise)"),
+            "corrected_peak": variable(corrected_peak, "F from the recorded peak alone, over the relative loss"),
             "corrected": variable(term.normalised, "F corrected for the camera"),
             "corrected_std": variable(np.hypot(term.std_noise, term.std_camera), "standard deviation of corrected"),
             "corrected_std_noise": variable(term.std_noise, "its part from pixel noise"),
@@ -98,9 +103,9 @@ def fresnel(
         },
         attrs={
             "ndf": family,
-            "log_likelihood": [f"{name} {other.log_likelihood:.1f}" for name, other in fits.items()],
+            "log_likelihood": ", ".join(f"{name} {other.log_likelihood:.1f}" for name, other in fits.items()),
             "masking": masking or "none",
-            "normalised_over": list(normalise),
+            "normalised_over": [float(a) for a in normalise],
             "noise_relative": fit.noise.relative,
             "noise_floor": fit.noise.floor,
             "noise": "given" if noise else "estimated from the residuals",
@@ -124,6 +129,7 @@ class _FresnelTerm:
         if not used.any(-1).all():
             low, high = np.degrees(normalise)
             raise FitError(f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise")
+        self.used = used
         count = used.sum(-1, keepdims=True)
         self.mean = np.where(used, self.absolute, 0).sum(-1) / count[:, 0]
         self.normalised = self.absolute / self.mean[:, None]
@@ -166,7 +172,7 @@ def _log_factor_and_slope(
         ndf = ndf_type(jnp.exp(log_width))  # type: ignore[call-arg]
         joint = jnp.ones_like(theta_d)
         if masking is not None:  # light and view mirror each other
-            hidden = smith_lambda(ndf.slope_density, ndf.slope_scale, theta_d)
+            hidden = smith_lambda(ndf.slope_density, ndf.roughness, theta_d)
             joint = g2(masking, hidden, hidden, jnp.asarray(jnp.pi))
         return jnp.log(4 * jnp.cos(theta_d) ** 2 / (ndf.d(0.0) * joint)), joint
 

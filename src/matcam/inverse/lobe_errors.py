@@ -43,8 +43,11 @@ class Covariance(NamedTuple):
     """(k, k)."""
 
 
-def sensitivity(weights: np.ndarray, record: np.ndarray, derivatives: np.ndarray) -> Sensitivity:
-    """weights (c, s, n), record m (s, n), derivatives G (k, c, s, n) by the shared numbers.
+def sensitivity(
+    weights: np.ndarray, record: np.ndarray, derivatives: np.ndarray, prior: np.ndarray | None = None
+) -> Sensitivity:
+    """weights (c, s, n), record m (s, n), derivatives G (k, c, s, n) by the shared numbers; prior (k, k): what is known
+    of them besides, as an information matrix.
 
     A shared number that the data do not feel gets no reaction at all: it is held, not fitted.
     """
@@ -53,7 +56,7 @@ def sensitivity(weights: np.ndarray, record: np.ndarray, derivatives: np.ndarray
     taken = np.einsum("csn,kcsn->kcs", to_amplitude, derivatives)
     rest = derivatives - taken[..., None] * record
     weighted = weights * rest
-    information = np.einsum("kcsn,lcsn->kl", weighted, rest)
+    information = np.einsum("kcsn,lcsn->kl", weighted, rest) + (0 if prior is None else prior)
     # scaled to a unit diagonal, so that pinv's cut-off means "not felt" whatever the units
     scale = np.sqrt(np.clip(np.diag(information), 0, None))
     unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)

@@ -27,18 +27,16 @@ from matcam.errors import FitError
 from matcam.forward.lobe import lobe_record, tangent_offsets
 from matcam.inverse import lobe_errors
 from matcam.inverse.peak_cells import PeakData
-from matcam.material.ndf import GGX, NDF, GaussianNDF
+from matcam.material.ndf import FAMILIES, NDF
 from matcam.rigs import Rig
 
-FAMILIES: dict[str, type[NDF]] = {"gaussian": GaussianNDF, "ggx": GGX}
-_WIDEST = {"gaussian": 0.5, "ggx": 1.0}
 _NARROWEST = 0.02  # px: narrower lobes are the same point to any camera
 _AT_BOUND = 0.05  # of ln width: a fit this near to _NARROWEST has not seen the lobe's width
 _STEP = 3  # the search uses every third slice
 _SLICES, _BLOCK = 30, 64  # slices at once, cells in multiples of this: few shapes to compile
-_ROUNDS = 3
+_ROUNDS = 2
 _START_NOISE = PixelNoise(0.02, 0.005)
-_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.5)), (np.log(1e-6), np.log(0.3)))
+_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.05)), (np.log(1e-6), np.log(0.5)))
 
 
 class LobeFit(NamedTuple):
@@ -73,7 +71,7 @@ def fit_lobe(data: PeakData, rig: Rig, family: str, noise: PixelNoise | None = N
     if not weights.any():
         raise FitError("no highlight: the values around the peak (theta_h = 0) are missing or not positive")
     low = np.log(_NARROWEST / float(rig.sample.radius))  # type: ignore[attr-defined]
-    high = np.log(min(_WIDEST[family], 4 * data.half_width))
+    high = np.log(min(FAMILIES[family].largest, 4 * data.half_width))
     model = _Model(some, rig, family)
     log_width = _coarse_search(model, some, weights, low, high)
     for _ in range(_ROUNDS):
@@ -85,11 +83,15 @@ def fit_lobe(data: PeakData, rig: Rig, family: str, noise: PixelNoise | None = N
     # a third of the slices has brought the width within a standard error: all of them take one Gauss-Newton step more
     model = _Model(data, rig, family)
     record, by_width = model.derivative(log_width)
-    linear = _solve(data, record, _weights(data, record, _solve(data, record, _first_weights(data)), noise or _START_NOISE))
-    assumed = noise or _estimate_noise(data, record, linear)
+    by_camera = [model.derivative(log_width, name)[1] for name in model.names]
+    linear = _solve(data, record, _first_weights(data))
+    assumed = noise or _START_NOISE
+    for _ in range(_ROUNDS):
+        weights = _weights(data, record, linear, assumed)
+        linear = _solve(data, record, weights)
+        assumed = noise or _estimate_noise(data, record, _without_camera_error(model, linear, weights, record, by_width, by_camera))
     weights = _weights(data, record, linear, assumed)
     if determined:
-        linear = _solve(data, record, weights)
         maps = lobe_errors.sensitivity(weights, record, _derivatives(linear, by_width))
         log_width += float(np.clip(lobe_errors.reaction(maps, linear.residual)[1][0], -_AT_BOUND, _AT_BOUND))
     return _with_errors(data, model, log_width, weights, assumed, determined=determined)
@@ -218,7 +220,7 @@ def _estimate_noise(data: PeakData, record: np.ndarray, linear: _Linear) -> Pixe
 
 def _coarse_search(model: _Model, data: PeakData, weights: np.ndarray, low: float, high: float) -> float:
     """Best of a row of widths."""
-    candidates = np.linspace(low, high, 17)
+    candidates = np.linspace(low, high, 11)
     return float(min(candidates, key=lambda c: _solve(data, model(c), weights).misfit))
 
 
@@ -238,7 +240,7 @@ def _refine(model: _Model, data: PeakData, weights: np.ndarray, start: float, lo
 
     margin = 1e-9 * (high - low)
     found = least_squares(
-        residual, [np.clip(start, low + margin, high - margin)], slope, bounds=(low, high), xtol=1e-7, ftol=1e-12, max_nfev=20
+        residual, [np.clip(start, low + margin, high - margin)], slope, bounds=(low, high), xtol=1e-4, ftol=1e-6, max_nfev=20
     )
     return float(found.x[0])
 
@@ -248,6 +250,24 @@ def _derivatives(linear: _Linear, by_width: np.ndarray) -> np.ndarray:
     by_width = np.nan_to_num(linear.positive) * by_width
     channels = np.eye(len(by_width))[:, :, None, None]
     return np.concatenate([by_width[None], channels * np.ones_like(by_width)])
+
+
+def _without_camera_error(
+    model: _Model, linear: _Linear, weights: np.ndarray, record: np.ndarray, by_width: np.ndarray, by_camera: list[np.ndarray]
+) -> _Linear:
+    """The same fit with the residuals that it would have if the camera were also adjusted, within its stated
+    uncertainty: an error of the camera is not noise, and is accounted for by itself."""
+    if not by_camera:
+        return linear
+    # in units of the stated errors' principal axes, so that one that is stated as 0 stays 0
+    variances, axes = np.linalg.eigh(np.asarray(model.uncertainty.covariance))  # type: ignore[union-attr]
+    steps = axes * np.sqrt(np.clip(variances, 0, None))
+    moved = np.einsum("pq,psn->qsn", steps, np.stack(by_camera))
+    derivatives = np.concatenate([_derivatives(linear, by_width), np.nan_to_num(linear.positive) * moved[:, None]])
+    known = np.diag(np.repeat([0.0, 1.0], [len(derivatives) - len(steps), len(steps)]))
+    maps = lobe_errors.sensitivity(weights, record, derivatives, known)
+    _, shift = lobe_errors.reaction(maps, linear.residual)
+    return linear._replace(residual=linear.residual - np.einsum("k,kcsn->csn", shift, maps.rest) * (weights > 0))
 
 
 def _share_of_pixel_variance(data: PeakData) -> np.ndarray:

@@ -21,7 +21,7 @@ _SPACING = 0.4  # px between kept cells of one ring, for a lobe of pixel size
 _REACH = 2.5  # px from the peak that a ring must cover, whatever the lobe, because the camera spreads it
 _STEEPEST = np.radians(75)  # ... up to this theta_d, where the foreshortening stretches them by 1 / cos
 _LOWEST = 0.01  # of the peak: where the data around it end
-_MOST_RINGS = 28
+_MOST_RINGS = 24
 _QUIET_SLICES = slice(5, 60)  # theta_d degrees where lobes of real tables are whole
 
 
@@ -113,7 +113,7 @@ def _choose_cells(profile: np.ndarray, half_width: float, radius: float, samplin
     rings = int(np.searchsorted(theta_h, max(lobe_end, camera_end)).clip(4, GRID_SHAPE[0] - 1))
     kept_rings = np.unique(np.rint(np.linspace(0, rings, min(rings + 1, _MOST_RINGS))).astype(int))
     rings_per_kept = np.gradient(kept_rings.astype(float)) if kept_rings.size > 1 else np.ones(1)
-    spacing = max(_SPACING, 0.15 * half_width * radius)
+    spacing = max(_SPACING, 0.3 * half_width * radius)
     i_theta_h, i_phi_d, share = [], [], []
     n_phi = GRID_SHAPE[2]
     for ring, rings_each in zip(kept_rings, rings_per_kept, strict=True):

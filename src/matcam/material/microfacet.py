@@ -63,7 +63,7 @@ class Microfacet(eqx.Module):
         if self.masking is None:
             return jnp.ones_like(cos_i * cos_o)
         lambda_i, lambda_o = (
-            smith_lambda(self.ndf.slope_density, self.ndf.slope_scale, jnp.arccos(jnp.clip(c, -1, 1)))
+            smith_lambda(self.ndf.slope_density, self.ndf.roughness, jnp.arccos(jnp.clip(c, -1, 1)))
             for c in (cos_i, cos_o)
         )
         return g2(self.masking, lambda_i, lambda_o, azimuth)

@@ -10,6 +10,7 @@ because a camera's effect on a Gaussian has a closed form (forward/lobe.py).
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -19,12 +20,16 @@ from matcam import checks
 from matcam._jax import jax, jnp
 from matcam.material import masking
 
-_LARGEST_GAUSSIAN = 0.5  # rad; beyond, a Gaussian in theta_h does not die out before the horizon
 _MIXTURE_NODES = 48
 
 
 class NDF(eqx.Module):
     """An isotropic distribution of microfacet normals; the integral of D cos over the hemisphere is 1."""
+
+    family: ClassVar[str]
+    """Its name where a family of NDFs is asked for: on the command line, in `fresnel`."""
+    largest: ClassVar[float]
+    """Largest value of its roughness, the constructor's argument."""
 
     @abstractmethod
     def d(self, theta_h: ArrayLike) -> jax.Array:
@@ -44,8 +49,8 @@ class NDF(eqx.Module):
 
     @property
     @abstractmethod
-    def slope_scale(self) -> jax.Array:
-        """Typical slope of the facets: the scale on which masking is integrated."""
+    def roughness(self) -> jax.Array:
+        """The one number that its width goes with; also the scale of the facets' slopes."""
 
     def slope_density(self, slope: jax.Array) -> jax.Array:
         """P22: distribution of the facets' slopes, D cos^4; integrates to 1 over the plane."""
@@ -54,7 +59,7 @@ class NDF(eqx.Module):
     def g1(self, theta: ArrayLike) -> jax.Array:
         """Smith masking: share of the facets seen from `theta` (rad) that others do not hide."""
         theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
-        return 1 / (1 + masking.smith_lambda(self.slope_density, self.slope_scale, theta))
+        return 1 / (1 + masking.smith_lambda(self.slope_density, self.roughness, theta))
 
 
 class GaussianNDF(NDF):
@@ -62,9 +67,11 @@ class GaussianNDF(NDF):
 
     width: jax.Array
 
+    family = "gaussian"
+    largest = 0.5  # rad; beyond, a Gaussian in theta_h does not die out before the horizon
+
     def __init__(self, width: ArrayLike):
-        limits = (0, _LARGEST_GAUSSIAN)
-        self.width = checks.scalar("width", checks.within("width", width, *limits, "rad", open_low=True))
+        self.width = checks.scalar("width", checks.within("width", width, 0, self.largest, "rad", open_low=True))
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere."""
@@ -91,8 +98,8 @@ class GaussianNDF(NDF):
         return jnp.ones(1), self.width[None]
 
     @property
-    def slope_scale(self) -> jax.Array:
-        """The width."""
+    def roughness(self) -> jax.Array:
+        """The width, rad."""
         return self.width
 
     def __repr__(self) -> str:
@@ -107,8 +114,11 @@ class GGX(NDF):
 
     alpha: jax.Array
 
+    family = "ggx"
+    largest = 1.0
+
     def __init__(self, alpha: ArrayLike):
-        self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, 1, open_low=True))
+        self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, self.largest, open_low=True))
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """D, 1/sr; the denominator as sin^2 + alpha^2 cos^2, which keeps its digits for a sharp lobe."""
@@ -133,9 +143,13 @@ class GGX(NDF):
         return jnp.asarray(weights / weights.sum()), self.alpha / np.sqrt(2 * t)
 
     @property
-    def slope_scale(self) -> jax.Array:
+    def roughness(self) -> jax.Array:
         """alpha."""
         return self.alpha
 
     def __repr__(self) -> str:
         return f"GGX(alpha={self.alpha!s})"
+
+
+FAMILIES: dict[str, type[NDF]] = {cls.family: cls for cls in (GaussianNDF, GGX)}
+"""NDFs of one roughness, by name."""

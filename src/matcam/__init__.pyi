@@ -1,0 +1,60 @@
+from . import paper, rigs
+from .camera.camera import Camera
+from .camera.diffraction import DiffractionOptics
+from .camera.gaussian import GaussianOptics
+from .camera.measured import MeasuredOptics
+from .camera.noise import PixelNoise
+from .camera.pixel import BoxPixel, WindowedGaussianPixel
+from .camera.uncertainty import Provenance, Uncertainty
+from .errors import MatcamError
+from .files.merl import read_merl, write_merl
+from .forward.lobe_table import lobe_table, with_pixel_noise
+from .forward.peak import loss_angle, peak_response
+from .forward.texture import texture_contrast
+from .inverse.fresnel_term import fresnel
+from .inverse.tabulated import tabulated_fresnel
+from .material.metals import metal, metal_sources, metals
+from .material.microfacet import Microfacet
+from .material.ndf import GGX, GaussianNDF
+from .material.reflectance import Conductor, Constant, Dielectric, Schlick, fresnel_conductor
+from .rigs import Rig
+from .sample import Cylinder, Flat, Sphere
+
+__all__ = [
+    "GGX",
+    "BoxPixel",
+    "Camera",
+    "Conductor",
+    "Constant",
+    "Cylinder",
+    "Dielectric",
+    "DiffractionOptics",
+    "Flat",
+    "GaussianNDF",
+    "GaussianOptics",
+    "MatcamError",
+    "MeasuredOptics",
+    "Microfacet",
+    "PixelNoise",
+    "Provenance",
+    "Rig",
+    "Schlick",
+    "Sphere",
+    "Uncertainty",
+    "WindowedGaussianPixel",
+    "fresnel",
+    "fresnel_conductor",
+    "lobe_table",
+    "loss_angle",
+    "metal",
+    "metal_sources",
+    "metals",
+    "paper",
+    "peak_response",
+    "read_merl",
+    "rigs",
+    "tabulated_fresnel",
+    "texture_contrast",
+    "with_pixel_noise",
+    "write_merl",
+]

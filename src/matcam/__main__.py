@@ -1,0 +1,5 @@
+"""`python -m matcam`: the command line."""
+
+from matcam.cli import main
+
+main()

@@ -1,0 +1,56 @@
+"""The command line: `matcam`. One file per command; each parses, calls the library, shows progress, writes.
+
+Exit codes: 0; 1 some inputs failed; 2 bad input; 70 a fault of ours (with traceback); 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+
+BAD_INPUT = 2
+FAULT = 70
+INTERRUPTED = 130
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and exit with its code."""
+    sys.exit(_run(arguments))
+
+
+def _run(arguments: list[str] | None) -> int:
+    # typer's own handling would print usage errors in boxes and swallow interruptions as exit code 1
+    import click
+
+    from matcam.cli.app import app
+    from matcam.errors import MatcamError
+
+    try:
+        result = app(args=arguments, prog_name="matcam", standalone_mode=False)
+    except click.exceptions.Exit as exit_:
+        return exit_.exit_code
+    except click.UsageError as error:
+        context = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
+        return _complain(f"{_one_line(error.format_message())}{context}", BAD_INPUT)
+    except (KeyboardInterrupt, click.Abort):
+        return _complain("interrupted; nothing half-written was left", INTERRUPTED)
+    except MatcamError as error:
+        return _complain(_one_line(str(error)), BAD_INPUT)
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader has gone; Python would complain once more at exit
+        return 0
+    except MemoryError:
+        return _complain("not enough memory", BAD_INPUT)
+    except Exception:
+        traceback.print_exc()
+        return _complain("this is a fault of matcam, not of your input; please report it with the lines above", FAULT)
+    return result if isinstance(result, int) else 0
+
+
+def _complain(message: str, code: int) -> int:
+    print(f"matcam: {message}", file=sys.stderr)
+    return code
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

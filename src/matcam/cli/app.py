@@ -1,0 +1,41 @@
+"""All commands, in the order in which people need them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from matcam.cli import data, demo, figures, fresnel, inspect, predict
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="What a camera does to a reflectance measurement, and how to undo it.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib import metadata
+
+        typer.echo(f"matcam {metadata.version('matcam')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    pass
+
+
+app.command("predict")(predict.command)
+app.command("fresnel")(fresnel.command)
+app.command("inspect")(inspect.command)
+app.command("figures")(figures.command)
+app.command("demo")(demo.command)
+app.add_typer(data.app, name="data", help="Fetch published measurements.")

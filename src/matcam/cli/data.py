@@ -1,0 +1,59 @@
+"""`matcam data`: fetch published measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from matcam.cli import show
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command("merl")
+def merl(
+    materials: Annotated[list[str] | None, typer.Argument(metavar="NAME...", help="Materials, e.g. chrome.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to put the files in.")] = Path(),
+    source: Annotated[
+        str | None,
+        typer.Option("--source", envvar="MATCAM_MERL_SOURCE", help="Archive (.zip) or folder on another server. Default: the official archive."),
+    ] = None,
+    listing: Annotated[bool, typer.Option("--list", help="List the 100 materials.")] = False,
+) -> int:
+    """Fetch true MERL files (35 MB each, CC BY-SA 4.0) and check each against its published SHA-256.
+
+    Example: `matcam data merl chrome nickel -o merl`
+    """
+    from matcam.downloads import fetch_merl, merl_checksums
+    from matcam.errors import ArgumentError, DownloadError, OutputError, unknown_name
+
+    known = merl_checksums()
+    if listing:
+        show.say("\n".join(sorted(known)))
+        return 0
+    if not materials:
+        raise ArgumentError("name at least one material, or use --list")
+    for name in materials:
+        if name not in known:
+            raise unknown_name("MERL material", name, known)
+    if output.exists() and not output.is_dir():
+        raise OutputError(f"output {output} is a file: give a folder")
+    failed = []
+    for name in materials:
+        try:
+            with show.counting(name) as progress:
+                show.say(str(fetch_merl(name, output, source, progress)))
+        except DownloadError as error:
+            failed.append(str(error))
+    for message in failed:
+        typer.echo(f"matcam: {message}", err=True)
+    if not failed:
+        return 0
+    return 1 if len(failed) < len(materials) else 2

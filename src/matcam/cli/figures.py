@@ -1,0 +1,68 @@
+"""`matcam figures`: the paper's Figures 3 to 6."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import Force
+
+
+def command(
+    measured: Annotated[list[Path] | None, typer.Argument(help="MERL files for Figure 6. Default: a simulated chromium sphere.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("figures"),
+    vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
+    force: Force = False,
+) -> None:
+    """Redraw the paper's Figures 3 to 6: PNG and PDF or SVG, with the data of each as CSV.
+
+    Example: `matcam figures chrome.binary -o figures`
+    """
+    from matcam.atomic import check_output
+
+    sources = measured or []
+    stems = ["figure-3", "figure-4", "figure-5", *(f"figure-6-{path.stem}" for path in sources or [Path("simulated-chromium")])]
+    for stem in stems:
+        for suffix in ("png", vector, "csv"):
+            check_output(output / f"{stem}.{suffix}", force=force, inputs=sources)
+    from matcam._jax import use_compilation_cache
+
+    use_compilation_cache()
+    for stem, source in zip(stems, [None, None, None, *(sources or [None])], strict=True):
+        with show.working(f"drawing {stem}"):
+            data, figure = _draw(stem, source)
+            _write(data, figure, output / stem, vector, force)
+        show.say(f"{output / stem}.png, .{vector}, .csv")
+
+
+def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:
+    from matcam import paper
+    from matcam.figures.paper import highlight_figure, loss_figure
+
+    if stem in ("figure-3", "figure-4"):
+        data = paper.figure_3_4(10.0 if stem == "figure-3" else 1.0)
+        return data, highlight_figure(data)
+    if stem == "figure-5":
+        data = paper.figure_5()
+        return data, loss_figure(data)
+    from matcam import rigs
+    from matcam.figures.fresnel_term import fresnel_figure
+    from matcam.files.merl import read_merl
+    from matcam.forward.demonstration import simulated_chromium
+    from matcam.inverse.fresnel_term import fresnel
+    from matcam.inverse.tabulated import tabulated_fresnel
+
+    result = fresnel(simulated_chromium() if source is None else read_merl(source), rigs.merl())
+    return result, fresnel_figure(result, tabulated_fresnel(result, "Cr" if source is None else None))
+
+
+def _write(data: Any, figure: Any, stem: Path, vector: str, force: bool) -> None:
+    from matcam.figures.style import save
+    from matcam.files.columns import write_columns
+
+    write_columns(stem.with_name(f"{stem.name}.csv"), data, force=force)
+    for suffix in ("png", vector):
+        save(figure, stem.with_name(f"{stem.name}.{suffix}"), force=force)

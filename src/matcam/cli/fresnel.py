@@ -1,0 +1,141 @@
+"""`matcam fresnel`: the Fresnel term of a measured material, with and without the camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+
+_ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
+
+
+def command(
+    file: Annotated[Path, typer.Argument(help="MERL file.")],
+    metal: Annotated[
+        str | None, typer.Option("--metal", help="Compare with tabulated n, k of this metal (Cr, Fe, ...). Default: the nearest of all.")
+    ] = None,
+    ndf: Annotated[Literal["auto", "gaussian", "ggx"], typer.Option("--ndf", help="Family of the lobe; auto: the likelier.")] = "auto",
+    masking: Masking = "smith",
+    camera: CameraProfile = None,
+    radius: Radius = None,
+    lamp: LampRadius = 0.0,
+    sampling: Sampling = "centre",
+    normalise: Annotated[
+        tuple[float, float], typer.Option("--normalise", metavar="LOW HIGH", help="Range of theta_d, degrees, where F's mean is 1.")
+    ] = (10.0, 45.0),
+    channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel that is drawn and printed.")] = "G",
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.")
+    ] = None,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Fresnel term of a measured metal, raw and corrected for the camera, with its uncertainty (the paper's Figure 6).
+
+    Example: `matcam fresnel chrome.binary --metal Cr`
+    """
+    from matcam.atomic import check_output
+
+    output = output or Path(f"{file.stem}-fresnel.png")
+    inputs = [path for path in (file, camera) if path]
+    for path in (output, output.with_suffix(".csv"), output.with_suffix(".nc")):
+        check_output(path, force=force, inputs=inputs)
+    with show.working(f"{file}: fitting the lobe through the camera"):
+        result, tables = _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise)
+        _write(result, tables, output, force, channel)
+    if json:
+        show.as_json(_document(result, tables, output))
+    else:
+        _print(result, tables, output, channel)
+
+
+def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise):  # type: ignore[no-untyped-def]
+    import math
+
+    from matcam._jax import use_compilation_cache
+    from matcam.figures import style  # noqa: F401
+
+    use_compilation_cache()
+    from matcam.files.merl import read_merl
+    from matcam.inverse.fresnel_term import fresnel
+    from matcam.inverse.tabulated import tabulated_fresnel
+    from matcam.material.metals import metal_sources
+
+    if metal is not None:
+        metal_sources(metal)  # an unknown name should cost nothing
+    rig = rig_of(camera, radius, lamp)
+    table = read_merl(file, sampling=sampling)
+    result = fresnel(
+        table,
+        rig,
+        ndf=ndf,
+        masking=None if masking == "none" else masking,
+        normalise=(math.radians(normalise[0]), math.radians(normalise[1])),
+    )
+    return result, tabulated_fresnel(result, metal)
+
+
+def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) -> None:
+    from matcam.figures.fresnel_term import fresnel_figure
+    from matcam.figures.style import save
+    from matcam.files.columns import write_columns
+    from matcam.files.netcdf import write_netcdf
+
+    place = result["channel"].values.tolist().index(channel)
+    write_netcdf(output.with_suffix(".nc"), result, force=force)
+    write_columns(output.with_suffix(".csv"), result, force=force)
+    save(fresnel_figure(result, tables, channel=place), output, force=force)
+
+
+def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
+    import numpy as np
+
+    return {
+        **result.attrs,
+        "normalised_over": np.degrees(result.attrs["normalised_over"]),
+        "width": float(result["width"]),
+        "width_std": float(result["width_std"]),
+        "supported_angle_deg": dict(zip(result["channel"].values.tolist(), np.degrees(result["supported_angle"].values), strict=True)),
+        "theta_d_deg": np.degrees(result["theta_d"].values),
+        **{
+            name: {str(c): result[name].sel(channel=c).values for c in result["channel"].values}
+            for name in ("raw", "raw_std", "corrected_peak", "corrected", "corrected_std", "absolute", "absolute_std")
+        },
+        "response": result["response"].values,
+        "tables": {
+            str(t): {"rms_corrected": tables["rms_corrected"].sel(table=t).values, "rms_raw": tables["rms_raw"].sel(table=t).values}
+            for t in tables["table"].values
+        },
+        "files": [str(output), str(output.with_suffix(".csv")), str(output.with_suffix(".nc"))],
+    }
+
+
+def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
+    import numpy as np
+
+    one = result.sel(channel=channel)
+    at = one.sel(theta_d=np.radians(_ANGLES), method="nearest")
+    relative = at["response"].values / float(result["response"][0])
+    rows = [
+        [f"{angle}°", f"{1 - lost:.0%}", f"{raw:.3f}", f"{peak:.3f}", f"{corrected:.3f} ± {std:.3f}"]
+        for angle, lost, raw, peak, corrected, std in zip(
+            _ANGLES, relative, at["raw"].values, at["corrected_peak"].values, at["corrected"].values, at["corrected_std"].values, strict=True
+        )
+    ]
+    show.table(["theta_d", "lost to the camera", "F raw", "F peak / loss", "F corrected"], rows, f"{result.attrs['source']}, channel {channel}")
+    attrs = result.attrs
+    determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
+    show.say(f"lobe: {attrs['ndf']}, width {float(result['width']):.5f} ± {float(result['width_std']):.5f}{determined}")
+    show.say(f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, {attrs['noise_floor']:.2%} of the picture's peak")
+    show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
+    show.say(f"supported (std under 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
+    rms = tables.sel(channel=channel)
+    order = np.argsort(rms["rms_corrected"].values, kind="stable")[:4]
+    for i in order:
+        name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
+        show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
+    show.say(f"written: {output}, {output.with_suffix('.csv')}, {output.with_suffix('.nc')}")

@@ -1,0 +1,41 @@
+"""Options that several commands share, and the rig that they describe."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from matcam.rigs import Rig
+
+CameraProfile = Annotated[
+    Path | None, typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the camera of the MERL rig.")
+]
+Radius = Annotated[float | None, typer.Option("--radius", metavar="PX", help="Radius of the sphere's picture in px. Default: 256, MERL's.")]
+LampRadius = Annotated[float, typer.Option("--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc, degrees.")]
+Masking = Annotated[
+    Literal["smith", "smith-separable", "van-ginneken", "none"],
+    typer.Option("--masking", help="Masking G that the Fresnel term is freed from."),
+]
+Sampling = Annotated[
+    Literal["centre", "edge"],
+    typer.Option("--sampling", help="Where in its cell a tabulated value was sampled; the file does not say."),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, on standard output.")]
+
+
+def rig_of(camera: Path | None, radius: float | None, lamp_degrees: float, sample: str = "sphere") -> Rig:
+    """The MERL rig, with what the user has replaced."""
+    from matcam import rigs
+    from matcam.camera.camera import Camera
+    from matcam.sample import Cylinder, Flat, Sphere
+
+    merl = rigs.merl()
+    chosen = merl.camera if camera is None else Camera.load(camera)
+    size = 256.0 if radius is None else radius
+    shape = {"sphere": lambda: Sphere(size), "cylinder": lambda: Cylinder(size), "flat": Flat}[sample]()
+    return rigs.Rig(chosen, shape, math.radians(lamp_degrees))

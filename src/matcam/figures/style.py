@@ -1,0 +1,68 @@
+"""How every picture looks, and how it is written.
+
+No pyplot: it keeps global state, and costs half a second. Colours: Okabe & Ito's, which colour-blind readers tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from matcam.atomic import check_output, replacing
+from matcam.errors import OutputError
+
+BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
+    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#000000",
+)  # fmt: skip
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+GREY = "#6E6E6E"
+
+SUFFIXES = (".png", ".pdf", ".svg")
+
+_RC = {
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "matcam",  # the same data give the same file
+    "pdf.fonttype": 42,
+}
+
+
+def styled() -> rc_context:  # type: ignore[valid-type]
+    """Context in which every figure is drawn."""
+    return rc_context(_RC)
+
+
+def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
+    """`check_output` for a picture; its suffix chooses the format."""
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES and not path.is_dir():
+        raise OutputError(f"picture {path} must end in {', '.join(SUFFIXES)}")
+    return check_output(path, force=force, inputs=inputs)
+
+
+def save(figure: Figure, path: str | Path, *, force: bool = False) -> None:
+    """Write a figure; a format's own date is left out, so that the same data give the same file."""
+    path = check_picture(path, force=force)
+    metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
+    with styled(), replacing(path, force=force) as temporary:
+        figure.savefig(temporary, dpi=160, metadata=metadata)
+
+
+def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
+    """Angles on the x axis, in degrees."""
+    axes.set_xlabel(f"{label} [degrees]")
+    axes.set_xlim(0, end)
+    axes.set_xticks(range(0, int(end) + 1, 15))
