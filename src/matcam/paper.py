@@ -21,6 +21,7 @@ FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)
 """Widths of the lobe in units of sigma_mtf / radius."""
 
 _FIGURE_3_ANGLES = (0.0, 45.0, 60.0, 75.0)
+_POINTS_PER_PX = 20
 
 
 def peak_eq11(
@@ -48,27 +49,27 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     """Figures 3 (ratio 10) and 4 (ratio 1): a Gaussian highlight of std ratio sigma_mtf / radius, as it arrives on the
     sensor, after the optics, and as the pixels record it, across the plane of camera and lamp at several theta_o.
 
-    Dataset over (theta_o, x): signal, after_optics; over (theta_o, pixel): recorded. x, pixel: px from the peak.
+    Dataset over (theta_o, x): signal, after_optics, recorded (of the pixel that x lies in). x: px from the peak.
     """
     rig = rig or merl()
     sigma, half_width, radius = _gaussian_numbers(rig)
     theta = np.radians(_FIGURE_3_ANGLES)
     ndf = GaussianNDF(ratio * sigma / radius)
-    reach = np.ceil(3.5 * sigma * np.hypot(ratio, 1) + 0.5)
-    x = np.linspace(-reach - 0.5, reach + 0.5, 801)
-    pixel = np.arange(-reach, reach + 1)
+    reach = int(np.ceil(3.5 * sigma * np.hypot(ratio, 1) + 0.5))
+    x = (np.arange(-reach - 0.5, reach + 0.5, 1 / _POINTS_PER_PX) + 0.5 / _POINTS_PER_PX).round(6)
+    pixel = np.rint(x)
     std = (ratio * sigma * np.cos(theta))[:, None]
     blurred = np.hypot(std, sigma)
     # the figure is one-dimensional: divide out what the direction across takes from every pixel alike
-    recorded = lobe_record(rig, ndf, theta, np.tile(pixel, (theta.size, 1)), np.zeros((theta.size, pixel.size)))
+    recorded = lobe_record(rig, ndf, theta, np.tile(pixel, (theta.size, 1)), np.zeros((theta.size, x.size)))
     across = peak_response(rig, ndf, 0.0, dims=1)
     return xr.Dataset(
         {
             "signal": (("theta_o", "x"), np.exp(-((x / std) ** 2) / 2)),
             "after_optics": (("theta_o", "x"), std / blurred * np.exp(-((x / blurred) ** 2) / 2)),
-            "recorded": (("theta_o", "pixel"), np.asarray(recorded / across)),
+            "recorded": (("theta_o", "x"), np.asarray(recorded / across)),
         },
-        coords={"theta_o": theta, "x": x, "pixel": pixel},
+        coords={"theta_o": ("theta_o", theta, {"units": "rad"}), "x": ("x", x, {"units": "px"})},
         attrs={"ratio": ratio, "sigma_mtf_px": sigma, "half_width_px": half_width, "radius_px": radius},
     )
 
@@ -90,7 +91,7 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
             "loss_printed": (("ratio", "theta"), printed / printed[:, :1]),
             "cosine": ("theta", np.cos(theta)),
         },
-        coords={"ratio": list(FIGURE_5_RATIOS), "theta": theta},
+        coords={"ratio": list(FIGURE_5_RATIOS), "theta": ("theta", theta, {"units": "rad"})},
         attrs={"sigma_mtf_px": sigma, "half_width_px": half_width, "radius_px": radius},
     )
 

@@ -7,7 +7,6 @@ from functools import lru_cache
 import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from matcam import checks
 from matcam._jax import is_concrete, jax, jnp
@@ -107,4 +106,6 @@ def _spline_basis(frequency: tuple[float, ...]) -> np.ndarray:
 
     A spline is linear in the values that it goes through: with this map, their uncertainty passes through it.
     """
+    from scipy.interpolate import CubicSpline  # a quarter of a second that only measured curves should cost
+
     return CubicSpline(frequency, np.eye(len(frequency))).c

@@ -65,8 +65,8 @@ def command(
             values, at["response"].values[:, 0], at["relative_response"].values, _degrees(data["loss_angle"]), strict=True
         )
     ]
-    head = ["roughness", "peak kept at 0°", *(f"lost at {a}°" for a in _ANGLES[1:]), "5 % lost at"]
-    show.table(head, rows, f"{ndf} lobe on a {sample}: loss relative to 0°")
+    head = ["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"]
+    show.table(head, rows, f"{ndf} lobe on a {sample}: of its peak the camera keeps, and loses relative to 0°")
     if output:
         show.say(f"picture: {output}")
 

@@ -20,12 +20,13 @@ def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, title: 
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
     with styled():
-        figure = Figure(figsize=(9.6, 4.3), layout="constrained")
+        figure = Figure(figsize=(9.6, 5.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
         draw_fresnel(left, result, tables, channel)
         name = str(result["channel"].values[channel])
         left.set_title(title or f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
-        left.legend(loc="lower left", fontsize=8.2)
+        # under the axes: measured curves go everywhere
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=8.2)
         _draw_loss(right, result)
     return figure
 
@@ -50,10 +51,10 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
     if supported < theta[-1]:
         axes.axvline(supported, color=GREY, lw=0.8)
         axes.annotate(
-            f"supported to {supported:.0f}°", (supported, 1), xycoords=("data", "axes fraction"), xytext=(-3, -2),
-            textcoords="offset points", ha="right", va="top", fontsize=8, color=GREY, rotation=90,
+            f"supported to {supported:.0f}°", (supported, 0), xycoords=("data", "axes fraction"), xytext=(-3, 4),
+            textcoords="offset points", ha="right", va="bottom", fontsize=8, color=GREY, rotation=90,
         )  # fmt: skip
-    degrees_axis(axes, "difference angle θ_d")
+    degrees_axis(axes, r"difference angle $\theta_d$")
     axes.set_ylabel(f"F / mean of F over {low:.0f} to {high:.0f}° [-]")
     used = np.concatenate([corrected[theta < 87], one["raw"].values[theta < 87]])
     axes.set_ylim(0, 1.25 * np.nanquantile(used, 0.98))
@@ -63,11 +64,11 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
     theta = np.degrees(result["theta_d"].values)
     response = result["response"].values
     axes.plot(theta, response / response[0], color=BLUE, label="this lobe")
-    axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1, label="cos θ: narrowest")
-    degrees_axis(axes, "difference angle θ_d")
+    axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1, label=r"$\cos\,\theta_d$: narrowest")
+    degrees_axis(axes, r"difference angle $\theta_d$")
     axes.set_xticks(range(0, 91, 30))
     axes.set_ylim(0, 1.05)
-    axes.set_ylabel("recorded / true peak, relative to θ_d = 0 [-]")
+    axes.set_ylabel(r"recorded / true peak, relative to $\theta_d$ = 0 [-]")
     family, width = result.attrs["ndf"], float(result["width"])
     axes.set_title(f"Loss of a {family} lobe,\nwidth {width:.4f}", loc="left")
     axes.legend(loc="lower left", fontsize=8.2)

@@ -17,10 +17,12 @@ def highlight_figure(data: xr.Dataset) -> Figure:
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
         for axes, theta in zip(panels, data["theta_o"].values, strict=True):
             one = data.sel(theta_o=theta)
-            axes.bar(data["pixel"], one["recorded"], width=1.0, color="#C8C8C8", edgecolor="#9A9A9A", lw=0.5, label="pixels")
+            axes.fill_between(data["x"], one["recorded"], color="#C8C8C8", lw=0, label="pixels")
+            borders = np.arange(np.ceil(float(data["x"][0])) - 0.5, float(data["x"][-1]) + 1)
+            axes.vlines(borders, 0, one["recorded"].sel(x=borders, method="nearest"), color="#9A9A9A", lw=0.5)
             axes.plot(data["x"], one["signal"], color=BLUE, label="signal")
             axes.plot(data["x"], one["after_optics"], color=VERMILION, ls="--", label="after the optics")
-            axes.set_title(f"θ_o = {np.degrees(theta):.0f}°", loc="left")
+            axes.set_title(rf"$\theta_o$ = {np.degrees(theta):.0f}°", loc="left")
             axes.set_xlabel("position on the sensor [px]")
             axes.set_xlim(float(data["x"][0]), float(data["x"][-1]))
             axes.grid(axis="x", visible=False)
@@ -28,7 +30,7 @@ def highlight_figure(data: xr.Dataset) -> Figure:
         panels[0].set_ylim(0, 1.08)
         panels[-1].legend(loc="upper right", fontsize=8, handlelength=1.4, borderaxespad=0)
         ratio = data.attrs["ratio"]
-        figure.suptitle(f"Highlight of standard deviation {ratio:g} σ_mtf / r_s, across the limb of a sphere", fontsize=10.5, x=0.01, ha="left")
+        figure.suptitle(rf"Highlight of standard deviation {ratio:g} $\sigma_{{mtf}} / r_s$, across the limb of a sphere", fontsize=10.5, x=0.01, ha="left")
     return figure
 
 
@@ -46,9 +48,9 @@ def loss_figure(data: xr.Dataset) -> Figure:
             axes.plot(theta, one["loss"], color=colour, label=f"{ratio:g}")
             axes.plot(theta, one["loss_printed"], color=colour, lw=0.9, ls=":")
         axes.plot(theta, data["cosine"], color=GREY, ls="--", lw=1.2)
-        degrees_axis(axes, "viewing angle θ_o")
+        degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylim(0, 1.04)
-        axes.set_ylabel("recorded / true peak, relative to θ_o = 0 [-]")
-        axes.set_title("Loss at the specular peak (solid: exact tangent plane; dotted: eq. (11) as printed;\ndashed grey: cos θ_o)", loc="left", fontsize=9.5)
-        axes.legend(title="lobe width /\n(σ_mtf / r_s)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
+        axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+        axes.set_title("Loss at the specular peak. Solid: tangent plane; dotted: eq. (11) as printed;\n" r"dashed: $\cos\,\theta_o$", loc="left", fontsize=9.5)
+        axes.legend(title="lobe width /\n" r"($\sigma_{mtf} / r_s$)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
     return figure

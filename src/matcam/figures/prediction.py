@@ -27,10 +27,10 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
                 axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
         axes.axhline(limit, color=GREY, lw=0.8)
         axes.annotate("5 % loss", (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
-        axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2)
-        degrees_axis(axes, "viewing angle θ_o")
+        axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
+        degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylim(0, 1.04)
-        axes.set_ylabel("recorded / true peak, relative to θ_o = 0 [-]")
+        axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
         axes.set_title(title, loc="left", fontsize=9.5)
         axes.legend(title=f"roughness\n({data.attrs['ndf']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
     return figure

@@ -58,7 +58,7 @@ def save(figure: Figure, path: str | Path, *, force: bool = False) -> None:
     path = check_picture(path, force=force)
     metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
     with styled(), replacing(path, force=force) as temporary:
-        figure.savefig(temporary, dpi=160, metadata=metadata)
+        figure.savefig(temporary, dpi=144, metadata=metadata)
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:

@@ -62,10 +62,7 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     data = peak_data(brdf, rig.sample)  # type: ignore[arg-type]
-    families = list(FAMILIES) if ndf == "auto" else [ndf]
-    fits = {family: fit_lobe(data, rig, family, noise and noise.checked()) for family in families}
-    family = max(fits, key=lambda name: fits[name].log_likelihood)
-    fit = fits[family]
+    fit = fit_lobe(data, rig, list(FAMILIES) if ndf == "auto" else [ndf], noise and noise.checked())
     theta_d = data.theta_d
     *response, centre = np.asarray(peak_response(rig, fit.ndf, np.append(theta_d, 0.0)))
     term = _FresnelTerm(fit, rig, theta_d, masking, normalise)
@@ -94,7 +91,7 @@ def fresnel(
             "response": ("theta_d", response, {"long_name": "recorded / true peak"}),
             "masking": ("theta_d", term.masking, {"long_name": "G in the mirror direction"}),
             "supported_angle": ("channel", _supported(term, theta_d), {"units": "rad"}),
-            "width": ((), fit.width, {"long_name": f"width of the {family} lobe"}),
+            "width": ((), fit.width, {"long_name": f"width of the {fit.ndf.family} lobe"}),
             "width_std": ((), term.width_std, {"long_name": "its standard deviation"}),
         },
         coords={
@@ -102,8 +99,8 @@ def fresnel(
             "channel": brdf.coords["channel"] if "channel" in brdf.coords else np.arange(brdf.sizes["channel"]),
         },
         attrs={
-            "ndf": family,
-            "log_likelihood": ", ".join(f"{name} {other.log_likelihood:.1f}" for name, other in fits.items()),
+            "ndf": fit.ndf.family,
+            "log_likelihood": ", ".join(f"{name} {value:.1f}" for name, value in fit.log_likelihoods.items()),
             "masking": masking or "none",
             "normalised_over": [float(a) for a in normalise],
             "noise_relative": fit.noise.relative,

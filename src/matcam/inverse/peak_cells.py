@@ -22,7 +22,7 @@ _REACH = 2.5  # px from the peak that a ring must cover, whatever the lobe, beca
 _STEEPEST = np.radians(75)  # ... up to this theta_d, where the foreshortening stretches them by 1 / cos
 _LOWEST = 0.01  # of the peak: where the data around it end
 _MOST_RINGS = 24
-_QUIET_SLICES = slice(5, 60)  # theta_d degrees where lobes of real tables are whole
+_QUIET_SLICES = slice(6, 60, 3)  # theta_d degrees where lobes of real tables are whole
 
 
 class PeakData(NamedTuple):

@@ -32,29 +32,26 @@ def tabulated_fresnel(
     low, high = result.attrs["normalised_over"]
     inside = (theta_d >= low) & (theta_d <= high)
     judged = (theta_d[:, None] >= low) & (theta_d[:, None] <= result["supported_angle"].values)
-    labels, curves, f0 = [], [], []
-    for name in metals() if metal is None else [metal]:
-        for source in metal_sources(name):
-            n, k, _ = metal_index(name, wavelengths, source)
-            curve = np.asarray(fresnel_conductor(theta_d[:, None], n, k))
-            labels.append(f"{name} ({source})")
-            curves.append(curve / curve[inside].mean(axis=0))
-            f0.append(np.asarray(fresnel_conductor(0.0, n, k)))
-    tables = np.stack(curves)
+    tables = [(name, source) for name in (metals() if metal is None else [metal]) for source in metal_sources(name)]
+    indices = [metal_index(name, wavelengths, source) for name, source in tables]
+    n, k = (np.stack([getattr(index, part) for index in indices])[:, None, :] for part in ("n", "k"))
+    *curves, f0 = np.asarray(fresnel_conductor(np.append(theta_d, 0.0)[:, None], n, k)).transpose(1, 0, 2)
+    normalised = np.stack(curves, axis=1)
+    normalised /= normalised[:, inside].mean(axis=1, keepdims=True)
 
     def rms(name: str) -> np.ndarray:
-        squared = (result[name].values / tables - 1) ** 2
+        squared = (result[name].values / normalised - 1) ** 2
         used = judged & np.isfinite(squared)
         count = used.sum(axis=1)
         return np.sqrt(np.where(count > 0, np.where(used, squared, 0).sum(axis=1) / np.maximum(count, 1), np.nan))
 
     return xr.Dataset(
         {
-            "tabulated": (("table", "theta_d", "channel"), tables),
-            "tabulated_f0": (("table", "channel"), np.stack(f0)),
+            "tabulated": (("table", "theta_d", "channel"), normalised),
+            "tabulated_f0": (("table", "channel"), f0),
             "rms_corrected": (("table", "channel"), rms("corrected")),
             "rms_raw": (("table", "channel"), rms("raw")),
         },
-        coords={"table": labels, "theta_d": result["theta_d"], "channel": result["channel"]},
+        coords={"table": [f"{name} ({source})" for name, source in tables], "theta_d": result["theta_d"], "channel": result["channel"]},
         attrs={"wavelengths_m": list(wavelengths)},
     )

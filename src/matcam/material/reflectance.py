@@ -18,8 +18,11 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
     Born & Wolf, 14.2). theta: angle of incidence, rad, [0, pi/2]. Arguments broadcast.
     """
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
-    n = checks.positive("n", n)
-    k = checks.within("k", k, 0, np.inf, open_high=True)
+    return _unpolarised(theta, checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True))
+
+
+@jax.jit
+def _unpolarised(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
     index = n + 1j * k
     cos_i, sin2 = jnp.cos(theta), jnp.sin(theta) ** 2
     inside = jnp.sqrt(index**2 - sin2)  # index times the cosine of the refracted ray
