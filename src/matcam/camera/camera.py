@@ -15,7 +15,7 @@ from matcam.camera.gaussian import GaussianOptics
 from matcam.camera.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.uncertainty import Provenance, Uncertainty
-from matcam.errors import ArgumentError
+from matcam.errors import ArgumentError, FileFormatError
 
 
 class Camera(eqx.Module):
@@ -113,7 +113,11 @@ class Camera(eqx.Module):
     @classmethod
     def load(cls, path: str | Path) -> Camera:
         """Read a profile. FileFormatError naming the file and the field where it is not one."""
-        return cls(**profile.read(path))
+        parts = profile.read(path)
+        try:
+            return cls(**parts)
+        except ArgumentError as error:
+            raise FileFormatError(f"{path}: {error}") from None
 
     def __repr__(self) -> str:
         uncertainty = "" if self.uncertainty is None else f", uncertainty={self.uncertainty!r}"

@@ -14,9 +14,14 @@ import numpy as np
 
 from matcam._jax import is_concrete, jax, jnp
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+ORDER = 16
+"""Nodes to a panel."""
+
 _DEFAULT_REACH = 64.0  # px; assumed for traced positions, whose extent is not known
 _POINTS_AT_ONCE = 64
+
+
+Transfer = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Rule(NamedTuple):
@@ -31,11 +36,11 @@ def unit_rule(panels: int, grade: int = 1) -> Rule:
     return piecewise_rule(np.linspace(0, 1, panels + 1) ** grade)
 
 
-def piecewise_rule(edges: np.ndarray) -> Rule:
-    """Gauss-Legendre nodes on the panels between consecutive edges."""
+def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
+    """Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
+    nodes, weights = np.polynomial.legendre.leggauss(order)
     widths = np.diff(edges)[:, None]
-    nodes = edges[:-1, None] + widths * (_NODES + 1) / 2
-    return Rule(nodes.ravel(), (widths * _WEIGHTS / 2).ravel())
+    return Rule((edges[:-1, None] + widths * (nodes + 1) / 2).ravel(), (widths * weights / 2).ravel())
 
 
 def panels_for(reach: float, band: float) -> int:
@@ -50,30 +55,33 @@ def reach_of(*positions: jax.Array) -> float:
     return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
 
 
-def line_kernel(rule: Rule, transfer: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, angle: jax.Array) -> jax.Array:
+def line_kernel(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Kernel on a line: integral of transfer(f, angle) exp(2 pi i f x) df. x px and angle rad broadcast."""
-
-    def at(point: jax.Array) -> jax.Array:
-        return jnp.cos(2 * jnp.pi * rule.frequency * point[0]) @ (2 * rule.weight * transfer(rule.frequency, point[1]))
-
-    return _at_each_pair(at, x, angle)
+    return _over_frequencies(rule, transfer, lambda f, x: 2 * jnp.cos(2 * jnp.pi * f * x), x, angle)
 
 
-def step_response(
-    rule: Rule, transfer: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, angle: jax.Array
-) -> jax.Array:
+def step_response(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Integral of the line kernel from -infinity to x."""
+    # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
+    return 0.5 + _over_frequencies(rule, transfer, lambda f, x: 2 * x * jnp.sinc(2 * f * x), x, angle)
+
+
+def _over_frequencies(
+    rule: Rule, transfer: Transfer, wave: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, angle: jax.Array
+) -> jax.Array:
+    frequency, weight = jnp.asarray(rule.frequency), jnp.asarray(rule.weight)
+    if angle.ndim == 0:
+        amplitude = weight * transfer(frequency, angle)
+        return jax.lax.map(lambda u: wave(frequency, u) @ amplitude, x.ravel(), batch_size=_POINTS_AT_ONCE).reshape(x.shape)
 
     def at(point: jax.Array) -> jax.Array:
-        # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
-        ramp = 2 * point[0] * jnp.sinc(2 * rule.frequency * point[0])
-        return 0.5 + ramp @ (rule.weight * transfer(rule.frequency, point[1]))
+        return wave(frequency, point[0]) @ (weight * transfer(frequency, point[1]))
 
     return _at_each_pair(at, x, angle)
 
 
 def plane_kernel(
-    rule: Rule, transfer: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, y: jax.Array, turns: int
+    rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int
 ) -> jax.Array:
     """Kernel in the plane of a transfer(fx, fy) that is even in both: polar nodes, `turns` angles to a quarter turn."""
     # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half

@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import is_concrete, jax, jnp
-from matcam.camera.fourier import Rule, line_kernel, panels_for, piecewise_rule, plane_kernel, reach_of, turns_for
+from matcam.camera.fourier import ORDER, Rule, line_kernel, panels_for, piecewise_rule, plane_kernel, reach_of, turns_for
 from matcam.camera.optics import Optics
 from matcam.errors import ArgumentError
 
@@ -94,7 +94,10 @@ class MeasuredOptics(Optics):
     def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
         """Panels that never straddle a sample, where the spline's third derivative jumps."""
         equal = self.band() * np.linspace(0, 1, panels + 1) ** grade
-        return piecewise_rule(np.union1d(self.frequency, equal))
+        edges = np.union1d(self.frequency, equal)
+        # many samples make many narrow panels, in which a cubic times a slow wave needs few nodes
+        order = int(np.clip(np.ceil(ORDER * panels / edges.size), 4, ORDER))
+        return piecewise_rule(edges, order)
 
     def __repr__(self) -> str:
         return f"MeasuredOptics(frequency={list(self.frequency)}, mtf={self.values.tolist()})"

@@ -1,10 +1,10 @@
 """Lines and edges with a Gaussian profile, seen by a square pixel at any angle: closed forms.
 
 Seen along a direction at an angle to the grid, a square is the sum of two boxes, half widths p |cos| and p |sin|. A
-Gaussian through two boxes is a second difference of the normal distribution function's antiderivative; an edge, of the
-antiderivative's antiderivative. Both antiderivatives are split into a polynomial for x > 0 and a remainder that dies
-out, so that no large numbers cancel. Where the short box is a sliver of the Gaussian, the second difference would lose
-digits: its mean is then taken by quadrature.
+Gaussian through two boxes is a second difference of H, the integral of the normal distribution function; an edge, of the
+integral of H. Both are split into a polynomial for x > 0 and a remainder that dies out, so that no large numbers cancel.
+Where the short box is a sliver of the Gaussian, the second difference would lose digits: its mean is then taken by
+quadrature. At x = 0, where the two parts have kinks that cancel, both take the left-hand derivative.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ def line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) 
     """What the pixel reads of a line whose profile is a unit-area Gaussian, x px away, normal at `angle`; 1/px."""
     long, sliver, short = _boxes(angle, half_width, std)
     safe = jnp.where(sliver, std, short)  # the branch not taken must not divide by 0, nor its gradient
+    polynomial = _polynomial_difference(lambda u: jnp.where(u > 0, u, 0), x, long, safe, far=0.0)
     remainder = _second_difference(lambda u: _first_remainder(u, std), x, long, safe)
-    trapezoid = jnp.clip(jnp.minimum(2 * safe, long + safe - jnp.abs(x)), 0)
-    closed = (trapezoid + remainder) / (4 * long * safe)
+    closed = (polynomial + remainder) / (4 * long * safe)
     by_sliver = mean_over_interval(lambda u: gaussian_over_interval(u, long[..., None], std), x, short)
     return jnp.where(sliver, by_sliver, closed)
 
@@ -32,23 +32,23 @@ def edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) 
     """What the pixel reads x px inside the bright side of a Gaussian-blurred 0-1 edge."""
     long, sliver, short = _boxes(angle, half_width, std)
     safe = jnp.where(sliver, std, short)
-    reach = long + safe
-    near = jnp.clip(x, -reach, reach)  # beyond, the polynomials' second difference is exactly 0 or 1
-    polynomial = _second_difference(lambda u: jnp.where(u > 0, (u**2 + std**2) / 2, 0), near, long, safe)
-    polynomial = jnp.where(jnp.abs(x) < reach, polynomial, jnp.where(x > 0, 4 * long * safe, 0))
+    polynomial = _polynomial_difference(lambda u: jnp.where(u > 0, (u**2 + std**2) / 2, 0), x, long, safe, far=1.0)
     remainder = _second_difference(lambda u: _second_remainder(u, std), x, long, safe)
     closed = (polynomial + remainder) / (4 * long * safe)
 
     def box_edge(u: jax.Array) -> jax.Array:
         wide = long[..., None]
         upper, lower = u + wide, u - wide
-        ramp = jnp.clip(upper, 0) - jnp.clip(lower, 0)
+        ramp = jnp.where(upper > 0, upper, 0) - jnp.where(lower > 0, lower, 0)
+        # to the right of the whole box the difference is its width, exactly
+        ramp = jnp.where(lower > 0, 2 * wide, ramp)
         return (ramp + _first_remainder(upper, std) - _first_remainder(lower, std)) / (2 * wide)
 
     return jnp.where(sliver, mean_over_interval(box_edge, x, short), closed)
 
 
 def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Long box, whether the short one is a sliver, short box."""
     a, b = half_width * jnp.abs(jnp.cos(angle)), half_width * jnp.abs(jnp.sin(angle))
     long, short = jnp.maximum(a, b), jnp.minimum(a, b)
     return long, short < _SLIVER * std, short
@@ -62,14 +62,24 @@ def _second_difference(
     )
 
 
+def _polynomial_difference(
+    function: Callable[[jax.Array], jax.Array], x: jax.Array, long: jax.Array, short: jax.Array, far: float
+) -> jax.Array:
+    """Second difference of a function that is 0 for x < 0; beyond the boxes it is 0 or far * 4 long short, exactly."""
+    reach = long + short
+    inside = jnp.abs(x) < reach
+    near = _second_difference(function, jnp.where(inside, x, 0.0), long, short)
+    return jnp.where(inside, near, jnp.where(x > 0, far * 4 * long * short, 0.0))
+
+
 def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """Integral of the normal distribution function from -infinity to x, less max(x, 0)."""
-    t = jnp.abs(x) / std
+    """H(x), the integral of the normal distribution function from -infinity to x, less max(x, 0)."""
+    t = jnp.where(x > 0, x, -x) / std
     return std * (jax.scipy.stats.norm.pdf(t) - t * jax.scipy.special.ndtr(-t))
 
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """Second integral of the normal distribution function, less (x^2 + std^2) / 2 where x > 0."""
-    t = jnp.abs(x) / std
+    """The integral of H, less (x^2 + std^2) / 2 where x > 0."""
+    t = jnp.where(x > 0, x, -x) / std
     tail = std**2 / 2 * ((t**2 + 1) * jax.scipy.special.ndtr(-t) - t * jax.scipy.stats.norm.pdf(t))
     return jnp.where(x > 0, -tail, tail)

@@ -59,7 +59,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     if outside.any():
         raise ArgumentError(
             f"{name} ({source}) is tabulated from {low * 1e9:.0f} to {high * 1e9:.0f} nm, asked for at "
-            f"{wavelength[outside].flat[0] * 1e9:g} nm"
+            f"{wavelength[outside].flat[0] * 1e9:g} nm (wavelengths are in m: 550 nm is 550e-9)"
         )
     return MetalIndex(
         np.interp(wavelength, table.wavelength, table.n), np.interp(wavelength, table.wavelength, table.k), table.citation
