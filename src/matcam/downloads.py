@@ -53,8 +53,7 @@ def fetch_merl(
     if source.endswith(".zip"):
         url, downloader = f"{source}#{material}.binary", _ArchiveMember(source, f"{material}.binary", progress)
     else:
-        url = f"{source.rstrip('/')}/{material}.binary"
-        downloader = pooch.HTTPDownloader(timeout=_TIMEOUT)
+        url, downloader = f"{source.rstrip('/')}/{material}.binary", _WholeFile(progress)
     try:
         path = pooch.retrieve(
             url, known_hash=f"sha256:{checksums[material]}", fname=f"{material}.binary", path=folder, downloader=downloader
@@ -72,6 +71,24 @@ def fetch_merl(
     return Path(path)
 
 
+class _WholeFile:
+    """A pooch downloader of a file that stands by itself on a web server."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None):
+        self.progress = progress
+
+    def __call__(self, url: str, output_file: str | Path, pooch: Any) -> None:
+        import requests
+
+        with requests.get(url, timeout=_TIMEOUT, stream=True) as reply, Path(output_file).open("wb") as output:
+            reply.raise_for_status()
+            size = int(reply.headers.get("Content-Length", 0))
+            for block in reply.iter_content(_READ_AHEAD):
+                output.write(block)
+                if self.progress:
+                    self.progress(output.tell(), size)
+
+
 class _ArchiveMember:
     """A pooch downloader that takes one member out of a remote zip archive."""
 
@@ -81,7 +98,7 @@ class _ArchiveMember:
         self.progress = progress
 
     def __call__(self, url: str, output_file: str | Path, pooch: Any) -> None:
-        with zipfile.ZipFile(_RemoteFile(self.archive)) as archive:
+        with _RemoteFile(self.archive) as remote, zipfile.ZipFile(remote) as archive:
             member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == self.name), None)
             if member is None:
                 raise DownloadError(f"{self.archive} does not contain {self.name}")
@@ -103,19 +120,29 @@ class _RemoteFile(io.RawIOBase):
         self._position = 0
         self._block = b""
         self._block_start = 0
-        reply = self._get(0, 0)
-        self._size = int(reply.headers["Content-Range"].rsplit("/", 1)[-1])
+        self._size = 0
+        try:
+            self._fetch(0, 0)
+        except Exception:
+            self.close()
+            raise
 
-    def _get(self, first: int, last: int) -> Any:
-        reply = self._session.get(
-            self._url, headers={"Range": f"bytes={first}-{last}", "Accept-Encoding": "identity"}, timeout=_TIMEOUT, stream=True
-        )
-        reply.raise_for_status()
-        if reply.status_code != 206 or "Content-Range" not in reply.headers:
-            raise DownloadError(
-                f"{self._url}: this server sends only the whole archive; fetch and unpack it yourself, or name a folder of files"
-            )
-        return reply
+    def _fetch(self, first: int, last: int) -> bytes:
+        headers = {"Range": f"bytes={first}-{last}", "Accept-Encoding": "identity"}
+        # streamed, so that a server that ignores the range is noticed before it has sent a gigabyte
+        with self._session.get(self._url, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
+            reply.raise_for_status()
+            if reply.status_code != 206 or "Content-Range" not in reply.headers:
+                raise DownloadError(
+                    f"{self._url}: this server sends only the whole archive; fetch and unpack it yourself, or name a "
+                    "folder of files"
+                )
+            self._size = int(reply.headers["Content-Range"].rsplit("/", 1)[-1])
+            return reply.content
+
+    def close(self) -> None:
+        self._session.close()
+        super().close()
 
     def seekable(self) -> bool:
         return True
@@ -138,7 +165,7 @@ class _RemoteFile(io.RawIOBase):
         start = self._position - self._block_start
         if not 0 <= start < len(self._block):
             last = min(self._position + max(count, _READ_AHEAD), self._size) - 1
-            self._block = self._get(self._position, last).content
+            self._block = self._fetch(self._position, last)
             self._block_start, start = self._position, 0
         block = self._block[start : start + count]
         buffer[: len(block)] = block

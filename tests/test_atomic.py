@@ -1,0 +1,66 @@
+"""A file appears whole under its final name, or not at all."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from matcam.atomic import check_output, replacing
+from matcam.errors import OutputError
+
+
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(RuntimeError), replacing(path, force=True) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_interruption_leaves_nothing(tmp_path):
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "a.txt") as temporary:
+        temporary.write_text("half")
+        raise KeyboardInterrupt
+    assert os.listdir(tmp_path) == []
+
+
+def test_success_keeps_suffix_and_ordinary_permissions(tmp_path):
+    with replacing(tmp_path / "deep" / "a.tar.gz") as temporary:
+        assert temporary.suffix == ".gz"
+        temporary.write_text("x")
+    mask = os.umask(0)
+    os.umask(mask)
+    assert (tmp_path / "deep" / "a.tar.gz").stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_the_input_is_never_the_output_whatever_its_name(tmp_path):
+    source = tmp_path / "a.txt"
+    source.write_text("x")
+    (tmp_path / "link.txt").symlink_to(source)
+    for name in (source, tmp_path / "link.txt", tmp_path / "." / "a.txt"):
+        with pytest.raises(OutputError, match="is the input itself"):
+            check_output(name, force=True, inputs=[source])
+
+
+def test_full_disk_is_said_in_one_line(tmp_path):
+    """A limit on the file size stands in for a full disk."""
+    code = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "from matcam.atomic import replacing\nfrom matcam.errors import OutputError\n"
+        "try:\n  with replacing(sys.argv[1]) as t: t.write_bytes(bytes(5000))\n"
+        "except OutputError as e: print(e)"
+    )
+    result = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.bin")], capture_output=True, text=True, check=True)
+    assert "cannot be written: File too large" in result.stdout
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_folder_without_permission(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutputError, match="Permission denied"), replacing(tmp_path / "a.txt"):
+        pass

@@ -1,0 +1,136 @@
+"""Fetching MERL files from a server on this machine: a folder, an archive, and everything that can go wrong."""
+
+import hashlib
+import http.server
+import re
+import threading
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from matcam import downloads
+from matcam.errors import ArgumentError, DownloadError
+from tests.conftest import SHARED
+
+CONTENT = bytes(range(256)) * 20_000
+
+
+class Server(http.server.SimpleHTTPRequestHandler):
+    """A folder of files, with range requests (which the standard library's server lacks) unless `plain` is set."""
+
+    plain = False
+    requests: list = []  # noqa: RUF012
+
+    def do_GET(self):
+        wanted = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        self.requests.append(self.headers.get("Range"))
+        if not wanted or self.plain:
+            return super().do_GET()
+        try:
+            content = Path(self.translate_path(self.path)).read_bytes()
+        except FileNotFoundError:
+            return self.send_error(404)
+        first, last = int(wanted[1]), min(int(wanted[2]), len(content) - 1)
+        self.send_response(206)
+        self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
+        self.send_header("Content-Length", str(last - first + 1))
+        self.end_headers()
+        return self.wfile.write(content[first : last + 1])
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def server(tmp_path, monkeypatch):
+    """Address of a server that offers chrome.binary in folder/ and in database.zip; the published hash is CONTENT's."""
+    root = tmp_path / "server"
+    (root / "folder").mkdir(parents=True)
+    (root / "folder" / "chrome.binary").write_bytes(CONTENT)
+    (root / "folder" / "brass.binary").write_bytes(CONTENT[:-1])
+    with zipfile.ZipFile(root / "database.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("BRDFDatabase/brdfs/brass.binary", CONTENT * 3)
+        archive.writestr("BRDFDatabase/brdfs/chrome.binary", CONTENT)
+        archive.writestr("BRDFDatabase/code/readme.txt", "hello")
+    (root / "broken.zip").write_bytes(b"no archive" * 100)
+    sha256 = hashlib.sha256(CONTENT).hexdigest()
+    monkeypatch.setattr(downloads, "merl_checksums", lambda: {"chrome": sha256, "brass": sha256, "nickel": sha256})
+    monkeypatch.setattr(Server, "plain", False)
+    monkeypatch.setattr(Server, "requests", [])
+    handler = lambda *args: Server(*args, directory=str(root))  # noqa: E731
+    with http.server.HTTPServer(("127.0.0.1", 0), handler) as running:
+        threading.Thread(target=running.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{running.server_address[1]}"
+        running.shutdown()
+
+
+@pytest.mark.parametrize("source", ["folder", "folder/", "database.zip"])
+def test_a_file_arrives_whole_and_is_checked(server, tmp_path, source):
+    path = downloads.fetch_merl("chrome", tmp_path / "out", f"{server}/{source}")
+    assert path == tmp_path / "out" / "chrome.binary"
+    assert path.read_bytes() == CONTENT
+
+
+def test_the_source_is_a_setting(server, tmp_path, monkeypatch):
+    monkeypatch.setenv(downloads.SOURCE_SETTING, f"{server}/folder")
+    assert downloads.fetch_merl("chrome", tmp_path).read_bytes() == CONTENT
+    assert downloads.MERL_SOURCE.startswith("https://zenodo.org/")
+
+
+def test_what_is_there_and_right_is_not_fetched_again(server, tmp_path):
+    downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip")
+    before = len(Server.requests)
+    downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip")
+    assert len(Server.requests) == before
+    (tmp_path / "chrome.binary").write_bytes(b"spoiled")
+    assert downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("source", ["folder", "database.zip"])
+def test_progress_counts_to_the_end(server, tmp_path, source):
+    seen = []
+    downloads.fetch_merl("chrome", tmp_path, f"{server}/{source}", lambda *state: seen.append(state))
+    assert seen[-1] == (len(CONTENT), len(CONTENT))
+
+
+@pytest.mark.parametrize(
+    ("material", "source", "words"),
+    [
+        ("brass", "folder", "SHA-256 differs"),
+        ("brass", "database.zip", "SHA-256 differs"),
+        ("nickel", "folder", "404"),
+        ("nickel", "database.zip", "does not contain nickel.binary"),
+        ("chrome", "broken.zip", "is not a zip archive"),
+        ("chrome", "none.zip", "404"),
+    ],
+)
+def test_what_is_wrong_is_said_and_not_kept(server, tmp_path, material, source, words):
+    with pytest.raises(DownloadError) as caught:
+        downloads.fetch_merl(material, tmp_path / "out", f"{server}/{source}")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out" / f"{material}.binary").exists()
+
+
+def test_a_server_without_ranges_and_one_that_is_away(server, tmp_path, monkeypatch):
+    monkeypatch.setattr(Server, "plain", True)
+    with pytest.raises(DownloadError, match="sends only the whole archive"):
+        downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip")
+    with pytest.raises(DownloadError, match="cannot be fetched"):
+        downloads.fetch_merl("chrome", tmp_path, "http://127.0.0.1:9/folder")
+
+
+def test_unknown_material_suggests_the_nearest():
+    with pytest.raises(ArgumentError, match="unknown MERL material 'crome'; did you mean 'chrome'"):
+        downloads.fetch_merl("crome", ".")
+
+
+def test_packaged_checksums_are_the_published_list():
+    assert len(downloads.merl_checksums()) == 100
+    assert all(re.fullmatch("[0-9a-f]{64}", value) for value in downloads.merl_checksums().values())
+    published = SHARED / "data" / "merl_sha256.txt"
+    if not published.exists():
+        pytest.skip("published list not beside the checkout (shared/data)")
+    ours = downloads.resources.files("matcam").joinpath("data/merl_sha256.txt").read_text()
+    assert ours == published.read_text()
