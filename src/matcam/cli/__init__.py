@@ -19,20 +19,25 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _run(arguments: list[str] | None) -> int:
-    # typer's own handling would print usage errors in boxes and swallow interruptions as exit code 1
-    import click
+    # typer's own handling would print usage errors in boxes and turn interruptions into exit code 1
+    import typer
 
     from matcam.cli.app import app
     from matcam.errors import MatcamError
 
+    usage_error = typer.BadParameter.__base__  # typer carries a click of its own, and does not export this one
+    assert usage_error is not None
+
     try:
         result = app(args=arguments, prog_name="matcam", standalone_mode=False)
-    except click.exceptions.Exit as exit_:
+        if result == INTERRUPTED:  # some versions of typer turn the exception into this
+            raise KeyboardInterrupt
+    except typer.Exit as exit_:
         return exit_.exit_code
-    except click.UsageError as error:
+    except usage_error as error:
         context = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
         return _complain(f"{_one_line(error.format_message())}{context}", BAD_INPUT)
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         return _complain("interrupted; nothing half-written was left", INTERRUPTED)
     except MatcamError as error:
         return _complain(_one_line(str(error)), BAD_INPUT)

@@ -31,10 +31,13 @@ def command(
     from matcam._jax import use_compilation_cache
 
     use_compilation_cache()
+    drawn = []
     for stem, source in zip(stems, [None, None, None, *(sources or [None])], strict=True):
         with show.working(f"drawing {stem}"):
-            data, figure = _draw(stem, source)
-            _write(data, figure, output / stem, vector, force)
+            drawn.append(_draw(stem, source))
+    # all or nothing: a bad file among several is found before the first picture is written
+    for stem, (data, figure) in zip(stems, drawn, strict=True):
+        _write(data, figure, output / stem, vector, force)
         show.say(f"{output / stem}.png, .{vector}, .csv")
 
 

@@ -39,10 +39,12 @@ def command(
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
     from matcam.atomic import check_output
+    from matcam.figures.style import check_picture
 
     output = output or Path(f"{file.stem}-fresnel.png")
     inputs = [path for path in (file, camera) if path]
-    for path in (output, output.with_suffix(".csv"), output.with_suffix(".nc")):
+    check_picture(output, force=force, inputs=inputs)
+    for path in (output.with_suffix(".csv"), output.with_suffix(".nc")):
         check_output(path, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):
         result, tables = _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise)
@@ -57,7 +59,6 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
     import math
 
     from matcam._jax import use_compilation_cache
-    from matcam.figures import style  # noqa: F401
 
     use_compilation_cache()
     from matcam.files.merl import read_merl

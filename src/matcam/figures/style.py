@@ -48,9 +48,10 @@ def styled() -> rc_context:  # type: ignore[valid-type]
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
     """`check_output` for a picture; its suffix chooses the format."""
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES and not path.is_dir():
+    path = check_output(path, force=force, inputs=inputs)
+    if path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"picture {path} must end in {', '.join(SUFFIXES)}")
-    return check_output(path, force=force, inputs=inputs)
+    return path
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False) -> None:

@@ -1,0 +1,214 @@
+"""The command line, run as users run it: as a process."""
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from matcam import BoxPixel, Camera, GaussianOptics, Uncertainty, write_merl
+from matcam.table import brdf_table
+from tests.oracle import merl_lobe
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    """One compilation cache for all runs of this module, away from the user's own."""
+    return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "100"}
+
+
+@pytest.fixture
+def matcam(environment, tmp_path):
+    """matcam(*arguments) runs the command in an empty folder and returns the finished process."""
+
+    def run(*arguments, code=0):
+        command = [sys.executable, "-m", "matcam", *map(str, arguments)]
+        result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300)
+        assert result.returncode == code, result.stderr
+        return result
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A MERL file of chromium as the oracle's rig records it."""
+    path = tmp_path_factory.mktemp("measured") / "chromium.binary"
+    n, k = np.array([3.3, 2.9, 2.26]), np.array([4.32, 4.23, 3.94])
+    write_merl(path, brdf_table(merl_lobe.record(0.002, merl_lobe.conductor(merl_lobe.THETA_D[:, None], n, k)), "centre"))
+    return path
+
+
+def test_help_answers_without_loading_anything_heavy(environment):
+    code = (
+        "import sys\nfrom matcam.cli import _run\nassert _run(['--help']) == 0\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'jax', 'xarray', 'scipy', 'matplotlib', 'pandas', 'equinox'}))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("command", ["predict", "fresnel", "inspect", "figures", "demo", ("data", "merl")])
+def test_every_command_has_help_with_an_example(matcam, command):
+    words = command if isinstance(command, tuple) else (command,)
+    text = " ".join(matcam(*words, "--help").stdout.split())
+    assert f"Example: matcam {' '.join(words)}" in text
+
+
+def test_version(matcam):
+    assert matcam("--version").stdout.startswith("matcam 0.")
+
+
+def test_predict(matcam, tmp_path):
+    result = matcam("predict", 0.002, 0.05, "--ndf", "gaussian", "-o", "loss.png", "--json")
+    found = json.loads(result.stdout)
+    assert found["roughness"] == [0.002, 0.05]
+    assert found["loss_angle_deg"][0] == pytest.approx(23.6, abs=0.1)
+    assert (tmp_path / "loss.png").read_bytes().startswith(b"\x89PNG")
+    assert "relative_response" in (tmp_path / "loss.csv").read_text().splitlines()[0]
+    text = matcam("predict", 0.01, "--sample", "cylinder", "--dims", 1).stdout
+    assert "0.01" in text
+    assert "cylinder" in text
+
+
+def test_fresnel(matcam, measured, tmp_path):
+    result = matcam("fresnel", measured, "--metal", "Cr")
+    assert "lobe: gaussian, width 0.00200" in result.stdout
+    assert "against Cr (rakic)" in result.stdout
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["chromium-fresnel.csv", "chromium-fresnel.nc", "chromium-fresnel.png"]
+    with xr.open_dataset(tmp_path / "chromium-fresnel.nc") as data:
+        assert data["corrected"].dims == ("theta_d", "channel")
+        assert data.attrs["ndf"] == "gaussian"
+    header = (tmp_path / "chromium-fresnel.csv").read_text().splitlines()[0]
+    assert header.startswith("theta_d_rad,channel,raw,")
+
+
+def test_json_is_alone_on_standard_output_and_profiles_are_used(matcam, measured, tmp_path):
+    Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(tmp_path / "c.json")
+    result = matcam("fresnel", measured, "--camera", "c.json", "--masking", "none", "--ndf", "gaussian", "--json", "-o", "out/f.svg")
+    found = json.loads(result.stdout)
+    assert found["camera_uncertainty"] == "stated"
+    assert found["width"] == pytest.approx(0.002, rel=1e-5)
+    assert set(found["corrected"]) == {"R", "G", "B"}
+    assert len(found["corrected"]["G"]) == len(found["theta_d_deg"]) == 90
+    assert found["corrected_std"]["G"][75] > 0.01
+    assert (tmp_path / "out" / "f.svg").exists()
+
+
+def test_inspect(matcam, measured, tmp_path):
+    found = json.loads(matcam("inspect", measured, "--json").stdout)
+    assert found["format"] == "merl"
+    assert found["missing_share"] == pytest.approx(0.248, abs=1e-3)
+    assert "MERL table, 90 theta_h x 90 theta_d x 180 phi_d" in matcam("inspect", measured).stdout
+    Camera(GaussianOptics(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(tmp_path / "c.json")
+    text = matcam("inspect", "c.json").stdout
+    assert "± 0.015" in text
+    assert "MTF50" in text
+
+
+def test_figures(matcam, measured, tmp_path):
+    matcam("figures", measured, "-o", "figs", "--vector", "svg")
+    names = {p.name for p in (tmp_path / "figs").iterdir()}
+    stems = ("figure-3", "figure-4", "figure-5", "figure-6-chromium")
+    assert names == {f"{stem}.{suffix}" for stem in stems for suffix in ("png", "svg", "csv")}
+
+
+def test_demo(matcam, tmp_path):
+    text = matcam("demo", "-o", "d").stdout
+    assert "lobe: gaussian, width 0.00200" in text
+    for name in ("chromium-fresnel.png", "predicted-loss.png", "figure-5.png", "simulated-chromium.binary"):
+        assert name in text
+        assert (tmp_path / "d" / name).stat().st_size > 10_000
+
+
+def test_data_merl_lists_and_refuses(matcam, tmp_path):
+    assert len(matcam("data", "merl", "--list").stdout.split()) == 100
+    assert "did you mean 'chrome'" in matcam("data", "merl", "crome", code=2).stderr
+    assert "name at least one" in matcam("data", "merl", code=2).stderr
+    matcam("data", "merl", "chrome", "--source", "http://127.0.0.1:9/x", code=2)
+    assert os.listdir(tmp_path) == []
+
+
+def bad_calls(folder, measured):
+    (folder / "short.binary").write_bytes(struct.pack("<3i", 90, 90, 180))
+    (folder / "foreign.binary").write_bytes(b"GIF89a" * 10)
+    (folder / "camera.json").write_text('{"format": "matcam camera profile", "version": 9}')
+    (folder / "file").write_text("x")
+    (folder / "folder.png").mkdir()
+    (folder / "old-fresnel.png").write_text("precious")
+    (folder / "same.binary").write_bytes(measured.read_bytes())
+    return [
+        (("fresnel", "short.binary"), "truncated: 12 bytes"),
+        (("fresnel", "foreign.binary"), "not a MERL file"),
+        (("fresnel", "none.binary"), "no such file"),
+        (("fresnel", measured, "--camera", "camera.json"), "version 9 is unknown"),
+        (("fresnel", measured, "--metal", "Chromium"), "unknown metal 'Chromium'"),
+        (("fresnel", measured, "-o", "folder.png"), "is a folder"),
+        (("fresnel", measured, "-o", "file/a.png"), "is a file, not a folder"),
+        (("fresnel", measured, "-o", "old-fresnel.png"), "use --force"),
+        (("fresnel", measured, "-o", "a.bmp"), "must end in"),
+        (("fresnel", "same.binary", "-o", "same.binary", "--force"), "is the input itself"),
+        (("fresnel", measured, "--normalise", "50", "20"), "normalise must be"),
+        (("fresnel", measured, "--ndf", "phong"), "'phong' is not one of"),
+        (("fresnel",), "Missing argument 'file'"),
+        (("predict", "-1"), "No such option: -1"),
+        (("predict", "0"), "alpha must lie in (0, 1], got 0"),
+        (("predict", "--radius", "-3"), "radius must lie in"),
+        (("predict", "--lamp", "80"), "lamp_radius must lie in"),
+        (("inspect", "file"), "neither a MERL file"),
+        (("figures", "short.binary"), "truncated"),
+        (("frensel",), "No such command 'frensel'"),
+    ]
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, tmp_path, number):
+    calls = bad_calls(tmp_path, measured)
+    assert len(calls) == 20
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    arguments, words = calls[number]
+    result = matcam(*arguments, code=2)
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("matcam: ")
+    assert words in lines[0]
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("delay", [0.3, 1.0, 1.8, 2.6])
+def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, tmp_path, delay):
+    command = [sys.executable, "-m", "matcam", "fresnel", str(measured)]
+    with subprocess.Popen(
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode in (130, 0)
+    left = sorted(p.name for p in tmp_path.iterdir())
+    if process.returncode == 130:
+        assert "interrupted" in errors
+        assert "Traceback" not in errors
+    for name in left:  # whatever stands there is whole
+        assert name in ("chromium-fresnel.csv", "chromium-fresnel.nc", "chromium-fresnel.png")
+        if name.endswith(".nc"):
+            with xr.open_dataset(tmp_path / name) as data:
+                assert "corrected" in data
+
+
+def test_a_fault_of_ours_is_code_70_with_traceback(environment, tmp_path):
+    code = (
+        "import sys, matcam.cli as c, matcam.inspection as i\n"
+        "def broken(path): raise ZeroDivisionError('oops')\n"
+        "i.identify = broken\nsys.exit(c._run(['inspect', 'x']))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=tmp_path)
+    assert result.returncode == 70
+    assert "ZeroDivisionError: oops" in result.stderr
+    assert "a fault of matcam" in result.stderr

@@ -1,0 +1,78 @@
+"""Every figure: axes are labelled with units, nothing is clipped, and the same data give the same file."""
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from matcam import GGX, fresnel, paper, rigs, tabulated_fresnel
+from matcam.errors import OutputError
+from matcam.figures.fresnel_term import fresnel_figure
+from matcam.figures.paper import highlight_figure, loss_figure
+from matcam.figures.prediction import prediction_figure
+from matcam.figures.style import save
+from matcam.forward.peak import predict
+from matcam.table import brdf_table
+from tests.oracle import merl_lobe
+
+
+@pytest.fixture(scope="module")
+def figures():
+    table = brdf_table(merl_lobe.record(0.002, np.ones((90, 3))), "centre")
+    result = fresnel(table, rigs.merl(), ndf="gaussian")
+    result.attrs["source"] = "a-rather-long-name-of-a-material.binary"
+    return {
+        "figure 3": highlight_figure(paper.figure_3_4(10.0)),
+        "figure 4": highlight_figure(paper.figure_3_4(1.0)),
+        "figure 5": loss_figure(paper.figure_5()),
+        "figure 6": fresnel_figure(result, tabulated_fresnel(result, "Cr")),
+        "figure 6 without tables": fresnel_figure(result),
+        "prediction": prediction_figure(predict(rigs.merl(), [GGX(a) for a in (0.001, 0.01, 0.1)]), "Loss"),
+    }
+
+
+NAMES = ["figure 3", "figure 4", "figure 5", "figure 6", "figure 6 without tables", "prediction"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_axes_have_labels_with_units(figures, name):
+    for axes in figures[name].axes:
+        assert re.search(r"\[\S+\]$", axes.get_xlabel())
+    assert re.search(r"\[\S+\]$", figures[name].axes[0].get_ylabel())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_text_is_clipped_or_overlapping_its_neighbour(figures, name):
+    figure = figures[name]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    width, height = figure.canvas.get_width_height()
+    texts = [t for axes in figure.axes for t in (axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label)]
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        texts += [t for t in axes.get_xticklabels() if low <= t.get_position()[0] <= high]
+    legends = [legend for legend in [*(axes.get_legend() for axes in figure.axes), *figure.legends] if legend]
+    boxes = [t.get_window_extent(renderer) for t in texts if t.get_text() and t.get_visible()]
+    boxes += [legend.get_window_extent(renderer) for legend in legends]
+    for box in boxes:
+        assert box.x0 >= -1
+        assert box.y0 >= -1
+        assert box.x1 <= width + 1
+        assert box.y1 <= height + 1
+    titles = [axes._left_title.get_window_extent(renderer) for axes in figure.axes if axes._left_title.get_text()]
+    for left, right in zip(titles, titles[1:], strict=False):
+        assert not left.overlaps(right)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
+def test_same_data_same_file(tmp_path, suffix):
+    for name in ("a", "b"):
+        save(loss_figure(paper.figure_5()), tmp_path / f"{name}{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_other_formats_are_refused(tmp_path):
+    with pytest.raises(OutputError, match=r"must end in .png, .pdf, .svg"):
+        save(loss_figure(paper.figure_5()), tmp_path / "a.bmp")
