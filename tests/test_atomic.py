@@ -54,7 +54,9 @@ def test_full_disk_is_said_in_one_line(tmp_path):
         "try:\n  with replacing(sys.argv[1]) as t: t.write_bytes(bytes(5000))\n"
         "except OutputError as e: print(e)"
     )
-    result = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.bin")], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a.bin")], capture_output=True, text=True, check=True
+    )
     assert "cannot be written: File too large" in result.stdout
     assert os.listdir(tmp_path) == []
 

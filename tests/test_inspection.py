@@ -52,13 +52,19 @@ def test_files_are_known_by_their_content(tmp_path, stand_in):
     Camera(GaussianOptics(0.5)).save(tmp_path / "a.dat")
     assert identify(tmp_path / "a.dat") == "camera profile"
     (tmp_path / "b.txt").write_text("hello")
-    for path, words in ((tmp_path / "b.txt", "neither"), (tmp_path / "c", "no such file"), (tmp_path, "cannot be read")):
+    for path, words in (
+        (tmp_path / "b.txt", "neither"),
+        (tmp_path / "c", "no such file"),
+        (tmp_path, "cannot be read"),
+    ):
         with pytest.raises(FileFormatError, match=words):
             identify(path)
 
 
 def test_report_of_a_camera(tmp_path):
-    Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(tmp_path / "c.json")
+    Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(
+        tmp_path / "c.json"
+    )
     report = inspect_camera(tmp_path / "c.json")
     assert report["parameters"] == {"optics.sigma_px": 0.5, "pixel.half_width_px": 0.5}
     assert report["std"] == {"optics.sigma_px": pytest.approx(0.015)}

@@ -11,10 +11,13 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
-__all__ = ["is_concrete", "jax", "jnp", "use_compilation_cache"]
+__all__ = ["AnyArray", "is_concrete", "jax", "jnp", "use_compilation_cache"]
+
+AnyArray = jax.Array | np.ndarray
 
 
 def is_concrete(value: object) -> bool:

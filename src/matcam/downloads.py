@@ -56,7 +56,11 @@ def fetch_merl(
         url, downloader = f"{source.rstrip('/')}/{material}.binary", _WholeFile(progress)
     try:
         path = pooch.retrieve(
-            url, known_hash=f"sha256:{checksums[material]}", fname=f"{material}.binary", path=folder, downloader=downloader
+            url,
+            known_hash=f"sha256:{checksums[material]}",
+            fname=f"{material}.binary",
+            path=folder,
+            downloader=downloader,
         )
     except requests.exceptions.RequestException as error:
         raise DownloadError(f"{material}: cannot be fetched from {source}: {_one_line(error)}") from None

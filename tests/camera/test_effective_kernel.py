@@ -35,7 +35,9 @@ def test_golden_lines_and_transfer_functions(row):
     for camera, name in ((box, "box"), (windowed, "windowed")):
         assert float(camera.lsf(row["x"])) == pytest.approx(row[f"{name}_lsf"], rel=1e-9)
         assert float(camera.mtf(row["f"])) == pytest.approx(row[f"{name}_mtf"], rel=1e-9)
-        assert float(camera.pixel.of_gaussian(row["x"], row["sigma_mtf"])) == pytest.approx(row[f"{name}_lsf"], rel=1e-9)
+        assert float(camera.pixel.of_gaussian(row["x"], row["sigma_mtf"])) == pytest.approx(
+            row[f"{name}_lsf"], rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("row", rows("diffraction"))
@@ -52,8 +54,12 @@ def test_closed_forms_agree_with_fourier_quadrature(angle):
     for sigma in (0.05, 0.3, 1.7):
         camera = Camera(GaussianOptics(sigma), BoxPixel(0.45))
         rule, a = camera._rule(x), jnp.asarray(angle)
-        np.testing.assert_allclose(camera.lsf(x, angle), fourier.line_kernel(rule, camera._along, x, a), rtol=0, atol=1e-13)
-        np.testing.assert_allclose(camera.esf(x, angle), fourier.step_response(rule, camera._along, x, a), rtol=0, atol=1e-13)
+        np.testing.assert_allclose(
+            camera.lsf(x, angle), fourier.line_kernel(rule, camera._along, x, a), rtol=0, atol=1e-13
+        )
+        np.testing.assert_allclose(
+            camera.esf(x, angle), fourier.step_response(rule, camera._along, x, a), rtol=0, atol=1e-13
+        )
 
 
 def test_kernel_has_unit_energy(camera):
@@ -75,7 +81,9 @@ def test_line_is_the_projection_of_the_point(camera, angle):
         px, py = x * np.cos(angle) - t * np.sin(angle), x * np.sin(angle) + t * np.cos(angle)
         projected = float(np.sum(np.asarray(camera.psf(px, py))) * 0.08)
         # an Airy pattern leaves 1/r^2 of its line integral beyond 30 px
-        assert projected == pytest.approx(float(camera.lsf(x, angle)), abs=1e-4 if isinstance(camera.optics, DiffractionOptics) else 1e-10)
+        assert projected == pytest.approx(
+            float(camera.lsf(x, angle)), abs=1e-4 if isinstance(camera.optics, DiffractionOptics) else 1e-10
+        )
 
 
 @pytest.mark.parametrize("sigma", [0.1, 0.5, 3.0, 100.0])
@@ -110,7 +118,9 @@ def test_square_pixel_is_not_isotropic(sigma, percent):
 @pytest.mark.parametrize("sigma", [0.3, 0.8])
 def test_against_galsim(sigma):
     """GalSim convolves Gaussian and pixel by its own Fourier transforms."""
-    accuracy = galsim.GSParams(folding_threshold=1e-7, maxk_threshold=1e-9, kvalue_accuracy=1e-10, maximum_fft_size=20000)
+    accuracy = galsim.GSParams(
+        folding_threshold=1e-7, maxk_threshold=1e-9, kvalue_accuracy=1e-10, maximum_fft_size=20000
+    )
     kernel = galsim.Convolve(galsim.Gaussian(sigma=sigma), galsim.Pixel(1.0), gsparams=accuracy)
     image = kernel.drawImage(nx=9, ny=9, scale=0.37, method="sb", dtype=float).array
     x = (np.arange(9) - 4) * 0.37
@@ -176,8 +186,12 @@ def test_box_mean_keeps_its_digits_at_any_ratio(ratio):
         x, p = z * std, ratio * std
         with mpmath.workdps(50):
             unit = std * mpmath.sqrt(2)
-            truth = (mpmath.erfc((mpmath.mpf(x) - p) / unit) - mpmath.erfc((mpmath.mpf(x) + p) / unit)) / (4 * mpmath.mpf(p))
-        assert float(gaussian_over_interval(jnp.asarray(x), p, jnp.asarray(std))) == pytest.approx(float(truth), rel=1e-11)
+            truth = (mpmath.erfc((mpmath.mpf(x) - p) / unit) - mpmath.erfc((mpmath.mpf(x) + p) / unit)) / (
+                4 * mpmath.mpf(p)
+            )
+        assert float(gaussian_over_interval(jnp.asarray(x), p, jnp.asarray(std))) == pytest.approx(
+            float(truth), rel=1e-11
+        )
 
 
 def test_jit_and_batches_do_not_change_the_kernel(camera):
@@ -195,5 +209,8 @@ def test_derivatives_by_the_cameras_parameters():
 
     gradient = jax.grad(kernel, argnums=(0, 1))(0.5, 0.4)
     h = 1e-6
-    finite = (kernel(0.5 + h, 0.4) - kernel(0.5 - h, 0.4)) / (2 * h), (kernel(0.5, 0.4 + h) - kernel(0.5, 0.4 - h)) / (2 * h)
+    finite = (
+        (kernel(0.5 + h, 0.4) - kernel(0.5 - h, 0.4)) / (2 * h),
+        (kernel(0.5, 0.4 + h) - kernel(0.5, 0.4 - h)) / (2 * h),
+    )
     np.testing.assert_allclose(gradient, finite, rtol=1e-7)

@@ -114,7 +114,7 @@ def test_parameters_can_be_replaced_by_name():
     assert float(changed.parameters()["optics.mtf[1]"]) == 0.75
     assert float(changed.pixel.half_width) == 0.4
     assert float(camera.pixel.half_width) == 0.5
-    with pytest.raises(ArgumentError, match="no parameter 'optics.sigma_px'"):
+    with pytest.raises(ArgumentError, match=r"no parameter 'optics\.sigma_px'"):
         camera.with_parameters({"optics.sigma_px": 1.0})
 
 

@@ -5,7 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, MeasuredOptics, Provenance, Uncertainty, WindowedGaussianPixel
+from matcam import (
+    BoxPixel,
+    Camera,
+    DiffractionOptics,
+    GaussianOptics,
+    MeasuredOptics,
+    Provenance,
+    Uncertainty,
+    WindowedGaussianPixel,
+)
 from matcam.camera import profile
 from matcam.errors import FileFormatError, OutputError
 from tests.conftest import REPOSITORY

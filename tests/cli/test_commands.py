@@ -41,7 +41,9 @@ def measured(tmp_path_factory):
     """A MERL file of chromium as the oracle's rig records it."""
     path = tmp_path_factory.mktemp("measured") / "chromium.binary"
     n, k = np.array([3.3, 2.9, 2.26]), np.array([4.32, 4.23, 3.94])
-    write_merl(path, brdf_table(merl_lobe.record(0.002, merl_lobe.conductor(merl_lobe.THETA_D[:, None], n, k)), "centre"))
+    write_merl(
+        path, brdf_table(merl_lobe.record(0.002, merl_lobe.conductor(merl_lobe.THETA_D[:, None], n, k)), "centre")
+    )
     return path
 
 
@@ -81,7 +83,11 @@ def test_fresnel(matcam, measured, tmp_path):
     result = matcam("fresnel", measured, "--metal", "Cr")
     assert "lobe: gaussian, width 0.00200" in result.stdout
     assert "against Cr (rakic)" in result.stdout
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["chromium-fresnel.csv", "chromium-fresnel.nc", "chromium-fresnel.png"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "chromium-fresnel.csv",
+        "chromium-fresnel.nc",
+        "chromium-fresnel.png",
+    ]
     with xr.open_dataset(tmp_path / "chromium-fresnel.nc") as data:
         assert data["corrected"].dims == ("theta_d", "channel")
         assert data.attrs["ndf"] == "gaussian"
@@ -90,8 +96,12 @@ def test_fresnel(matcam, measured, tmp_path):
 
 
 def test_json_is_alone_on_standard_output_and_profiles_are_used(matcam, measured, tmp_path):
-    Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(tmp_path / "c.json")
-    result = matcam("fresnel", measured, "--camera", "c.json", "--masking", "none", "--ndf", "gaussian", "--json", "-o", "out/f.svg")
+    Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(
+        tmp_path / "c.json"
+    )
+    result = matcam(
+        "fresnel", measured, "--camera", "c.json", "--masking", "none", "--ndf", "gaussian", "--json", "-o", "out/f.svg"
+    )
     found = json.loads(result.stdout)
     assert found["camera_uncertainty"] == "stated"
     assert found["width"] == pytest.approx(0.002, rel=1e-5)

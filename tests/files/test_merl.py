@@ -90,7 +90,10 @@ def bad_files():
         "negative grid": (struct.pack("<3i", -90, 90, 180) + good[12:], "-90"),
         "all missing": (struct.pack("<3i", 90, 90, 180) + (-np.ones(3 * CELLS)).tobytes(), "every value is negative"),
         "NaN inside": (struct.pack("<3i", 90, 90, 180) + changed(p1000=np.nan).tobytes(), "byte 8012 holds nan"),
-        "infinity inside": (struct.pack("<3i", 90, 90, 180) + changed(p2=np.inf, p5=np.inf).tobytes(), "byte 28 holds inf, not a number (2 such"),
+        "infinity inside": (
+            struct.pack("<3i", 90, 90, 180) + changed(p2=np.inf, p5=np.inf).tobytes(),
+            "byte 28 holds inf, not a number (2 such",
+        ),
         "minus infinity": (struct.pack("<3i", 90, 90, 180) + changed(p0=-np.inf).tobytes(), "byte 12 holds -inf"),
     }
 

@@ -24,7 +24,12 @@ def test_columns_carry_units_in_their_names_and_gaps_as_gaps(tmp_path):
     write_columns(tmp_path / "a.csv", result())
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert set(rows[0]) == {"roughness", "theta_rad", "loss", "loss_angle_rad"}
-    assert [(float(r["roughness"]), float(r["theta_rad"])) for r in rows] == [(0.1, 0), (0.1, 1.5), (0.2, 0), (0.2, 1.5)]
+    assert [(float(r["roughness"]), float(r["theta_rad"])) for r in rows] == [
+        (0.1, 0),
+        (0.1, 1.5),
+        (0.2, 0),
+        (0.2, 1.5),
+    ]
     assert [r["loss"] for r in rows] == ["1", "0.5", "", "1e-300"]
 
 

@@ -3,7 +3,19 @@
 import numpy as np
 import pytest
 
-from matcam import GGX, Conductor, Cylinder, GaussianNDF, Microfacet, PixelNoise, Rig, Sphere, lobe_table, rigs, with_pixel_noise
+from matcam import (
+    GGX,
+    Conductor,
+    Cylinder,
+    GaussianNDF,
+    Microfacet,
+    PixelNoise,
+    Rig,
+    Sphere,
+    lobe_table,
+    rigs,
+    with_pixel_noise,
+)
 from matcam.angles import GRID_SHAPE, below_horizon, merl_grid
 from matcam.errors import ArgumentError
 from matcam.forward.cells import PICTURE_STRIDE, CellSet, cell_pixels
@@ -55,7 +67,9 @@ def test_pixel_content_adds_up_to_the_lit_picture(pixels):
         theta_h = (20 / 90) ** 2 * np.pi / 2
         share = cap.sum() / (20 * 180)
         if share == 1:
-            assert pixels.content[j][cap].sum() == pytest.approx(256**2 * np.cos(theta_d) * 2 * np.pi * (1 - np.cos(theta_h)), rel=2e-3)
+            assert pixels.content[j][cap].sum() == pytest.approx(
+                256**2 * np.cos(theta_d) * 2 * np.pi * (1 - np.cos(theta_h)), rel=2e-3
+            )
 
 
 def test_about_seventy_five_cells_share_the_peaks_pixel(pixels):
@@ -74,7 +88,10 @@ def test_noise_belongs_to_pixels(pixels):
     rng_table = merl_lobe.record(0.05, np.ones((90, 1)))
     rig = rigs.merl()
     table = lobe_table(Microfacet(GaussianNDF(0.05), 1.0, masking=None), rig)
-    noisy = [with_pixel_noise(table, rig, PixelNoise(0.02, 0.0), seed).values[..., 0] / table.values[..., 0] - 1 for seed in range(6)]
+    noisy = [
+        with_pixel_noise(table, rig, PixelNoise(0.02, 0.0), seed).values[..., 0] / table.values[..., 0] - 1
+        for seed in range(6)
+    ]
     relative = np.stack(noisy)[:, :30, 20].reshape(6, -1)
     first, second = (p[20].reshape(90, 180)[:30].ravel() for p in (pixels.first, pixels.second))
     one_pixel = first == second

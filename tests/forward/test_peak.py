@@ -142,9 +142,13 @@ def test_a_lens_without_closed_form_takes_the_other_route_to_the_same_record(ndf
     theta = np.radians([0.0, 50, 80])
     x, y = np.tile([0.0, 0.6, -1.3, 3.0], (3, 1)), np.tile([0.0, 0.4, 1.1, -2.0], (3, 1))
     closed, other = (Rig(Camera(o), Sphere(256)) for o in (GaussianOptics(0.5), MeasuredOptics(f, curve)))
-    np.testing.assert_allclose(lobe_record(other, ndf, theta, x, y), lobe_record(closed, ndf, theta, x, y), rtol=0, atol=3e-7)
+    np.testing.assert_allclose(
+        lobe_record(other, ndf, theta, x, y), lobe_record(closed, ndf, theta, x, y), rtol=0, atol=3e-7
+    )
     for dims in (1, 2):
-        np.testing.assert_allclose(peak_response(other, ndf, theta, dims=dims), peak_response(closed, ndf, theta, dims=dims), rtol=3e-7)
+        np.testing.assert_allclose(
+            peak_response(other, ndf, theta, dims=dims), peak_response(closed, ndf, theta, dims=dims), rtol=3e-7
+        )
 
 
 def test_diffraction_against_a_polar_quadrature():

@@ -35,7 +35,9 @@ PIXELS = merl_lobe.PixelMap()
 def one_channel(values):
     """Table of a single channel."""
     coords = {"theta_h": merl_lobe.THETA_H, "theta_d": merl_lobe.THETA_D, "phi_d": merl_lobe.PHI_D, "channel": ["G"]}
-    return xr.DataArray(values, dims=("theta_h", "theta_d", "phi_d", "channel"), coords=coords, attrs={"sampling": "centre"})
+    return xr.DataArray(
+        values, dims=("theta_h", "theta_d", "phi_d", "channel"), coords=coords, attrs={"sampling": "centre"}
+    )
 
 
 def normalised(reflectance):
@@ -61,7 +63,9 @@ def pulls(trials, seed, true_sigma, rig, ndf="gaussian"):
 
 @pytest.fixture(scope="module")
 def noisy():
-    return fresnel(brdf_table(PIXELS.noisy(merl_lobe.record(WIDTH, CHROMIUM), np.random.default_rng(11)), "centre"), rigs.merl())
+    return fresnel(
+        brdf_table(PIXELS.noisy(merl_lobe.record(WIDTH, CHROMIUM), np.random.default_rng(11)), "centre"), rigs.merl()
+    )
 
 
 def test_without_noise_the_answer_is_exact():
@@ -69,7 +73,9 @@ def test_without_noise_the_answer_is_exact():
     assert found.attrs["ndf"] == "gaussian"
     assert float(found["width"]) == pytest.approx(WIDTH, rel=1e-7)
     np.testing.assert_allclose(found["corrected"], normalised(CHROMIUM), rtol=1e-7)
-    np.testing.assert_allclose(found["corrected_peak"], normalised(CHROMIUM), rtol=1e-4)  # the first cell is not quite the peak
+    np.testing.assert_allclose(
+        found["corrected_peak"], normalised(CHROMIUM), rtol=1e-4
+    )  # the first cell is not quite the peak
     np.testing.assert_allclose(found["absolute"], CHROMIUM, rtol=1e-6)
     loss = found["response"] / float(found["response"][0])
     np.testing.assert_allclose(found["raw"], normalised(CHROMIUM) * loss.values[:, None], rtol=2e-4)
@@ -156,7 +162,10 @@ def test_coverage_with_an_uncertain_camera(seed):
     found = pulls(400, seed, lambda rng: 0.5 * (1 + 0.03 * rng.standard_normal()), merl_rig(std=0.015))
     for angle in (45, 60, AT_75):
         share = np.mean(np.abs(found[:, angle]) < 1)
-        print(f"theta_d {angle + 0.5}: {share:.3f} within 1 sigma, std {found[:, angle].std():.3f}, mean {found[:, angle].mean():+.3f}")
+        print(
+            f"theta_d {angle + 0.5}: {share:.3f} within 1 sigma, "
+            f"std {found[:, angle].std():.3f}, mean {found[:, angle].mean():+.3f}"
+        )
         assert 0.62 <= share <= 0.75
 
 
@@ -171,7 +180,9 @@ def test_pulls_of_a_wrong_camera_grow():
         for noise in (None, PixelNoise()):
             found = fresnel(table, merl_rig(), ndf="gaussian", masking=None, noise=noise).isel(channel=0)
             grown.append(((found["corrected"] - truth) / found["corrected_std"]).values[AT_75])
-    print(f"mean pull {np.mean(grown[::2]):.1f} with estimated noise, {np.mean(grown[1::2]):.1f} with the true noise given")
+    print(
+        f"mean pull {np.mean(grown[::2]):.1f} with estimated noise, {np.mean(grown[1::2]):.1f} with the true noise given"
+    )
     assert np.mean(grown[::2]) > 3
     assert np.mean(grown[1::2]) > 6
 
@@ -185,7 +196,11 @@ def test_ggx_lobes_are_told_from_gaussian_ones():
     for w, scale in zip(weight / weight.sum(), 0.01 / np.sqrt(2 * t), strict=True):
         if scale < 0.4:
             d0 = 1 / (2 * np.pi * scale**2)
-            table = table + w * merl_lobe.record(scale, ones) / d0 if scale < 0.05 else table + w * merl_lobe.record(scale, ones) * 2 * np.pi * scale**2
+            table = (
+                table + w * merl_lobe.record(scale, ones) / d0
+                if scale < 0.05
+                else table + w * merl_lobe.record(scale, ones) * 2 * np.pi * scale**2
+            )
     found = fresnel(one_channel(table), merl_rig())
     assert found.attrs["ndf"] == "ggx"
     assert float(found["width"]) == pytest.approx(0.01, rel=0.02)
@@ -228,7 +243,11 @@ def test_missing_data_stay_missing():
     assert gone[20].all()
     assert gone[30].tolist() == [False, False, True]
     assert gone.sum() == 4
-    np.testing.assert_allclose(found["corrected"].values[~gone], (CHROMIUM / CHROMIUM[[i for i in range(10, 45) if i != 20]].mean(0))[~gone], rtol=5e-3)
+    np.testing.assert_allclose(
+        found["corrected"].values[~gone],
+        (CHROMIUM / CHROMIUM[[i for i in range(10, 45) if i != 20]].mean(0))[~gone],
+        rtol=5e-3,
+    )
 
 
 @pytest.mark.parametrize("masking", ["smith", "smith-separable", "van-ginneken", None])
@@ -257,7 +276,10 @@ def test_arguments_are_checked():
     cases = [
         (lambda: fresnel(table.values, rigs.merl()), "must be an xarray.DataArray"),
         (lambda: fresnel(table, rigs.merl().camera), "rig must be a Rig"),
-        (lambda: fresnel(table, Rig(rigs.merl().camera, Cylinder(3))), "recorded from a Sphere, this rig has a Cylinder"),
+        (
+            lambda: fresnel(table, Rig(rigs.merl().camera, Cylinder(3))),
+            "recorded from a Sphere, this rig has a Cylinder",
+        ),
         (lambda: fresnel(table, rigs.merl(), ndf="beckman"), "ndf must be one of 'auto', 'gaussian', 'ggx'"),
         (lambda: fresnel(table, rigs.merl(), masking="none"), "masking must be one of"),
         (lambda: fresnel(table, rigs.merl(), normalise=(1.0, 0.5)), "normalise must be"),

@@ -9,7 +9,9 @@ from matcam.errors import ArgumentError
 from matcam.material.masking import MASKINGS
 from tests.golden import rows
 
-MATERIALS = [Microfacet(GGX(0.2), Conductor([0.2, 1.0, 2.0], 3.0), diffuse=[0.1, 0.2, 0.3], masking=m) for m in MASKINGS]
+MATERIALS = [
+    Microfacet(GGX(0.2), Conductor([0.2, 1.0, 2.0], 3.0), diffuse=[0.1, 0.2, 0.3], masking=m) for m in MASKINGS
+]
 
 
 @given(st.floats(0, 1.4), st.floats(0, 1.4), st.floats(0, 6.3), st.sampled_from(MATERIALS))

@@ -48,7 +48,15 @@ def test_smith_lambda_of_ggx_is_its_closed_form(alpha):
 @pytest.mark.parametrize("width", [0.002, 0.05, 0.3])
 def test_smith_lambda_of_a_gaussian_lobe_is_the_integral(width):
     ndf = GaussianNDF(width)
-    norm = 1 / quad(lambda t: 2 * np.pi * np.exp(-(t**2) / 2 / width**2) * np.sin(t) * np.cos(t), 0, min(np.pi / 2, 12 * width), epsrel=1e-13)[0]
+    norm = (
+        1
+        / quad(
+            lambda t: 2 * np.pi * np.exp(-(t**2) / 2 / width**2) * np.sin(t) * np.cos(t),
+            0,
+            min(np.pi / 2, 12 * width),
+            epsrel=1e-13,
+        )[0]
+    )
     p22 = lambda r: norm * np.exp(-(np.arctan(r) ** 2) / 2 / width**2) / (1 + r * r) ** 2  # noqa: E731
     for degrees in (70, 85, 89, 89.9):
         with warnings.catch_warnings():
@@ -72,7 +80,9 @@ def test_joint_maskings_are_ordered():
     """Correlation spares the double count: separable <= height-correlated <= van Ginneken, and all <= the smaller G1."""
     li, lo = jnp.asarray([0.0, 0.3, 2.0, 5.0]), jnp.asarray([0.4, 0.4, 0.1, 5.0])
     for azimuth in (0.0, 1.0, np.pi):
-        separable, smith, ginneken = (np.asarray(g2(m, li, lo, jnp.asarray(azimuth))) for m in ("smith-separable", "smith", "van-ginneken"))
+        separable, smith, ginneken = (
+            np.asarray(g2(m, li, lo, jnp.asarray(azimuth))) for m in ("smith-separable", "smith", "van-ginneken")
+        )
         assert np.all(separable <= smith + 1e-15)
         assert np.all(smith <= ginneken + 1e-15)
         assert np.all(ginneken <= 1 / (1 + np.maximum(li, lo)) + 1e-15)

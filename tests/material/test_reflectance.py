@@ -32,7 +32,12 @@ def test_limits():
 
 def test_channels_stand_behind_the_angles():
     theta = jnp.linspace(0, 1, 5)
-    for term in (Conductor([1, 2, 3], 2.0), Schlick([0.1, 0.2, 0.3]), Dielectric([1.2, 1.3, 1.4]), Constant([0.1, 0.2, 0.3])):
+    for term in (
+        Conductor([1, 2, 3], 2.0),
+        Schlick([0.1, 0.2, 0.3]),
+        Dielectric([1.2, 1.3, 1.4]),
+        Constant([0.1, 0.2, 0.3]),
+    ):
         assert term.at(theta).shape == (5, 3)
     for term in (Conductor(1, 2), Schlick(0.1), Dielectric(1.2), Constant(0.5)):
         assert term.at(theta).shape == (5,)

@@ -20,6 +20,9 @@ class Rig(NamedTuple):
     radius: float = 256.0
 
 
+PAPER = Rig()
+
+
 def conductor(theta, n, k):
     """Unpolarised reflectance, from the amplitudes of s and p waves."""
     m = n + 1j * k
@@ -36,7 +39,7 @@ def b(u, s, sigma_mtf, sigma_p):
     return s / (2 * sigma_p) * np.sqrt(np.pi / 2) * (erf((u + sigma_p) / wide) - erf((u - sigma_p) / wide))
 
 
-def record(width, reflectance, rig=Rig()):
+def record(width, reflectance, rig=PAPER):
     """Noise-free table (90, 90, 180, channels), 1/sr, NaN below the horizon; G = 1. reflectance: (90, channels)."""
     d0 = 1 / (2 * np.pi * quad(lambda t: np.exp(-(t**2) / 2 / width**2) * np.sin(t) * np.cos(t), 0, min(np.pi / 2, 40 * width),
                                epsabs=0, epsrel=1e-13, limit=200)[0])  # fmt: skip

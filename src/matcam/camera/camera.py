@@ -43,9 +43,10 @@ class Camera(eqx.Module):
         provenance: Provenance | None = None,
     ):
         pixel = BoxPixel() if pixel is None else pixel
-        if not isinstance(optics, Optics):
-            hint = ": a Camera already contains its pixel" if isinstance(optics, Camera) else ""
-            raise ArgumentError(f"optics must be Optics, got {type(optics).__name__}{hint}")
+        given: object = optics
+        if not isinstance(given, Optics):
+            hint = ": a Camera already contains its pixel" if isinstance(given, Camera) else ""
+            raise ArgumentError(f"optics must be Optics, got {type(given).__name__}{hint}")
         if not isinstance(pixel, PixelResponse):
             raise ArgumentError(f"pixel must be a PixelResponse, got {type(pixel).__name__}")
         self.optics = optics

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam._jax import is_concrete, jax, jnp
+from matcam._jax import AnyArray, is_concrete, jax, jnp
 
 ORDER = 16
 """Nodes to a panel."""
@@ -27,8 +27,8 @@ Transfer = Callable[[jax.Array, jax.Array], jax.Array]
 class Rule(NamedTuple):
     """Nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
 
-    frequency: jax.Array | np.ndarray
-    weight: jax.Array | np.ndarray
+    frequency: AnyArray
+    weight: AnyArray
 
 
 def unit_rule(panels: int, grade: int = 1) -> Rule:
@@ -72,7 +72,9 @@ def _over_frequencies(
     frequency, weight = jnp.asarray(rule.frequency), jnp.asarray(rule.weight)
     if angle.ndim == 0:
         amplitude = weight * transfer(frequency, angle)
-        return jax.lax.map(lambda u: wave(frequency, u) @ amplitude, x.ravel(), batch_size=_POINTS_AT_ONCE).reshape(x.shape)
+        return jax.lax.map(lambda u: wave(frequency, u) @ amplitude, x.ravel(), batch_size=_POINTS_AT_ONCE).reshape(
+            x.shape
+        )
 
     def at(point: jax.Array) -> jax.Array:
         return wave(frequency, point[0]) @ (weight * transfer(frequency, point[1]))
@@ -80,9 +82,7 @@ def _over_frequencies(
     return _at_each_pair(at, x, angle)
 
 
-def plane_kernel(
-    rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int
-) -> jax.Array:
+def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
     """Kernel in the plane of a transfer(fx, fy) that is even in both: polar nodes, `turns` angles to a quarter turn."""
     # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
     angle = jnp.linspace(0, jnp.pi / 2, turns + 1)
@@ -90,7 +90,7 @@ def plane_kernel(
     fx = rule.frequency[:, None] * jnp.cos(angle)
     fy = rule.frequency[:, None] * jnp.sin(angle)
     area = (rule.weight * rule.frequency)[:, None] * ends * (jnp.pi / 2 / turns)
-    amplitude = 4 * area * transfer(fx, fy)
+    amplitude = 4 * area * transfer(jnp.asarray(fx), jnp.asarray(fy))
 
     def at(point: jax.Array) -> jax.Array:
         return jnp.sum(jnp.cos(2 * jnp.pi * fx * point[0]) * jnp.cos(2 * jnp.pi * fy * point[1]) * amplitude)

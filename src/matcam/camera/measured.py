@@ -10,7 +10,16 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import is_concrete, jax, jnp
-from matcam.camera.fourier import ORDER, Rule, line_kernel, panels_for, piecewise_rule, plane_kernel, reach_of, turns_for
+from matcam.camera.fourier import (
+    ORDER,
+    Rule,
+    line_kernel,
+    panels_for,
+    piecewise_rule,
+    plane_kernel,
+    reach_of,
+    turns_for,
+)
 from matcam.camera.optics import Optics
 from matcam.errors import ArgumentError
 
@@ -45,10 +54,14 @@ class MeasuredOptics(Optics):
         if is_concrete(values):
             numbers = np.asarray(values)
             if abs(numbers[0] - 1) > 1e-6:
-                raise ArgumentError(f"mtf must be 1 at frequency 0, got {numbers[0]:g}: divide the curve by its first sample")
+                raise ArgumentError(
+                    f"mtf must be 1 at frequency 0, got {numbers[0]:g}: divide the curve by its first sample"
+                )
             largest = np.max(np.abs(numbers))
             if largest > 1.05:
-                raise ArgumentError(f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: is the picture sharpened?")
+                raise ArgumentError(
+                    f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: is the picture sharpened?"
+                )
             self.ends_at_zero = bool(abs(numbers[-1]) <= _ZERO)
         self.frequency = tuple(f.tolist())
         self.values = values

@@ -128,7 +128,9 @@ def write(camera: Camera, path: str | Path, *, force: bool = False) -> None:
         },
     }
     with replacing(path, force=force) as temporary:
-        temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
 
 
 def read(path: str | Path) -> dict[str, Any]:

@@ -58,7 +58,10 @@ def _second_difference(
     function: Callable[[jax.Array], jax.Array], x: jax.Array, long: jax.Array, short: jax.Array
 ) -> jax.Array:
     return (
-        function(x + long + short) - function(x + long - short) - function(x - long + short) + function(x - long - short)
+        function(x + long + short)
+        - function(x + long - short)
+        - function(x - long + short)
+        + function(x - long - short)
     )
 
 

@@ -55,7 +55,9 @@ class Uncertainty(eqx.Module):
         known = set(parameters)
         for name in self.names:
             if name not in known:
-                raise ArgumentError(f"uncertainty names {name!r}, which this camera has not; it has {', '.join(sorted(known))}")
+                raise ArgumentError(
+                    f"uncertainty names {name!r}, which this camera has not; it has {', '.join(sorted(known))}"
+                )
 
     def std(self) -> dict[str, float]:
         """Standard deviations by name."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import traceback
+from typing import Any
 
 BAD_INPUT = 2
 FAULT = 70
@@ -25,8 +26,8 @@ def _run(arguments: list[str] | None) -> int:
     from matcam.cli.app import app
     from matcam.errors import MatcamError
 
-    usage_error = typer.BadParameter.__base__  # typer carries a click of its own, and does not export this one
-    assert usage_error is not None
+    # typer carries a click of its own, and does not export this one
+    usage_error: type[Any] = typer.BadParameter.__mro__[1]
 
     try:
         result = app(args=arguments, prog_name="matcam", standalone_mode=False)

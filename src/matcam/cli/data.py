@@ -23,7 +23,11 @@ def merl(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to put the files in.")] = Path(),
     source: Annotated[
         str | None,
-        typer.Option("--source", envvar="MATCAM_MERL_SOURCE", help="Archive (.zip) or folder on another server. Default: the official archive."),
+        typer.Option(
+            "--source",
+            envvar="MATCAM_MERL_SOURCE",
+            help="Archive (.zip) or folder on another server. Default: the official archive.",
+        ),
     ] = None,
     listing: Annotated[bool, typer.Option("--list", help="List the 100 materials.")] = False,
 ) -> int:

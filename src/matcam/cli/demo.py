@@ -28,13 +28,25 @@ def command(
     from matcam.files.merl import write_merl
     from matcam.forward.demonstration import WIDTH, simulated_chromium
 
-    show.say(f"1. A chromium sphere with a lobe of {WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:\n   {table}")
+    show.say(
+        f"1. A chromium sphere with a lobe of {WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:\n   {table}"
+    )
     with show.working("photographing the sphere"):
         write_merl(table, simulated_chromium().clip(min=0), force=force)
     show.say("2. What to expect of this rig:")
-    predict.command([0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=output / "predicted-loss.png", force=force)
+    predict.command(
+        [0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=output / "predicted-loss.png", force=force
+    )
     show.say("3. Its Fresnel term, as recorded and corrected for the camera:")
-    fresnel.command(table, metal="Cr", ndf="auto", normalise=(10.0, 45.0), channel="G", output=output / "chromium-fresnel.png", force=force)
+    fresnel.command(
+        table,
+        metal="Cr",
+        ndf="auto",
+        normalise=(10.0, 45.0),
+        channel="G",
+        output=output / "chromium-fresnel.png",
+        force=force,
+    )
     show.say("4. The paper's figures:")
     figures.command([], output=output, vector="svg", force=force)
     show.say(f"Done. Open {output / 'chromium-fresnel.png'} first.")

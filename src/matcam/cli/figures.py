@@ -12,7 +12,9 @@ from matcam.cli.options import Force
 
 
 def command(
-    measured: Annotated[list[Path] | None, typer.Argument(help="MERL files for Figure 6. Default: a simulated chromium sphere.")] = None,
+    measured: Annotated[
+        list[Path] | None, typer.Argument(help="MERL files for Figure 6. Default: a simulated chromium sphere.")
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("figures"),
     vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
     force: Force = False,
@@ -24,7 +26,12 @@ def command(
     from matcam.atomic import check_output
 
     sources = measured or []
-    stems = ["figure-3", "figure-4", "figure-5", *(f"figure-6-{path.stem}" for path in sources or [Path("simulated-chromium")])]
+    stems = [
+        "figure-3",
+        "figure-4",
+        "figure-5",
+        *(f"figure-6-{path.stem}" for path in sources or [Path("simulated-chromium")]),
+    ]
     for stem in stems:
         for suffix in ("png", vector, "csv"):
             check_output(output / f"{stem}.{suffix}", force=force, inputs=sources)
@@ -32,7 +39,8 @@ def command(
 
     use_compilation_cache()
     drawn = []
-    for stem, source in zip(stems, [None, None, None, *(sources or [None])], strict=True):
+    of_stem = [*[None] * 3, *sources] if sources else [None] * 4
+    for stem, source in zip(stems, of_stem, strict=True):
         with show.working(f"drawing {stem}"):
             drawn.append(_draw(stem, source))
     # all or nothing: a bad file among several is found before the first picture is written

@@ -16,20 +16,33 @@ _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 def command(
     file: Annotated[Path, typer.Argument(help="MERL file.")],
     metal: Annotated[
-        str | None, typer.Option("--metal", help="Compare with tabulated n, k of this metal (Cr, Fe, ...). Default: the nearest of all.")
+        str | None,
+        typer.Option(
+            "--metal", help="Compare with tabulated n, k of this metal (Cr, Fe, ...). Default: the nearest of all."
+        ),
     ] = None,
-    ndf: Annotated[Literal["auto", "gaussian", "ggx"], typer.Option("--ndf", help="Family of the lobe; auto: the likelier.")] = "auto",
+    ndf: Annotated[
+        Literal["auto", "gaussian", "ggx"], typer.Option("--ndf", help="Family of the lobe; auto: the likelier.")
+    ] = "auto",
     masking: Masking = "smith",
     camera: CameraProfile = None,
     radius: Radius = None,
     lamp: LampRadius = 0.0,
     sampling: Sampling = "centre",
     normalise: Annotated[
-        tuple[float, float], typer.Option("--normalise", metavar="LOW HIGH", help="Range of theta_d, degrees, where F's mean is 1.")
+        tuple[float, float],
+        typer.Option("--normalise", metavar="LOW HIGH", help="Range of theta_d, degrees, where F's mean is 1."),
     ] = (10.0, 45.0),
-    channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel that is drawn and printed.")] = "G",
+    channel: Annotated[
+        Literal["R", "G", "B"], typer.Option("--channel", help="Channel that is drawn and printed.")
+    ] = "G",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.")
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Picture (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
+        ),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -100,7 +113,9 @@ def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
         "normalised_over": np.degrees(result.attrs["normalised_over"]),
         "width": float(result["width"]),
         "width_std": float(result["width_std"]),
-        "supported_angle_deg": dict(zip(result["channel"].values.tolist(), np.degrees(result["supported_angle"].values), strict=True)),
+        "supported_angle_deg": dict(
+            zip(result["channel"].values.tolist(), np.degrees(result["supported_angle"].values), strict=True)
+        ),
         "theta_d_deg": np.degrees(result["theta_d"].values),
         **{
             name: {str(c): result[name].sel(channel=c).values for c in result["channel"].values}
@@ -108,7 +123,10 @@ def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
         },
         "response": result["response"].values,
         "tables": {
-            str(t): {"rms_corrected": tables["rms_corrected"].sel(table=t).values, "rms_raw": tables["rms_raw"].sel(table=t).values}
+            str(t): {
+                "rms_corrected": tables["rms_corrected"].sel(table=t).values,
+                "rms_raw": tables["rms_raw"].sel(table=t).values,
+            }
             for t in tables["table"].values
         },
         "files": [str(output), str(output.with_suffix(".csv")), str(output.with_suffix(".nc"))],
@@ -124,14 +142,27 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     rows = [
         [f"{angle}°", f"{1 - lost:.0%}", f"{raw:.3f}", f"{peak:.3f}", f"{corrected:.3f} ± {std:.3f}"]
         for angle, lost, raw, peak, corrected, std in zip(
-            _ANGLES, relative, at["raw"].values, at["corrected_peak"].values, at["corrected"].values, at["corrected_std"].values, strict=True
+            _ANGLES,
+            relative,
+            at["raw"].values,
+            at["corrected_peak"].values,
+            at["corrected"].values,
+            at["corrected_std"].values,
+            strict=True,
         )
     ]
-    show.table(["theta_d", "lost to the camera", "F raw", "F peak / loss", "F corrected"], rows, f"{result.attrs['source']}, channel {channel}")
+    show.table(
+        ["theta_d", "lost to the camera", "F raw", "F peak / loss", "F corrected"],
+        rows,
+        f"{result.attrs['source']}, channel {channel}",
+    )
     attrs = result.attrs
     determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
     show.say(f"lobe: {attrs['ndf']}, width {float(result['width']):.5f} ± {float(result['width_std']):.5f}{determined}")
-    show.say(f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, {attrs['noise_floor']:.2%} of the picture's peak")
+    show.say(
+        f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, "
+        f"{attrs['noise_floor']:.2%} of the picture's peak"
+    )
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
     show.say(f"supported (std under 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     rms = tables.sel(channel=channel)

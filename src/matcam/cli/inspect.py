@@ -48,13 +48,22 @@ def _profile(file: Path) -> dict[str, Any]:
 def _print_table(report: dict[str, Any]) -> None:
     grid = " x ".join(f"{n} {name}" for name, n in report["grid"].items())
     low, high = report["range_per_sr"]
-    show.say(f"{report['file']}: MERL table, {grid}, channels {' '.join(report['channels'])}, read as sampled at each cell's {report['sampling']}")
-    show.say(f"missing: {report['missing_share']:.1%} of all values, {report['missing_above_horizon_share']:.2%} of those above the horizon")
+    show.say(
+        f"{report['file']}: MERL table, {grid}, channels {' '.join(report['channels'])}, "
+        f"read as sampled at each cell's {report['sampling']}"
+    )
+    show.say(
+        f"missing: {report['missing_share']:.1%} of all values, "
+        f"{report['missing_above_horizon_share']:.2%} of those above the horizon"
+    )
     show.say(f"valid below the horizon: {report['valid_below_horizon_share']:.2%}")
     show.say(f"values: {low:.4g} to {high:.4g} 1/sr")
     show.say(f"reciprocity: phi_d and 180° - phi_d differ by {report['reciprocity_rms']:.2%} rms")
     text = lambda value: "-" if value is None else f"{value:.3f}°"  # noqa: E731
-    rows = [[f"{row['theta_d_deg']}°", text(row["in_plane_hwhm_deg"]), text(row["across_hwhm_deg"])] for row in report["lobe"]]
+    rows = [
+        [f"{row['theta_d_deg']}°", text(row["in_plane_hwhm_deg"]), text(row["across_hwhm_deg"])]
+        for row in report["lobe"]
+    ]
     show.table(["theta_d", "in plane", "across"], rows, "Half width of the lobe at half maximum, in theta_h")
 
 

@@ -12,10 +12,16 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 CameraProfile = Annotated[
-    Path | None, typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the camera of the MERL rig.")
+    Path | None,
+    typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the camera of the MERL rig."),
 ]
-Radius = Annotated[float | None, typer.Option("--radius", metavar="PX", help="Radius of the sphere's picture in px. Default: 256, MERL's.")]
-LampRadius = Annotated[float, typer.Option("--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc, degrees.")]
+Radius = Annotated[
+    float | None,
+    typer.Option("--radius", metavar="PX", help="Radius of the sphere's picture in px. Default: 256, MERL's."),
+]
+LampRadius = Annotated[
+    float, typer.Option("--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc, degrees.")
+]
 Masking = Annotated[
     Literal["smith", "smith-separable", "van-ginneken", "none"],
     typer.Option("--masking", help="Masking G that the Fresnel term is freed from."),

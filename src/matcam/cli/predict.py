@@ -15,7 +15,8 @@ _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 
 def command(
     roughness: Annotated[
-        list[float] | None, typer.Argument(help="Widths of the lobe: alpha for ggx, rad for gaussian. Default: a row of them.")
+        list[float] | None,
+        typer.Argument(help="Widths of the lobe: alpha for ggx, rad for gaussian. Default: a row of them."),
     ] = None,
     ndf: Annotated[Literal["ggx", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")] = "ggx",
     sample: Annotated[Literal["sphere", "cylinder"], typer.Option("--sample", help="Shape of the sample.")] = "sphere",
@@ -23,7 +24,9 @@ def command(
     camera: CameraProfile = None,
     radius: Radius = None,
     lamp: LampRadius = 0.0,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Picture to write (.png, .pdf, .svg); a .csv goes beside it.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Picture to write (.png, .pdf, .svg); a .csv goes beside it.")
+    ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -44,7 +47,7 @@ def command(
     rig = rig_of(camera, radius, lamp, sample)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
-        data = predict(rig, [FAMILIES[ndf](value) for value in values], dims)  # type: ignore[call-arg]
+        data = predict(rig, [FAMILIES[ndf](value) for value in values], dims)
     if output:
         _write(data, rig, output, force)
     if json:
@@ -62,7 +65,11 @@ def command(
     rows = [
         [f"{value:g}", f"{r0:.1%}", *(f"{1 - r:.1%}" for r in relative[1:]), f"{angle:.1f}°" if angle < 90 else "-"]
         for value, r0, relative, angle in zip(
-            values, at["response"].values[:, 0], at["relative_response"].values, _degrees(data["loss_angle"]), strict=True
+            values,
+            at["response"].values[:, 0],
+            at["relative_response"].values,
+            _degrees(data["loss_angle"]),
+            strict=True,
         )
     ]
     head = ["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"]
@@ -82,6 +89,8 @@ def _write(data, rig, output: Path, force: bool) -> None:  # type: ignore[no-unt
     from matcam.figures.style import save
     from matcam.files.columns import write_columns
 
-    parameters = ", ".join(f"{name.split('.')[1]} {float(value):g}" for name, value in list(rig.camera.parameters().items())[:3])
+    parameters = ", ".join(
+        f"{name.split('.')[1]} {float(value):g}" for name, value in list(rig.camera.parameters().items())[:3]
+    )
     write_columns(output.with_suffix(".csv"), data, force=force)
     save(prediction_figure(data, f"Loss at the specular peak: {rig.sample!r}, {parameters}"), output, force=force)

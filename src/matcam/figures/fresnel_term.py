@@ -13,7 +13,9 @@ _TABLE_COLOURS = (GREEN, ORANGE, PURPLE, BLACK)
 _MOST_TABLES = 4
 
 
-def fresnel_figure(result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None) -> Figure:
+def fresnel_figure(
+    result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
+) -> Figure:
     """Raw and corrected F over theta_d beside tabulated metals (left), and the loss at the peak (right).
 
     result: from `fresnel`; tables: from `tabulated_fresnel`. channel: index; default the middle one (green).
@@ -40,7 +42,9 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
     low, high = np.degrees(result.attrs["normalised_over"])
     axes.axvspan(low, high, color="#F2F2F2", lw=0, zorder=0)
     axes.plot(theta, one["raw"], color=VERMILION, label="raw: from the recorded peak, camera ignored")
-    axes.plot(theta, one["corrected_peak"], color=BLUE, lw=1, ls=(0, (1, 1.2)), label="peak over its loss (the paper's)")
+    axes.plot(
+        theta, one["corrected_peak"], color=BLUE, lw=1, ls=(0, (1, 1.2)), label="peak over its loss (the paper's)"
+    )
     axes.fill_between(theta, corrected - std, corrected + std, color=BLUE, alpha=0.25, lw=0)
     axes.plot(theta, corrected, color=BLUE, lw=2, label="corrected: lobe fitted through the camera, ± 1 std")
     if tables is not None:

@@ -30,7 +30,12 @@ def highlight_figure(data: xr.Dataset) -> Figure:
         panels[0].set_ylim(0, 1.08)
         panels[-1].legend(loc="upper right", fontsize=8, handlelength=1.4, borderaxespad=0)
         ratio = data.attrs["ratio"]
-        figure.suptitle(rf"Highlight of standard deviation {ratio:g} $\sigma_{{mtf}} / r_s$, across the limb of a sphere", fontsize=10.5, x=0.01, ha="left")
+        figure.suptitle(
+            rf"Highlight of standard deviation {ratio:g} $\sigma_{{mtf}} / r_s$, across the limb of a sphere",
+            fontsize=10.5,
+            x=0.01,
+            ha="left",
+        )
     return figure
 
 
@@ -51,6 +56,13 @@ def loss_figure(data: xr.Dataset) -> Figure:
         degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylim(0, 1.04)
         axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
-        axes.set_title("Loss at the specular peak. Solid: tangent plane; dotted: eq. (11) as printed;\n" r"dashed: $\cos\,\theta_o$", loc="left", fontsize=9.5)
-        axes.legend(title="lobe width /\n" r"($\sigma_{mtf} / r_s$)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
+        axes.set_title(
+            "Loss at the specular peak. Solid: tangent plane; dotted: eq. (11) as printed;\n"
+            r"dashed: $\cos\,\theta_o$",
+            loc="left",
+            fontsize=9.5,
+        )
+        axes.legend(
+            title="lobe width /\n" r"($\sigma_{mtf} / r_s$)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
+        )
     return figure

@@ -32,5 +32,7 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
         axes.set_ylim(0, 1.04)
         axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
         axes.set_title(title, loc="left", fontsize=9.5)
-        axes.legend(title=f"roughness\n({data.attrs['ndf']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
+        axes.legend(
+            title=f"roughness\n({data.attrs['ndf']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
+        )
     return figure

@@ -6,9 +6,11 @@ No pyplot: it keeps global state, and costs half a second. Colours: Okabe & Ito'
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
-from matplotlib import rc_context
+import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -23,7 +25,7 @@ GREY = "#6E6E6E"
 
 SUFFIXES = (".png", ".pdf", ".svg")
 
-_RC = {
+_RC: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
     "axes.titleweight": "bold",
@@ -40,9 +42,9 @@ _RC = {
 }
 
 
-def styled() -> rc_context:  # type: ignore[valid-type]
+def styled() -> AbstractContextManager[None]:
     """Context in which every figure is drawn."""
-    return rc_context(_RC)
+    return matplotlib.rc_context(_RC)
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:

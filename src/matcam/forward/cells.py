@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam._jax import AnyArray
 from matcam.angles import Sampling, merl_grid, theta_h_edges
 from matcam.sample import Sphere
 
@@ -57,5 +58,5 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, cells: CellSet) -> CellPixel
     )
 
 
-def _pixel_number(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _pixel_number(x: AnyArray, y: AnyArray) -> np.ndarray:
     return np.rint(np.asarray(x)).astype(np.int64) * PICTURE_STRIDE + np.rint(np.asarray(y)).astype(np.int64)

@@ -16,7 +16,7 @@ from functools import partial
 
 import equinox as eqx
 
-from matcam._jax import jax, jnp
+from matcam._jax import AnyArray, jax, jnp
 from matcam.camera.camera import Camera
 from matcam.camera.fourier import Rule
 from matcam.camera.gaussian import GaussianOptics
@@ -28,12 +28,13 @@ _PANELS, _GRADE = 24, 4
 
 
 @eqx.filter_jit
-def lobe_record(rig: Rig, ndf: NDF, theta_o: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
     """What pixels at offset (x, y) px from the peak read, relative to the true peak of the lobe.
 
     theta_o: viewing angle of the peak, rad, shape (slices,). x, y: towards the limb and across, shape (slices, points).
     Returns shape (slices, points). At (0, 0) it is the loss at the peak.
     """
+    theta_o = jnp.asarray(theta_o)
     weights, widths = ndf.mixture()
     # shape (slices, n): the lobe's standard deviations on the sensor, and the lamp's
     (scale_x, scale_y), (lamp_x, lamp_y) = rig.sample.px_per_rad(theta_o), rig.lamp_spread(theta_o)
@@ -43,18 +44,17 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: jax.Array, x: jax.Array, y: jax.Arr
         one_slice = partial(_product_of_closed_forms, rig.camera, weights)
         return jax.vmap(one_slice)(std_x, std_y, *lamp, x, y)
     rule = rig.camera.optics.frequency_rule(_PANELS, _GRADE)
-    transfer = rig.camera.transfer(rule.frequency[:, None], rule.frequency)
-    return jax.lax.map(
-        lambda slice_: _by_frequencies(rule, transfer, weights, *slice_), (std_x, std_y, *lamp, x, y)
-    )
+    frequency = jnp.asarray(rule.frequency)
+    transfer = rig.camera.transfer(frequency[:, None], frequency)
+    return jax.lax.map(lambda slice_: _by_frequencies(rule, transfer, weights, *slice_), (std_x, std_y, *lamp, x, y))
 
 
 def tangent_offsets(
-    rig: Rig, ndf: NDF, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array
+    rig: Rig, ndf: NDF, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray
 ) -> tuple[jax.Array, jax.Array]:
     """Where a half vector's cell lies on the sensor, (x, y) px from the lobe's peak, in the tangent plane."""
-    scale_x, scale_y = rig.sample.px_per_rad(theta_d)
-    r = ndf.coordinate(theta_h)
+    scale_x, scale_y = rig.sample.px_per_rad(jnp.asarray(theta_d))
+    r = ndf.coordinate(jnp.asarray(theta_h))
     return -scale_x * r * jnp.cos(phi_d), scale_y * r * jnp.sin(phi_d)
 
 

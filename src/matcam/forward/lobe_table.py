@@ -25,8 +25,7 @@ def lobe_table(material: Microfacet, rig: Rig, sampling: Sampling = "centre") ->
     Tangent plane: right around the peak, where the camera matters; far from it a broad lobe's record is its own value.
     Each value is one pixel centred on the cell's sampling point.
     """
-    if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+    _sphere_of(rig)
     checks.choice("sampling", sampling, ("centre", "edge"))
     grid = merl_grid(sampling)
     theta_h, phi_d = (jnp.asarray(a.ravel()) for a in np.meshgrid(grid.theta_h, grid.phi_d, indexing="ij"))
@@ -53,9 +52,10 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     Each theta_d slice is one picture. Negative results stay negative: clipping would bias faint cells.
     """
     noise.checked()
+    sphere = _sphere_of(rig)
     rng = np.random.default_rng(seed)
     i_theta_h, i_phi_d = (a.ravel() for a in np.indices((GRID_SHAPE[0], GRID_SHAPE[2])))
-    pixels = cell_pixels(rig.sample, table.attrs["sampling"], CellSet(i_theta_h, i_phi_d, np.ones(i_theta_h.size)))
+    pixels = cell_pixels(sphere, table.attrs["sampling"], CellSet(i_theta_h, i_phi_d, np.ones(i_theta_h.size)))
     values = table.values.copy()
     for j in range(GRID_SHAPE[1]):
         numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
@@ -65,3 +65,9 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         noisy = picture * (1 + noise.relative * draws[0]) + noise.floor * brightest * draws[1]
         values[:, j] = noisy.reshape(values[:, j].shape)
     return table.copy(data=values)
+
+
+def _sphere_of(rig: Rig) -> Sphere:
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+    return rig.sample

@@ -125,7 +125,9 @@ class _FresnelTerm:
         used = (theta_d >= normalise[0]) & (theta_d <= normalise[1]) & np.isfinite(self.absolute)
         if not used.any(-1).all():
             low, high = np.degrees(normalise)
-            raise FitError(f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise")
+            raise FitError(
+                f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"
+            )
         self.used = used
         count = used.sum(-1, keepdims=True)
         self.mean = np.where(used, self.absolute, 0).sum(-1) / count[:, 0]
@@ -166,7 +168,7 @@ def _log_factor_and_slope(
     """ln of 4 cos^2 / (D(0) G) over theta_d, its derivative by ln width, and G."""
 
     def log_factor(log_width: jax.Array) -> tuple[jax.Array, jax.Array]:
-        ndf = ndf_type(jnp.exp(log_width))  # type: ignore[call-arg]
+        ndf = ndf_type(jnp.exp(log_width))
         joint = jnp.ones_like(theta_d)
         if masking is not None:  # light and view mirror each other
             hidden = smith_lambda(ndf.slope_density, ndf.roughness, theta_d)

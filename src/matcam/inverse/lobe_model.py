@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import equinox as eqx
 import numpy as np
 
-from matcam._jax import jax, jnp
+from matcam._jax import AnyArray, jax, jnp
 from matcam.forward.lobe import lobe_record, tangent_offsets
 from matcam.inverse.peak_cells import PeakData
 from matcam.material.ndf import FAMILIES, NDF
@@ -40,11 +40,13 @@ class LobeModel:
 
     def ndf(self, log_width: float) -> NDF:
         """The lobe of that width."""
-        return self.ndf_type(np.exp(log_width))  # type: ignore[call-arg]
+        return self.ndf_type(np.exp(log_width))
 
     def record(self, log_width: float) -> np.ndarray:
         """m."""
-        return self._in_cells(_record(self._rig, self.ndf_type, np.asarray(log_width), *block) for block in self._blocks)
+        return self._in_cells(
+            _record(self._rig, self.ndf_type, np.asarray(log_width), *block) for block in self._blocks
+        )
 
     def derivative(self, log_width: float, name: str | None = None) -> np.ndarray:
         """Derivative of m by ln width, or by the camera parameter `name`; central difference, good to 1e-7.
@@ -70,9 +72,8 @@ class LobeModel:
 
 @eqx.filter_jit
 def _record(
-    rig: Rig, ndf_type: type[NDF], log_width: jax.Array, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array
+    rig: Rig, ndf_type: type[NDF], log_width: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray
 ) -> jax.Array:
-    ndf = ndf_type(jnp.exp(log_width))  # type: ignore[call-arg]
+    ndf = ndf_type(jnp.exp(log_width))
     x, y = tangent_offsets(rig, ndf, theta_h, theta_d[:, None], phi_d)
-    return lobe_record(rig, ndf, theta_d, x, jnp.broadcast_to(y, x.shape)) * ndf.flattening(theta_h)
-
+    return lobe_record(rig, ndf, theta_d, x, jnp.broadcast_to(y, x.shape)) * ndf.flattening(jnp.asarray(theta_h))

@@ -83,7 +83,9 @@ def fit_lobe(data: PeakData, rig: Rig, families: Sequence[str], noise: PixelNois
         at = _Linearised(data, model, log_width, noise)
     maps = at.maps(hold_width=not determined)
     strength = np.nan_to_num(at.fitted.amplitude)
-    covariance = lobe_errors.noise_covariance(maps, strength * np.sqrt(relative_variance(at.record, at.noise)), data.pixels)
+    covariance = lobe_errors.noise_covariance(
+        maps, strength * np.sqrt(relative_variance(at.record, at.noise)), data.pixels
+    )
     by_camera = [lobe_errors.reaction(maps, -strength * slope) for slope in at.by_camera]
     return LobeFit(
         ndf=model.ndf(log_width),

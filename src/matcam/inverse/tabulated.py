@@ -52,6 +52,10 @@ def tabulated_fresnel(
             "rms_corrected": (("table", "channel"), rms("corrected")),
             "rms_raw": (("table", "channel"), rms("raw")),
         },
-        coords={"table": [f"{name} ({source})" for name, source in tables], "theta_d": result["theta_d"], "channel": result["channel"]},
+        coords={
+            "table": [f"{name} ({source})" for name, source in tables],
+            "theta_d": result["theta_d"],
+            "channel": result["channel"],
+        },
         attrs={"wavelengths_m": list(wavelengths)},
     )

@@ -28,7 +28,9 @@ def smith_lambda(slope_density: Callable[[jax.Array], jax.Array], scale: jax.Arr
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
     ratio = y / mu
     # y - mu atan(y / mu), without cancellation where y is much smaller
-    excess = jnp.where(ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * jnp.arctan(ratio))
+    excess = jnp.where(
+        ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * jnp.arctan(ratio)
+    )
     inside = slope_density(jnp.hypot(mu, y)) * excess * y**2 * step
     return 2 / mu[..., 0] * jnp.sum(inside, axis=-1)
 

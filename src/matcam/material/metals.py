@@ -62,7 +62,9 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
             f"{wavelength[outside].flat[0] * 1e9:g} nm (wavelengths are in m: 550 nm is 550e-9)"
         )
     return MetalIndex(
-        np.interp(wavelength, table.wavelength, table.n), np.interp(wavelength, table.wavelength, table.k), table.citation
+        np.interp(wavelength, table.wavelength, table.n),
+        np.interp(wavelength, table.wavelength, table.k),
+        table.citation,
     )
 
 

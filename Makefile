@@ -1,0 +1,49 @@
+# Two commands do everything: `make demo` and `make test`. Works with GNU make 3.81.
+
+# The first Python that is new enough and can make virtual environments
+PYTHON := $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+PIP_FLAGS =
+VENV := .venv
+RUN := $(VENV)/bin/python -m
+
+.PHONY: demo test test-all lint format bench clean
+
+demo: $(VENV)/.installed
+	$(RUN) matcam demo --output demo --force
+
+test: lint
+	$(RUN) pytest -n 2 --dist loadgroup -m "not slow"
+
+test-all: lint
+	$(RUN) pytest -n 2 --dist loadgroup
+
+lint: $(VENV)/.installed-test
+	$(RUN) ruff format --check .
+	$(RUN) ruff check .
+	$(RUN) mypy
+	$(VENV)/bin/lint-imports --no-logo
+
+format: $(VENV)/.installed-test
+	$(RUN) ruff check --fix .
+	$(RUN) ruff format .
+
+bench: $(VENV)/.installed-test
+	for script in benchmarks/bench_*.py; do $(VENV)/bin/python $$script || exit 1; done
+
+clean:
+	rm -rf $(VENV) demo
+
+# Stamp files: pip runs again only when pyproject.toml has changed
+$(VENV)/.made:
+	@test -n "$(PYTHON)" || { echo "matcam needs Python 3.11 or newer with venv and ensurepip: install python3 and python3-venv (Debian, Ubuntu), or Python from python.org"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.made pyproject.toml
+	$(RUN) pip install --quiet $(PIP_FLAGS) --editable .
+	touch $@
+
+$(VENV)/.installed-test: $(VENV)/.made pyproject.toml
+	$(RUN) pip install --quiet $(PIP_FLAGS) --editable '.[test]'
+	touch $(VENV)/.installed $@
