@@ -21,7 +21,7 @@ FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)
 """Widths of the lobe in units of sigma_mtf / radius."""
 
 _FIGURE_3_ANGLES = (0.0, 45.0, 60.0, 75.0)
-_POINTS_PER_PX = 20
+_POINTS_PER_PX = 31  # odd, so that the peak itself is among them
 
 
 def peak_eq11(
@@ -56,8 +56,9 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     theta = np.radians(_FIGURE_3_ANGLES)
     ndf = GaussianNDF(ratio * sigma / radius)
     reach = int(np.ceil(3.5 * sigma * np.hypot(ratio, 1) + 0.5))
-    x = (np.arange(-reach - 0.5, reach + 0.5, 1 / _POINTS_PER_PX) + 0.5 / _POINTS_PER_PX).round(6)
-    pixel = np.rint(x)
+    within = (np.arange(_POINTS_PER_PX) - _POINTS_PER_PX // 2) / _POINTS_PER_PX
+    pixel = np.repeat(np.arange(-reach, reach + 1.0), _POINTS_PER_PX)
+    x = pixel + np.tile(within, 2 * reach + 1)
     std = (ratio * sigma * np.cos(theta))[:, None]
     blurred = np.hypot(std, sigma)
     # the figure is one-dimensional: divide out what the direction across takes from every pixel alike

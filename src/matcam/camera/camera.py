@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax, jnp
-from matcam.camera import fourier, profile, tilted_square
+from matcam.camera import fourier, parameters, profile, tilted_square
 from matcam.camera.gaussian import GaussianOptics
 from matcam.camera.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
@@ -101,15 +101,20 @@ class Camera(eqx.Module):
 
     def parameters(self) -> dict[str, jax.Array]:
         """Numbers that describe the camera, by their names in the profile: scalars, one per entry."""
-        return {**profile.numbers("optics", self.optics), **profile.numbers("pixel", self.pixel)}
+        return {**parameters.numbers("optics", self.optics), **parameters.numbers("pixel", self.pixel)}
 
     def with_parameters(self, values: dict[str, Any]) -> Camera:
         """The same camera with some of its `parameters()` replaced."""
-        return profile.replaced(self, values)
+        known = self.parameters()
+        for name in values:
+            if name not in known:
+                raise ArgumentError(f"this camera has no parameter {name!r}; it has {', '.join(sorted(known))}")
+        new = tuple(parameters.replaced(part, getattr(self, part), values) for part in ("optics", "pixel"))
+        return eqx.tree_at(lambda c: (c.optics, c.pixel), self, new)
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the profile (JSON, see `profile`): kernel, uncertainty, provenance. OutputError where it cannot go."""
-        profile.write(self, path, force=force)
+        profile.write(path, self.optics, self.pixel, self.uncertainty, self.provenance, force=force)
 
     @classmethod
     def load(cls, path: str | Path) -> Camera:

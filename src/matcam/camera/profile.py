@@ -15,26 +15,20 @@ from __future__ import annotations
 
 import datetime
 import json
-import re
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import equinox as eqx
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from matcam._jax import jax, jnp
 from matcam.atomic import replacing
-from matcam.camera.diffraction import DiffractionOptics
-from matcam.camera.gaussian import GaussianOptics
-from matcam.camera.measured import MeasuredOptics
-from matcam.camera.pixel import BoxPixel, WindowedGaussianPixel
+from matcam.camera.optics import Optics
+from matcam.camera.parameters import MODELS, model_of
+from matcam.camera.pixel import PixelResponse
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
-
-if TYPE_CHECKING:
-    from matcam.camera.camera import Camera
 
 FORMAT = "matcam camera profile"
 VERSION = 1
@@ -95,28 +89,21 @@ class _Profile(_Part):
     provenance: _Provenance
 
 
-# JSON model -> (class, JSON field -> attribute); the constructor takes the values in this order
-_MODELS: dict[str, tuple[type, dict[str, str]]] = {
-    "gaussian": (GaussianOptics, {"sigma_px": "sigma"}),
-    "diffraction": (
-        DiffractionOptics,
-        {"f_number": "f_number", "wavelength_m": "wavelength", "pixel_pitch_m": "pixel_pitch"},
-    ),
-    "measured": (MeasuredOptics, {"frequency_cycles_per_px": "frequency", "mtf": "values"}),
-    "box": (BoxPixel, {"half_width_px": "half_width"}),
-    "windowed gaussian": (WindowedGaussianPixel, {"sigma_px": "sigma", "half_width_px": "half_width"}),
-}
-
-
-def write(camera: Camera, path: str | Path, *, force: bool = False) -> None:
-    """Write `camera` to `path`."""
-    uncertainty = camera.uncertainty
-    provenance = camera.provenance
+def write(
+    path: str | Path,
+    optics: Optics,
+    pixel: PixelResponse,
+    uncertainty: Uncertainty | None,
+    provenance: Provenance,
+    *,
+    force: bool = False,
+) -> None:
+    """Write a camera's parts to `path`."""
     document = {
         "format": FORMAT,
         "version": VERSION,
-        "optics": _as_json(camera.optics),
-        "pixel": _as_json(camera.pixel),
+        "optics": _as_json(optics),
+        "pixel": _as_json(pixel),
         "uncertainty": None
         if uncertainty is None
         else {"parameters": list(uncertainty.names), "covariance": np.asarray(uncertainty.covariance).tolist()},
@@ -148,7 +135,7 @@ def read(path: str | Path) -> dict[str, Any]:
         profile = _Profile.model_validate(document)
     except ValidationError as error:
         first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"] if part not in _MODELS)
+        field = ".".join(str(part) for part in first["loc"] if part not in MODELS)
         raise FileFormatError(f"{path}: field {field}: {first['msg'][0].lower()}{first['msg'][1:]}") from None
     try:
         return {
@@ -167,54 +154,14 @@ def json_schema() -> dict[str, Any]:
     return _Profile.model_json_schema()
 
 
-def numbers(part: str, module: eqx.Module) -> dict[str, jax.Array]:
-    """Scalars that describe `module`, named as in the profile: "optics.sigma_px", "optics.mtf[3]"."""
-    named = {}
-    for field, attribute in _fields(module).items():
-        value = getattr(module, attribute)
-        if isinstance(value, tuple):
-            continue  # where a curve is sampled is known exactly
-        if jnp.ndim(value):
-            named.update({f"{part}.{field}[{i}]": value[i] for i in range(value.size)})
-        else:
-            named[f"{part}.{field}"] = value
-    return named
-
-
-def replaced(camera: Camera, values: dict[str, Any]) -> Camera:
-    """`camera` with the parameters named in `values` replaced. Works under JAX transformations."""
-    known = camera.parameters()
-    for name, value in values.items():
-        if name not in known:
-            raise ArgumentError(f"this camera has no parameter {name!r}; it has {', '.join(sorted(known))}")
-        part, field, index = _PARAMETER.fullmatch(name).groups()  # type: ignore[union-attr]
-        attribute = _fields(getattr(camera, part))[field]
-
-        def where(c: Camera, part: str = part, attribute: str = attribute) -> Any:
-            return getattr(getattr(c, part), attribute)
-
-        value = jnp.asarray(value, dtype=jnp.float64)
-        new = value if index is None else where(camera).at[int(index)].set(value)
-        camera = eqx.tree_at(where, camera, new)
-    return camera
-
-
-_PARAMETER = re.compile(r"(optics|pixel)\.(\w+?)(?:\[(\d+)\])?")
-
-
-def _fields(module: eqx.Module) -> dict[str, str]:
-    return next(fields for cls, fields in _MODELS.values() if type(module) is cls)
-
-
 def _as_json(module: eqx.Module) -> dict[str, Any]:
-    model = next(name for name, (cls, _) in _MODELS.items() if type(module) is cls)
-    return {"model": model} | {
-        field: np.asarray(getattr(module, attribute)).tolist() for field, attribute in _MODELS[model][1].items()
-    }
+    model = model_of(module)
+    fields = MODELS[model][1].items()
+    return {"model": model} | {field: np.asarray(getattr(module, attribute)).tolist() for field, attribute in fields}
 
 
 def _from_json(part: Any) -> Any:
-    cls, fields = _MODELS[part.model]
+    cls, fields = MODELS[part.model]
     return cls(*(getattr(part, field) for field in fields))
 
 

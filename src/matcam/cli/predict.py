@@ -73,7 +73,7 @@ def command(
         )
     ]
     head = ["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"]
-    show.table(head, rows, f"{ndf} lobe on a {sample}: of its peak the camera keeps, and loses relative to 0°")
+    show.table(head, rows, f"{ndf} lobe on a {sample}: peak kept at 0°, and loss relative to that")
     if output:
         show.say(f"picture: {output}")
 

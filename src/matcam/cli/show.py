@@ -21,7 +21,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
     from rich.console import Console
     from rich.table import Table
 
-    drawn = Table(*(head[:1]), box=box.SIMPLE_HEAD, title=title or None, title_justify="left", title_style="bold")
+    drawn = Table(
+        *(head[:1]), box=box.SIMPLE_HEAD, title=title or None, title_justify="left", title_style="bold", pad_edge=False
+    )
     for name in head[1:]:
         drawn.add_column(name, justify="right")
     for row in rows:

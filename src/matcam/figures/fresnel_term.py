@@ -57,6 +57,7 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
         axes.annotate(
             f"supported to {supported:.0f}°", (supported, 0), xycoords=("data", "axes fraction"), xytext=(-3, 4),
             textcoords="offset points", ha="right", va="bottom", fontsize=8, color=GREY, rotation=90,
+            bbox={"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1},
         )  # fmt: skip
     degrees_axis(axes, r"difference angle $\theta_d$")
     axes.set_ylabel(f"F / mean of F over {low:.0f} to {high:.0f}° [-]")

@@ -17,9 +17,12 @@ def highlight_figure(data: xr.Dataset) -> Figure:
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
         for axes, theta in zip(panels, data["theta_o"].values, strict=True):
             one = data.sel(theta_o=theta)
-            axes.fill_between(data["x"], one["recorded"], color="#C8C8C8", lw=0, label="pixels")
-            borders = np.arange(np.ceil(float(data["x"][0])) - 0.5, float(data["x"][-1]) + 1)
-            axes.vlines(borders, 0, one["recorded"].sel(x=borders, method="nearest"), color="#9A9A9A", lw=0.5)
+            axes.fill_between(data["x"], one["recorded"], step="mid", color="#C8C8C8", lw=0, label="pixels")
+            pixels = np.unique(np.rint(data["x"].values))
+            heights = one["recorded"].sel(x=pixels, method="nearest")
+            borders = pixels[1:] - 0.5
+            taller = np.maximum(heights.values[1:], heights.values[:-1])
+            axes.vlines(borders, 0, taller, color="#9A9A9A", lw=0.5)
             axes.plot(data["x"], one["signal"], color=BLUE, label="signal")
             axes.plot(data["x"], one["after_optics"], color=VERMILION, ls="--", label="after the optics")
             axes.set_title(rf"$\theta_o$ = {np.degrees(theta):.0f}°", loc="left")
@@ -28,7 +31,7 @@ def highlight_figure(data: xr.Dataset) -> Figure:
             axes.grid(axis="x", visible=False)
         panels[0].set_ylabel("signal / true peak [-]")
         panels[0].set_ylim(0, 1.08)
-        panels[-1].legend(loc="upper right", fontsize=8, handlelength=1.4, borderaxespad=0)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, fontsize=8.5)
         ratio = data.attrs["ratio"]
         figure.suptitle(
             rf"Highlight of standard deviation {ratio:g} $\sigma_{{mtf}} / r_s$, across the limb of a sphere",
