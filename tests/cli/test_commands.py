@@ -123,8 +123,9 @@ def test_inspect(matcam, measured, tmp_path):
 
 
 def test_figures(matcam, measured, tmp_path):
-    matcam("figures", measured, "-o", "figs", "--vector", "svg")
+    files = json.loads(matcam("figures", measured, "-o", "figs", "--vector", "svg", "--json").stdout)["files"]
     names = {p.name for p in (tmp_path / "figs").iterdir()}
+    assert sorted(files) == sorted(f"figs/{name}" for name in names)
     stems = ("figure-3", "figure-4", "figure-5", "figure-6-chromium")
     assert names == {f"{stem}.{suffix}" for stem in stems for suffix in ("png", "svg", "csv")}
 
@@ -135,6 +136,14 @@ def test_demo(matcam, tmp_path):
     for name in ("chromium-fresnel.png", "predicted-loss.png", "figure-5.png", "simulated-chromium.binary"):
         assert name in text
         assert (tmp_path / "d" / name).stat().st_size > 10_000
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "d").iterdir()}
+    (tmp_path / "d" / "simulated-chromium.binary").unlink()
+    assert "use --force" in matcam("demo", "-o", "d", code=2).stderr
+    before.pop(tmp_path / "d" / "simulated-chromium.binary")
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "d").iterdir()} == before
+    assert sorted(json.loads(matcam("demo", "-o", "e", "--json").stdout)["files"]) == sorted(
+        str(p.relative_to(tmp_path)) for p in (tmp_path / "e").iterdir()
+    )
 
 
 def test_data_merl_lists_and_refuses(matcam, tmp_path):
@@ -174,13 +183,14 @@ def bad_calls(folder, measured):
         (("inspect", "file"), "neither a MERL file"),
         (("figures", "short.binary"), "truncated"),
         (("frensel",), "No such command 'frensel'"),
+        (("figures", "same.binary", measured.parent / "same.binary"), "two files of one name"),
     ]
 
 
-@pytest.mark.parametrize("number", range(20))
+@pytest.mark.parametrize("number", range(21))
 def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, tmp_path, number):
     calls = bad_calls(tmp_path, measured)
-    assert len(calls) == 20
+    assert len(calls) == 21
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     arguments, words = calls[number]
     result = matcam(*arguments, code=2)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
+from matcam.cli.options import AsJson
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -30,6 +31,7 @@ def merl(
         ),
     ] = None,
     listing: Annotated[bool, typer.Option("--list", help="List the 100 materials.")] = False,
+    json: AsJson = False,
 ) -> int:
     """Fetch true MERL files (35 MB each, CC BY-SA 4.0) and check each against its published SHA-256.
 
@@ -40,7 +42,7 @@ def merl(
 
     known = merl_checksums()
     if listing:
-        show.say("\n".join(sorted(known)))
+        show.as_json(sorted(known)) if json else show.say("\n".join(sorted(known)))
         return 0
     if not materials:
         raise ArgumentError("name at least one material, or use --list")
@@ -49,15 +51,17 @@ def merl(
             raise unknown_name("MERL material", name, known)
     if output.exists() and not output.is_dir():
         raise OutputError(f"output {output} is a file: give a folder")
-    failed = []
+    fetched, failed = [], []
     for name in materials:
         try:
             with show.counting(name) as progress:
-                show.say(str(fetch_merl(name, output, source, progress)))
+                fetched.append(str(fetch_merl(name, output, source, progress)))
+            show.say(fetched[-1], quiet=json)
         except DownloadError as error:
             failed.append(str(error))
-    for message in failed:
-        typer.echo(f"matcam: {message}", err=True)
+            typer.echo(f"matcam: {error}", err=True)
+    if json:
+        show.as_json({"files": fetched, "failed": failed})
     if not failed:
         return 0
     return 1 if len(failed) < len(materials) else 2

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from matcam.cli import figures, fresnel, predict, show
-from matcam.cli.options import Force
+from matcam.cli.options import AsJson, Force
 
 
 def command(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("demo"),
     force: Force = False,
+    json: AsJson = False,
 ) -> None:
     """Simulate a chromium sphere, photograph it with the MERL rig, and get its Fresnel term back.
 
@@ -22,31 +25,32 @@ def command(
     from matcam._jax import use_compilation_cache
     from matcam.atomic import check_output
 
-    table = output / "simulated-chromium.binary"
-    check_output(table, force=force)
+    table, loss, term = (
+        output / name for name in ("simulated-chromium.binary", "predicted-loss.png", "chromium-fresnel.png")
+    )
+    files = [table, loss, loss.with_suffix(".csv"), term, term.with_suffix(".csv"), term.with_suffix(".nc")]
+    files += figures.outputs(output, ["figure-3", "figure-4", "figure-5", "figure-6-simulated-chromium"], "svg")
+    for path in files:
+        check_output(path, force=force)
     use_compilation_cache()
+    with contextlib.redirect_stdout(sys.stderr) if json else contextlib.nullcontext():
+        _show_all(output, table, loss, term, force)
+    if json:
+        show.as_json({"open_first": str(term), "files": [str(path) for path in files]})
+
+
+def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) -> None:
     from matcam.files.merl import write_merl
     from matcam.forward.demonstration import WIDTH, simulated_chromium
 
-    show.say(
-        f"1. A chromium sphere with a lobe of {WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:\n   {table}"
-    )
+    show.say(f"1. A chromium sphere with a lobe of {WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:")
+    show.say(f"   {table}")
     with show.working("photographing the sphere"):
         write_merl(table, simulated_chromium().clip(min=0), force=force)
     show.say("2. What to expect of this rig:")
-    predict.command(
-        [0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=output / "predicted-loss.png", force=force
-    )
+    predict.command([0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=loss, force=force)
     show.say("3. Its Fresnel term, as recorded and corrected for the camera:")
-    fresnel.command(
-        table,
-        metal="Cr",
-        ndf="auto",
-        normalise=(10.0, 45.0),
-        channel="G",
-        output=output / "chromium-fresnel.png",
-        force=force,
-    )
+    fresnel.command(table, metal="Cr", output=term, force=force)
     show.say("4. The paper's figures:")
     figures.command([], output=output, vector="svg", force=force)
-    show.say(f"Done. Open {output / 'chromium-fresnel.png'} first.")
+    show.say(f"Done. Open {term} first.")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import Force
+from matcam.cli.options import AsJson, Force
+
+_SIMULATED = Path("simulated-chromium")
 
 
 def command(
@@ -18,23 +21,21 @@ def command(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("figures"),
     vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
     force: Force = False,
+    json: AsJson = False,
 ) -> None:
     """Redraw the paper's Figures 3 to 6: PNG and PDF or SVG, with the data of each as CSV.
 
     Example: `matcam figures chrome.binary -o figures`
     """
     from matcam.atomic import check_output
+    from matcam.errors import ArgumentError
 
     sources = measured or []
-    stems = [
-        "figure-3",
-        "figure-4",
-        "figure-5",
-        *(f"figure-6-{path.stem}" for path in sources or [Path("simulated-chromium")]),
-    ]
-    for stem in stems:
-        for suffix in ("png", vector, "csv"):
-            check_output(output / f"{stem}.{suffix}", force=force, inputs=sources)
+    stems = ["figure-3", "figure-4", "figure-5", *(f"figure-6-{path.stem}" for path in sources or [_SIMULATED])]
+    if len(set(stems)) < len(stems):
+        raise ArgumentError("two files of one name would become one figure: draw them into two folders")
+    for path in outputs(output, stems, vector):
+        check_output(path, force=force, inputs=sources)
     from matcam._jax import use_compilation_cache
 
     use_compilation_cache()
@@ -46,7 +47,14 @@ def command(
     # all or nothing: a bad file among several is found before the first picture is written
     for stem, (data, figure) in zip(stems, drawn, strict=True):
         _write(data, figure, output / stem, vector, force)
-        show.say(f"{output / stem}.png, .{vector}, .csv")
+        show.say(f"{output / stem}.png, .{vector}, .csv", quiet=json)
+    if json:
+        show.as_json({"files": [str(path) for path in outputs(output, stems, vector)]})
+
+
+def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
+    """Every file that the command writes."""
+    return [folder / f"{stem}.{suffix}" for stem in stems for suffix in ("png", vector, "csv")]
 
 
 def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:

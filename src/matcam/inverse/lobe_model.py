@@ -14,7 +14,7 @@ from matcam.inverse.peak_cells import PeakData
 from matcam.material.ndf import FAMILIES, NDF
 from matcam.rigs import Rig
 
-_SLICES, _BLOCK = 30, 64  # slices at once, cells in multiples of this: few shapes to compile
+_SLICES, _BLOCK = 15, 64  # slices at once, cells in multiples of this: few shapes to compile
 _STEP = 1e-4  # relative, of central differences
 
 

@@ -35,10 +35,11 @@ from matcam.rigs import Rig
 
 _NARROWEST = 0.02  # px: narrower lobes are the same point to any camera
 _AT_BOUND = 0.05  # of ln width: a fit this near to _NARROWEST has not seen the lobe's width
-_STEP = 3  # the search uses every third slice
+_STEP = 6  # the search uses every sixth slice
 _CANDIDATES = 11
 _BRACKETS = (0.6, 0.2)  # half widths, in ln width, of the two rounds of the search
 _TOLERANCE = 2e-3
+_STEPS, _LONGEST_STEP = 5, 0.1
 
 
 class LobeFit(NamedTuple):
@@ -76,11 +77,13 @@ def fit_lobe(data: PeakData, rig: Rig, families: Sequence[str], noise: PixelNois
     determined = log_width > _narrowest(rig) + _AT_BOUND
     model = LobeModel(data, rig, family)
     at = _Linearised(data, model, log_width, noise)
-    if determined:
-        # a third of the slices has brought the width within its error: all of them take one Gauss-Newton step more
+    for _ in range(_STEPS if determined else 0):
+        # a sixth of the slices has brought the width near its best value: Gauss-Newton steps on all of them do the rest
         _, shared = lobe_errors.reaction(at.maps(), at.fitted.residual)
-        log_width += float(np.clip(shared[0], -_AT_BOUND, _AT_BOUND))
+        log_width += float(np.clip(shared[0], -_LONGEST_STEP, _LONGEST_STEP))
         at = _Linearised(data, model, log_width, noise)
+        if abs(shared[0]) < _TOLERANCE:
+            break
     maps = at.maps(hold_width=not determined)
     strength = np.nan_to_num(at.fitted.amplitude)
     covariance = lobe_errors.noise_covariance(
