@@ -158,7 +158,7 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     )
     attrs = result.attrs
     determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
-    show.say(f"lobe: {attrs['ndf']}, width {float(result['width']):.5f} ± {float(result['width_std']):.5f}{determined}")
+    show.say(f"lobe: {attrs['ndf']}, width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}")
     show.say(
         f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, "
         f"{attrs['noise_floor']:.2%} of the picture's peak"
