@@ -210,7 +210,8 @@ def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, t
         time.sleep(delay)
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
-    assert process.returncode in (130, 0)
+    # killed while Python itself was still starting: a shell reports that as 130 too
+    assert process.returncode in (130, 0, -signal.SIGINT)
     left = sorted(p.name for p in tmp_path.iterdir())
     if process.returncode == 130:
         assert "interrupted" in errors

@@ -13,12 +13,17 @@ from typing import Any
 BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
+_INTERRUPTION = "interrupted; nothing half-written was left"
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
     gc.set_threshold(50_000, 20, 50)  # a short life with much importing and tracing: collecting rarely saves a tenth
-    sys.exit(_run(arguments))
+    try:
+        code = _run(arguments)
+    except KeyboardInterrupt:  # while the commands themselves were being loaded
+        code = _complain(_INTERRUPTION, INTERRUPTED)
+    sys.exit(code)
 
 
 def _run(arguments: list[str] | None) -> int:
@@ -41,7 +46,7 @@ def _run(arguments: list[str] | None) -> int:
         context = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
         return _complain(f"{_one_line(error.format_message())}{context}", BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort):
-        return _complain("interrupted; nothing half-written was left", INTERRUPTED)
+        return _complain(_INTERRUPTION, INTERRUPTED)
     except MatcamError as error:
         return _complain(_one_line(str(error)), BAD_INPUT)
     except BrokenPipeError:
