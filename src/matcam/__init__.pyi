@@ -18,7 +18,9 @@ from .material.microfacet import Microfacet
 from .material.ndf import GGX, GaussianNDF
 from .material.reflectance import Conductor, Constant, Dielectric, Schlick, fresnel_conductor
 from .rigs import Rig
-from .sample import Cylinder, Flat, Sphere
+from .sample.cylinder import Cylinder
+from .sample.flat import Flat
+from .sample.sphere import Sphere
 
 __all__ = [
     "GGX",

@@ -13,7 +13,8 @@ from matcam.camera.gaussian import GaussianOptics
 from matcam.camera.pixel import BoxPixel
 from matcam.camera.uncertainty import Provenance
 from matcam.errors import ArgumentError
-from matcam.sample import Sample, Sphere
+from matcam.sample.shape import Sample
+from matcam.sample.sphere import Sphere
 
 
 class Rig(eqx.Module):

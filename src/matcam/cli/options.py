@@ -38,10 +38,13 @@ def rig_of(camera: Path | None, radius: float | None, lamp_degrees: float, sampl
     """The MERL rig, with what the user has replaced."""
     from matcam import rigs
     from matcam.camera.camera import Camera
-    from matcam.sample import Cylinder, Flat, Sphere
+    from matcam.sample.cylinder import Cylinder
+    from matcam.sample.flat import Flat
+    from matcam.sample.shape import Sample
+    from matcam.sample.sphere import Sphere
 
     merl = rigs.merl()
     chosen = merl.camera if camera is None else Camera.load(camera)
     size = 256.0 if radius is None else radius
-    shape = {"sphere": lambda: Sphere(size), "cylinder": lambda: Cylinder(size), "flat": Flat}[sample]()
+    shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size)
     return rigs.Rig(chosen, shape, math.radians(lamp_degrees))

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam._jax import AnyArray
 from matcam.angles import Sampling, merl_grid, theta_h_edges
-from matcam.sample import Sphere
+from matcam.sample.shape import Place
+from matcam.sample.sphere import Sphere
 
 PICTURE_STRIDE = 1 << 13
 """Pixels per picture row in a pixel's number; a picture is never that wide."""
@@ -49,8 +49,7 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, cells: CellSet) -> CellPixel
     # the cell's own size, not sin(theta_h) at its sampling point, which is 0 at the edge of the first
     middle = (theta_h_edges()[:-1] + np.diff(theta_h_edges()) / 2)[cells.i_theta_h]
     solid_angle = np.sin(middle) * height * np.pi / grid.phi_d.size * cells.share
-    psi = np.pi - phi_d
-    first, second = (_pixel_number(*sphere.position(theta_h, theta_d, psi + turn)) for turn in (0, np.pi))
+    first, second = (_pixel_number(sphere.place(theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi))
     return CellPixels(
         content=2 * radius**2 * np.cos(theta_d) * solid_angle,
         first=first,
@@ -58,5 +57,6 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, cells: CellSet) -> CellPixel
     )
 
 
-def _pixel_number(x: AnyArray, y: AnyArray) -> np.ndarray:
-    return np.rint(np.asarray(x)).astype(np.int64) * PICTURE_STRIDE + np.rint(np.asarray(y)).astype(np.int64)
+def _pixel_number(place: Place) -> np.ndarray:
+    x, y = (np.rint(np.asarray(a)).astype(np.int64) for a in (place.x, place.y))
+    return x * PICTURE_STRIDE + y

@@ -14,7 +14,7 @@ from matcam.forward.cells import CellSet, cell_pixels
 from matcam.forward.lobe import lobe_record, tangent_offsets
 from matcam.material.microfacet import Microfacet
 from matcam.rigs import Rig
-from matcam.sample import Sphere
+from matcam.sample.sphere import Sphere
 from matcam.table import CHANNELS, brdf_table
 
 

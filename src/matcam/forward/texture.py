@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 from matcam._jax import jax
 from matcam.errors import ArgumentError
 from matcam.rigs import Rig
-from matcam.sample import Flat
+from matcam.sample.flat import Flat
 
 
 def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:

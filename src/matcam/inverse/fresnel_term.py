@@ -18,7 +18,7 @@ from matcam.inverse.peak_cells import peak_data
 from matcam.material.masking import MASKINGS, Masking, g2, smith_lambda
 from matcam.material.ndf import FAMILIES, NDF
 from matcam.rigs import Rig
-from matcam.sample import Sphere
+from matcam.sample.sphere import Sphere
 from matcam.table import checked_table
 
 SUPPORTED_STD = 0.05

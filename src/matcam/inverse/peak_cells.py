@@ -14,7 +14,7 @@ import xarray as xr
 from matcam.angles import GRID_SHAPE, Sampling, cosines, merl_grid
 from matcam.errors import FitError
 from matcam.forward.cells import CellPixels, CellSet, cell_pixels
-from matcam.sample import Sphere
+from matcam.sample.sphere import Sphere
 from matcam.table import sampling_of
 
 _SPACING = 0.4  # px between kept cells of one ring, for a lobe of pixel size

@@ -1,0 +1,125 @@
+"""The sphere: every normal in one picture."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam import checks
+from matcam._jax import AnyArray, jax, jnp
+from matcam.sample.shape import Curved, Element, Place, angle_on_circle, checked_distance, depth_of, is_infinite, shown
+
+
+class Sphere(Curved):
+    """A sphere. radius: of its limb in the picture, px, positive. distance: of the camera from its centre, in radii of
+    the sphere, above 1; infinite: orthographic. u and v are longitude and latitude of its normal about the y axis."""
+
+    radius: jax.Array
+    distance: jax.Array
+    distant: bool = eqx.field(static=True)
+
+    def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
+        self.radius = checks.scalar("radius", checks.positive("radius", radius, "px"))
+        self.distance = checked_distance(distance)
+        self.distant = is_infinite(distance)
+
+    def surface(self, u: jax.Array, v: jax.Array) -> Element:
+        """x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (MODEL 3)."""
+        cos_v = jnp.cos(v)
+        n_z = cos_v * jnp.cos(u)
+        normal = cos_v * jnp.sin(u), jnp.sin(v), n_z
+        view, length, depth = self.line_of_sight(normal, normal[1])
+        scale = self.stretch / depth
+        return Element(
+            normal=normal,
+            tangent=(jnp.cos(u), jnp.zeros(()), -jnp.sin(u)),
+            view=view,
+            x=scale * normal[0],
+            y=scale * normal[1],
+            area=scale**2 * length / depth * cos_v,
+        )
+
+    def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
+        """Where the line of sight meets the sphere."""
+        q = self.nearness
+        n_z, hits = depth_of(jnp.hypot(x, y) / self.stretch, q)
+        depth = 1 - q * n_z
+        normal = x / self.stretch * depth, y / self.stretch * depth, n_z
+        view, length, _ = self.line_of_sight(normal, normal[1])
+        section = jnp.sqrt(normal[0] ** 2 + normal[2] ** 2)
+        section = jnp.where(section > 0, section, 1.0)
+        cos_o = (n_z - q) / length
+        seen = hits & (cos_o > 0)
+        return Element(
+            normal=normal,
+            tangent=(n_z / section, jnp.zeros(()), -normal[0] / section),
+            view=view,
+            x=x,
+            y=y,
+            area=1 / jnp.where(seen, cos_o, 1.0),
+        ), seen
+
+    def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
+        """Longitude and latitude about the y axis."""
+        n_x, n_y, n_z = element.normal
+        return jnp.arctan2(n_x, n_z), jnp.arcsin(jnp.clip(n_y, -1, 1))
+
+    def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
+        """Half vector at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (MODEL 3); before a near
+        camera, about the line of sight that sees them."""
+        theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+        # light, view and normal about the half vector, which is the z axis; light at +x
+        normal = jnp.stack(
+            jnp.broadcast_arrays(
+                -jnp.sin(theta_h) * jnp.cos(phi_d), jnp.sin(theta_h) * jnp.sin(phi_d), jnp.cos(theta_h) + 0 * theta_d
+            )
+        )
+        light = jnp.stack(jnp.broadcast_arrays(jnp.sin(theta_d), 0 * theta_d, jnp.cos(theta_d)))
+        view = light * jnp.array([-1.0, 1.0, 1.0]).reshape(3, *([1] * (light.ndim - 1)))
+        shape = jnp.broadcast_shapes(normal.shape, light.shape)
+        normal, light, view = (jnp.broadcast_to(a, shape) for a in (normal, light, view))
+        # optical axis = view + q (normal - along view): from the sample's centre to the camera
+        cos_o = jnp.sum(normal * view, axis=0)
+        q = self.nearness
+        length = jnp.sqrt(jnp.maximum(1 - q**2 * (1 - cos_o**2), 0.0)) - q * cos_o
+        axis = q * normal + length * view
+        # x axis: the lamp's direction across the optical axis; if lamp and camera coincide, that of the frame
+        frame = jnp.stack([view[2], 0 * view[2], -view[0]])
+        x_axis = light - jnp.sum(light * axis, axis=0) * axis
+        size = jnp.sqrt(jnp.sum(x_axis**2, axis=0))
+        x_axis = jnp.where(size > 1e-12, x_axis / jnp.where(size > 1e-12, size, 1.0), frame)
+        y_axis = jnp.stack(
+            [
+                axis[1] * x_axis[2] - axis[2] * x_axis[1],
+                axis[2] * x_axis[0] - axis[0] * x_axis[2],
+                axis[0] * x_axis[1] - axis[1] * x_axis[0],
+            ]
+        )
+        scale = self.stretch / (1 - q * jnp.sum(normal * axis, axis=0))
+        return Place(
+            x=scale * jnp.sum(normal * x_axis, axis=0),
+            y=scale * jnp.sum(normal * y_axis, axis=0),
+            lamp_angle=jnp.arctan2(jnp.sum(light * x_axis, axis=0), jnp.sum(light * axis, axis=0)),
+        )
+
+    def section(self, v: jax.Array) -> jax.Array:
+        """cos v."""
+        return jnp.cos(v)
+
+    def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Latitudes at longitude u; a near camera's scale varies, for which a twentieth is added."""
+        middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
+        end = jnp.arccos(self.nearness)
+        tilt = self.nearness * jnp.cos(u)
+        first, last = (
+            jnp.clip(angle_on_circle(y / self.stretch, y / self.stretch * tilt), -end, end)
+            for y in (middle - half, middle + half)
+        )
+        return first, last
+
+    def _turn_across(self, half_vector: jax.Array) -> jax.Array:
+        return 1 + half_vector
+
+    def __repr__(self) -> str:
+        return shown(self)
