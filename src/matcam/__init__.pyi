@@ -1,7 +1,9 @@
 from . import paper, rigs
 from .camera.camera import Camera
+from .camera.defocus import DefocusOptics
 from .camera.diffraction import DiffractionOptics
 from .camera.gaussian import GaussianOptics
+from .camera.halo import HaloOptics
 from .camera.measured import MeasuredOptics
 from .camera.noise import PixelNoise
 from .camera.pixel import BoxPixel, WindowedGaussianPixel
@@ -29,11 +31,13 @@ __all__ = [
     "Conductor",
     "Constant",
     "Cylinder",
+    "DefocusOptics",
     "Dielectric",
     "DiffractionOptics",
     "Flat",
     "GaussianNDF",
     "GaussianOptics",
+    "HaloOptics",
     "MatcamError",
     "MeasuredOptics",
     "Microfacet",

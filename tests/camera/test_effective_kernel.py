@@ -8,9 +8,17 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, MeasuredOptics, WindowedGaussianPixel
+from matcam import (
+    BoxPixel,
+    Camera,
+    DiffractionOptics,
+    GaussianOptics,
+    HaloOptics,
+    MeasuredOptics,
+    WindowedGaussianPixel,
+)
 from matcam._jax import jax, jnp
-from matcam.camera import fourier
+from matcam.camera import effective, fourier
 from matcam.camera.pixel import gaussian_over_interval
 from tests.golden import rows
 
@@ -20,6 +28,7 @@ CAMERAS = {
     "soft": Camera(GaussianOptics(2.0), BoxPixel(0.3)),
     "windowed": Camera(GaussianOptics(0.4), WindowedGaussianPixel(0.25, 0.45)),
     "diffraction": Camera(DiffractionOptics(8, 550e-9, 4.73e-6), BoxPixel(0.4)),
+    "halo": Camera(HaloOptics(GaussianOptics(0.4), 0.02, 3.5), BoxPixel(0.5)),
 }
 
 
@@ -53,12 +62,12 @@ def test_closed_forms_agree_with_fourier_quadrature(angle):
     x = jnp.linspace(-5, 5, 201)
     for sigma in (0.05, 0.3, 1.7):
         camera = Camera(GaussianOptics(sigma), BoxPixel(0.45))
-        rule, a = camera._rule(x), jnp.asarray(angle)
+        rule, a = effective.rule_for(camera.optics, x), jnp.asarray(angle)
         np.testing.assert_allclose(
-            camera.lsf(x, angle), fourier.line_kernel(rule, camera._along, x, a), rtol=0, atol=1e-13
+            camera.lsf(x, angle), fourier.line_kernel(rule, camera.mtf, x, a), rtol=0, atol=1e-13
         )
         np.testing.assert_allclose(
-            camera.esf(x, angle), fourier.step_response(rule, camera._along, x, a), rtol=0, atol=1e-13
+            camera.esf(x, angle), fourier.step_response(rule, camera.mtf, x, a), rtol=0, atol=1e-13
         )
 
 

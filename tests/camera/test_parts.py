@@ -72,6 +72,8 @@ def test_measured_mtf_is_an_error_beyond_its_end_unless_it_has_reached_zero():
     [
         GaussianOptics(0.5),
         DiffractionOptics(8, 5.5e-7, 4.73e-6),
+        matcam.DefocusOptics(8, 5.5e-7, 4.73e-6, 1.5),
+        matcam.HaloOptics(GaussianOptics(0.5), 0.01, 40),
         MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]),
         BoxPixel(0.45),
         WindowedGaussianPixel(0.2, 0.45),
@@ -116,6 +118,18 @@ def test_parameters_can_be_replaced_by_name():
     assert float(camera.pixel.half_width) == 0.5
     with pytest.raises(ArgumentError, match=r"no parameter 'optics\.sigma_px'"):
         camera.with_parameters({"optics.sigma_px": 1.0})
+
+
+def test_parameters_of_a_lens_in_a_lens():
+    camera = Camera(matcam.HaloOptics(matcam.HaloOptics(GaussianOptics(0.5), 0.1, 4), 0.01, 90), BoxPixel(0.5))
+    assert set(camera.parameters()) == {
+        "optics.core.core.sigma_px", "optics.core.fraction", "optics.core.radius_px", "optics.fraction",
+        "optics.radius_px", "pixel.half_width_px",
+    }  # fmt: skip
+    changed = camera.with_parameters({"optics.core.core.sigma_px": 0.6, "optics.radius_px": 80, "optics.fraction": 0})
+    assert repr(changed) == repr(
+        Camera(matcam.HaloOptics(matcam.HaloOptics(GaussianOptics(0.6), 0.1, 4), 0.0, 80), BoxPixel(0.5))
+    )
 
 
 def test_provenance_is_kept():

@@ -8,14 +8,16 @@ import pytest
 from matcam import (
     BoxPixel,
     Camera,
+    DefocusOptics,
     DiffractionOptics,
     GaussianOptics,
+    HaloOptics,
     MeasuredOptics,
     Provenance,
     Uncertainty,
     WindowedGaussianPixel,
 )
-from matcam.camera import profile
+from matcam.camera import profile_schema
 from matcam.errors import FileFormatError, OutputError
 from tests.conftest import REPOSITORY
 
@@ -28,10 +30,15 @@ CAMERAS = [
         provenance=Provenance(source="lens data sheet", created="2026-01-31", software="x 1", notes="ü"),
     ),
     Camera(MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]), uncertainty=Uncertainty.of({"optics.mtf[2]": 0.02})),
+    Camera(DefocusOptics(8, 550e-9, 4.73e-6, 1.5), BoxPixel(0.5)),
+    Camera(
+        HaloOptics(HaloOptics(MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]), 0.01, 4.0), 0.002, 150.0),
+        uncertainty=Uncertainty.of({"optics.radius_px": 30.0, "optics.core.core.mtf[1]": 0.01}),
+    ),
 ]
 
 
-@pytest.mark.parametrize("camera", CAMERAS, ids=["gaussian", "diffraction", "measured"])
+@pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: type(c.optics).__name__)
 def test_round_trip(camera, tmp_path):
     camera.save(tmp_path / "camera.json")
     read = Camera.load(tmp_path / "camera.json")
@@ -45,9 +52,21 @@ def test_round_trip(camera, tmp_path):
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "camera.json").read_bytes()
 
 
-def test_published_schema_is_the_one_in_the_code():
-    published = json.loads((REPOSITORY / "docs" / "camera-profile-v1.schema.json").read_text())
-    assert published == profile.json_schema()
+@pytest.mark.parametrize("version", profile_schema.VERSIONS)
+def test_published_schemas_are_those_in_the_code(version):
+    published = json.loads((REPOSITORY / "docs" / f"camera-profile-v{version}.schema.json").read_text())
+    assert published == profile_schema.json_schema(version)
+
+
+def test_version_1_is_still_read(tmp_path):
+    """A file as matcam 0.1.0 wrote it; what version 1 did not know is refused in it."""
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(changed(version=1)))
+    assert repr(Camera.load(path)) == repr(CAMERAS[0])
+    halo = {"model": "halo", "core": {"model": "gaussian", "sigma_px": 0.5}, "fraction": 0.1, "radius_px": 9.0}
+    path.write_text(json.dumps(changed(version=1, optics=halo)))
+    with pytest.raises(FileFormatError, match="field optics"):
+        Camera.load(path)
 
 
 def test_existing_profile_is_not_replaced_unasked(tmp_path):
@@ -65,7 +84,7 @@ def test_existing_profile_is_not_replaced_unasked(tmp_path):
 def valid():
     return {
         "format": "matcam camera profile",
-        "version": 1,
+        "version": 2,
         "optics": {"model": "gaussian", "sigma_px": 0.5},
         "pixel": {"model": "box", "half_width_px": 0.5},
         "uncertainty": None,
@@ -80,10 +99,22 @@ def changed(**changes):
     return document
 
 
+def halo(core, fraction=0.1):
+    return {"model": "halo", "core": core, "fraction": fraction, "radius_px": 9.0}
+
+
+def nested(depth):
+    lens = {"model": "gaussian", "sigma_px": 0.5}
+    for _ in range(depth):
+        lens = halo(lens)
+    return lens
+
+
 @pytest.mark.parametrize(
     ("document", "words"),
     [
-        (changed(version=2), "version 2 is unknown"),
+        (changed(version=3), "version 3 is unknown"),
+        (changed(version=True), "version True is unknown"),
         (changed(version="1"), "version '1' is unknown"),
         (changed(format="camera"), "not a camera profile"),
         ([1, 2], "not a camera profile"),
@@ -93,6 +124,11 @@ def changed(**changes):
         (changed(optics={"model": "gaussian", "sigma_px": "0.5"}), "field optics.sigma_px"),
         (changed(optics={"model": "gaussian", "sigma": 0.5, "sigma_px": 0.5}), "field optics.sigma: extra"),
         (changed(optics={"model": "lens"}), "field optics"),
+        (changed(optics=halo({"model": "gaussian"})), "field optics.core.sigma_px: field required"),
+        (changed(optics=halo({"model": "gaussian", "sigma_px": -1.0})), "sigma must lie in (0, inf) px, got -1"),
+        (changed(optics=halo({"model": "box", "half_width_px": 0.5})), "field optics.core"),
+        (changed(optics=halo({"model": "gaussian", "sigma_px": 1.0}, fraction=1.0)), "fraction must lie in [0, 1)"),
+        (changed(optics=nested(300)), "field optics.core"),
         (changed(pixel={"model": "box", "half_width_px": 0.7}), "a pixel is no wider than the pitch"),
         (changed(uncertainty={"parameters": ["optics.sigma_px"], "covariance": [[-1.0]]}), "variances"),
         (changed(uncertainty={"parameters": ["optics.blur"], "covariance": [[1.0]]}), "optics.blur"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,7 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax, jnp
-from matcam.camera import fourier, parameters, profile, tilted_square
-from matcam.camera.gaussian import GaussianOptics
+from matcam.camera import effective, parameters, profile
 from matcam.camera.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.uncertainty import Provenance, Uncertainty
@@ -61,41 +61,30 @@ class Camera(eqx.Module):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Effective point spread function, 1/px^2: what a pixel reads of a point of light (x, y) px from its centre."""
         x, y = checks.number("x", x), checks.number("y", y)
-        if isinstance(self.optics, GaussianOptics):
-            return self.pixel.of_gaussian(x, self.optics.sigma) * self.pixel.of_gaussian(y, self.optics.sigma)
-        reach, band = fourier.reach_of(jnp.hypot(x, y)), self.optics.band()
-        rule = self.optics.frequency_rule(fourier.panels_for(reach + 1, band))
-        return fourier.plane_kernel(rule, self.transfer, x, y, fourier.turns_for(reach + 1, band))
+        return self._sum(lambda part: effective.point(part, self.pixel, x, y))
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Effective line spread function, 1/px: what a pixel reads of a line x px away whose normal is at `angle`."""
         x, angle = checks.number("x", x), checks.number("angle", angle)
-        if isinstance(self.optics, GaussianOptics) and isinstance(self.pixel, BoxPixel):
-            return tilted_square.line(x, angle, self.pixel.half_width, self.optics.sigma)
-        return fourier.line_kernel(self._rule(x), self._along, x, angle)
+        return self._sum(lambda part: effective.line(part, self.pixel, x, angle))
 
     def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Effective edge spread function: what a pixel x px inside the bright side of a 0-1 edge reads."""
         x, angle = checks.number("x", x), checks.number("angle", angle)
-        if isinstance(self.optics, GaussianOptics) and isinstance(self.pixel, BoxPixel):
-            return tilted_square.edge(x, angle, self.pixel.half_width, self.optics.sigma)
-        return fourier.step_response(self._rule(x), self._along, x, angle)
+        return self._sum(lambda part: effective.edge(part, self.pixel, x, angle))
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Total transfer function at f cycles/px along `angle`: optics times pixel, signed (the pixel's is negative
         beyond 1 / (2 half_width))."""
-        return self._along(checks.number("f", f), checks.number("angle", angle))
+        return effective.transfer_along(self.optics, self.pixel, checks.number("f", f), checks.number("angle", angle))
 
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
         """Total transfer function at (fx, fy) cycles/px."""
-        return self.optics.mtf(jnp.hypot(fx, fy)) * self.pixel.mtf(fx) * self.pixel.mtf(fy)
+        return effective.transfer(self.optics, self.pixel, fx, fy)
 
-    def _along(self, f: jax.Array, angle: jax.Array) -> jax.Array:
-        return self.optics.mtf(f) * self.pixel.mtf(f * jnp.cos(angle)) * self.pixel.mtf(f * jnp.sin(angle))
-
-    def _rule(self, x: jax.Array) -> fourier.Rule:
-        # the pixel's own transform oscillates as if 1 px further away
-        return self.optics.frequency_rule(fourier.panels_for(fourier.reach_of(x) + 1, self.optics.band()))
+    def _sum(self, kernel: Callable[[Optics], jax.Array]) -> jax.Array:
+        """Kernels are linear in the lens: each part by the best route that it has."""
+        return sum((weight * kernel(part) for weight, part in self.optics.components()), jnp.zeros(()))
 
     # ------------------------------------------------------------------ its numbers and its file
 

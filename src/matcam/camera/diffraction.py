@@ -7,8 +7,8 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import is_concrete, jax, jnp
-from matcam.camera.fourier import Rule, line_kernel, panels_for, reach_of, unit_rule
-from matcam.camera.optics import Optics
+from matcam.camera.fourier import Rule, piecewise_rule, reach_of
+from matcam.camera.optics import Optics, lsf_by_quadrature
 
 _TRACED_BAND = 8.0
 
@@ -45,9 +45,7 @@ class DiffractionOptics(Optics):
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Line spread function, 1/px, by quadrature over the MTF (it falls as 1/x^2)."""
-        x = checks.number("x", x)
-        rule = self.frequency_rule(panels_for(reach_of(x), self.band()))
-        return line_kernel(rule, lambda f, _: self.mtf(f), x, jnp.zeros(()))
+        return lsf_by_quadrature(self, x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """(2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31); 0 beyond the cutoff."""
@@ -60,11 +58,15 @@ class DiffractionOptics(Optics):
         """The cutoff as a plain number, cycles/px."""
         return float(self.cutoff) if is_concrete(self.cutoff) else _TRACED_BAND
 
-    def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
+    def rule_on(self, borders: np.ndarray) -> Rule:
         """Panels in t with f = cutoff t (2 - t), which makes the end (1 - nu)^(3/2) a polynomial."""
-        unit = unit_rule(2 * panels, grade)
+        unit = piecewise_rule(1 - np.sqrt(1 - borders))
         t = unit.frequency
         return Rule(self.cutoff * t * (2 - t), self.cutoff * unit.weight * 2 * (1 - t))
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """Itself."""
+        return ((jnp.ones(()), self),)
 
     def __repr__(self) -> str:
         return (

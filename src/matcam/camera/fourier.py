@@ -31,16 +31,25 @@ class Rule(NamedTuple):
     weight: AnyArray
 
 
-def unit_rule(panels: int, grade: int = 1) -> Rule:
-    """Gauss-Legendre nodes on [0, 1], on panels whose borders are (i / panels)^grade: crowded towards 0 if grade > 1."""
-    return piecewise_rule(np.linspace(0, 1, panels + 1) ** grade)
-
-
 def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
     """Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
+    return _panels_rule(edges[:-1], np.diff(edges), order)
+
+
+def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
+    """`piecewise_rule` on panels that are split at knots besides; a piece gets nodes for its share of the panel."""
+    edges = np.union1d(borders, knots)
+    left, widths = edges[:-1], np.diff(edges)
+    panel = np.clip(np.searchsorted(borders, left, side="right") - 1, 0, borders.size - 2)
+    orders = np.clip(np.ceil(ORDER * widths / np.diff(borders)[panel]) + 3, 0, ORDER).astype(int)
+    parts = [_panels_rule(left[orders == n], widths[orders == n], n) for n in np.unique(orders)]
+    return Rule(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _panels_rule(left: np.ndarray, widths: np.ndarray, order: int) -> Rule:
     nodes, weights = np.polynomial.legendre.leggauss(order)
-    widths = np.diff(edges)[:, None]
-    return Rule((edges[:-1, None] + widths * (nodes + 1) / 2).ravel(), (widths * weights / 2).ravel())
+    widths = widths[:, None]
+    return Rule((left[:, None] + widths * (nodes + 1) / 2).ravel(), (widths * weights / 2).ravel())
 
 
 def panels_for(reach: float, band: float) -> int:
@@ -83,14 +92,15 @@ def _over_frequencies(
 
 
 def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
-    """Kernel in the plane of a transfer(fx, fy) that is even in both: polar nodes, `turns` angles to a quarter turn."""
+    """Kernel in the plane of a transfer(f, angle) that is even in fx and fy: polar nodes, `turns` angles to a quarter
+    turn."""
     # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
     angle = jnp.linspace(0, jnp.pi / 2, turns + 1)
     ends = jnp.ones(turns + 1).at[jnp.array([0, -1])].set(0.5)
     fx = rule.frequency[:, None] * jnp.cos(angle)
     fy = rule.frequency[:, None] * jnp.sin(angle)
     area = (rule.weight * rule.frequency)[:, None] * ends * (jnp.pi / 2 / turns)
-    amplitude = 4 * area * transfer(jnp.asarray(fx), jnp.asarray(fy))
+    amplitude = 4 * area * transfer(jnp.asarray(rule.frequency)[:, None], angle)
 
     def at(point: jax.Array) -> jax.Array:
         return jnp.sum(jnp.cos(2 * jnp.pi * fx * point[0]) * jnp.cos(2 * jnp.pi * fy * point[1]) * amplitude)

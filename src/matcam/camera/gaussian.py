@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import is_concrete, jax, jnp
-from matcam.camera.fourier import Rule, unit_rule
+from matcam.camera.fourier import Rule, piecewise_rule
 from matcam.camera.optics import Optics
 
 _BAND_TIMES_SIGMA = 1.4  # exp(-2 pi^2 1.4^2) = 2e-17
@@ -40,11 +41,15 @@ class GaussianOptics(Optics):
         """Frequency, cycles/px, where the MTF falls to 2e-17."""
         return _BAND_TIMES_SIGMA / float(self.sigma) if is_concrete(self.sigma) else _TRACED_BAND
 
-    def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
+    def rule_on(self, borders: np.ndarray) -> Rule:
         """Gauss-Legendre panels to 1.4 / sigma."""
-        unit = unit_rule(panels, grade)
+        unit = piecewise_rule(borders)
         band = _BAND_TIMES_SIGMA / self.sigma
         return Rule(unit.frequency * band, unit.weight * band)
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """Itself."""
+        return ((jnp.ones(()), self),)
 
     def __repr__(self) -> str:
         return f"GaussianOptics(sigma={self.sigma!s})"

@@ -10,17 +10,8 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import is_concrete, jax, jnp
-from matcam.camera.fourier import (
-    ORDER,
-    Rule,
-    line_kernel,
-    panels_for,
-    piecewise_rule,
-    plane_kernel,
-    reach_of,
-    turns_for,
-)
-from matcam.camera.optics import Optics
+from matcam.camera.fourier import Rule, split_rule
+from matcam.camera.optics import Optics, lsf_by_quadrature, psf_by_quadrature
 from matcam.errors import ArgumentError
 
 _ZERO = 1e-9
@@ -84,16 +75,11 @@ class MeasuredOptics(Optics):
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Line spread function, 1/px, by quadrature over the whole band."""
-        x = checks.number("x", x)
-        rule = self.frequency_rule(panels_for(reach_of(x), self.band()))
-        return line_kernel(rule, lambda f, _: self.mtf(f), x, jnp.zeros(()))
+        return lsf_by_quadrature(self, x)
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Point spread function, 1/px^2, by quadrature over the whole band."""
-        x, y = checks.number("x", x), checks.number("y", y)
-        reach = reach_of(jnp.hypot(x, y))
-        rule = self.frequency_rule(panels_for(reach, self.band()))
-        return plane_kernel(rule, lambda u, v: self.mtf(jnp.hypot(u, v)), x, y, turns_for(reach, self.band()))
+        return psf_by_quadrature(self, x, y)
 
     def band(self) -> float:
         """The last sample's frequency, cycles/px; ArgumentError where the curve has not reached 0 by then."""
@@ -104,13 +90,13 @@ class MeasuredOptics(Optics):
             )
         return self.frequency[-1]
 
-    def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
+    def rule_on(self, borders: np.ndarray) -> Rule:
         """Panels that never straddle a sample, where the spline's third derivative jumps."""
-        equal = self.band() * np.linspace(0, 1, panels + 1) ** grade
-        edges = np.union1d(self.frequency, equal)
-        # many samples make many narrow panels, in which a cubic times a slow wave needs few nodes
-        order = int(np.clip(np.ceil(ORDER * panels / edges.size), 4, ORDER))
-        return piecewise_rule(edges, order)
+        return split_rule(self.band() * borders, np.asarray(self.frequency))
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """Itself."""
+        return ((jnp.ones(()), self),)
 
     def __repr__(self) -> str:
         return f"MeasuredOptics(frequency={list(self.frequency)}, mtf={self.values.tolist()})"

@@ -5,10 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import equinox as eqx
+import numpy as np
 from jax.typing import ArrayLike
 
-from matcam._jax import jax
-from matcam.camera.fourier import Rule
+from matcam import checks
+from matcam._jax import jax, jnp
+from matcam.camera.fourier import Rule, line_kernel, panels_for, plane_kernel, reach_of, turns_for
 
 
 class Optics(eqx.Module):
@@ -28,13 +30,36 @@ class Optics(eqx.Module):
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Modulation transfer function of the optics at f cycles/px; 1 at f = 0."""
+        """Modulation transfer function of the optics at f cycles/px, signed; 1 at f = 0."""
 
     @abstractmethod
     def band(self) -> float:
         """Frequency, cycles/px, above which the MTF is 0 to rounding."""
 
     @abstractmethod
+    def rule_on(self, borders: np.ndarray) -> Rule:
+        """Quadrature over [0, band] on which this MTF is smooth, with no panel wider than those between `borders`:
+        shares of the band, increasing from 0 to 1."""
+
+    @abstractmethod
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """(weight, lens) of the parts that this lens is the weighted sum of; itself alone if it is of one piece."""
+
     def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
-        """Quadrature over [0, band] on which this MTF is smooth, with at least `panels` panels, crowded towards 0 if
-        grade > 1."""
+        """`rule_on` at least `panels` panels, crowded towards 0 if grade > 1."""
+        return self.rule_on(np.linspace(0, 1, panels + 1) ** grade)
+
+
+def lsf_by_quadrature(optics: Optics, x: ArrayLike) -> jax.Array:
+    """Line spread function of a lens of which only the MTF is known, 1/px."""
+    x = checks.number("x", x)
+    rule = optics.frequency_rule(panels_for(reach_of(x), optics.band()))
+    return line_kernel(rule, lambda f, _: optics.mtf(f), x, jnp.zeros(()))
+
+
+def psf_by_quadrature(optics: Optics, x: ArrayLike, y: ArrayLike) -> jax.Array:
+    """Point spread function of a lens of which only the MTF is known, 1/px^2."""
+    x, y = checks.number("x", x), checks.number("y", y)
+    reach, band = reach_of(jnp.hypot(x, y)), optics.band()
+    rule = optics.frequency_rule(panels_for(reach, band))
+    return plane_kernel(rule, lambda f, _: optics.mtf(f), x, y, turns_for(reach, band))

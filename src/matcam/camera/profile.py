@@ -1,14 +1,16 @@
 """The camera profile: a camera as a JSON file that ships with a data set. Its format lives here and nowhere else.
 
     {
-      "format": "matcam camera profile",  "version": 1,
+      "format": "matcam camera profile",  "version": 2,
       "optics": {"model": "gaussian", "sigma_px": 0.5},
       "pixel": {"model": "box", "half_width_px": 0.5},
       "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: taken as exact
       "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
     }
 
-Units stand in the names. `json_schema()` is the published schema (docs/camera-profile-v1.schema.json).
+Units stand in the names. A lens inside a lens is an object of its own: {"model": "halo", "core": {"model": ...}, ...}.
+Version 1, which knows neither "defocus" nor "halo", is read as well. The published schemas are
+docs/camera-profile-v1.schema.json and -v2.
 """
 
 from __future__ import annotations
@@ -17,76 +19,21 @@ import datetime
 import json
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import equinox as eqx
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import ValidationError
 
 from matcam.atomic import replacing
 from matcam.camera.optics import Optics
-from matcam.camera.parameters import MODELS, model_of
+from matcam.camera.parameters import MODELS, model_of, values_of
 from matcam.camera.pixel import PixelResponse
+from matcam.camera.profile_schema import FORMAT, VERSION, VERSIONS, Part
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
 
-FORMAT = "matcam camera profile"
-VERSION = 1
 _LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Gaussian(_Part):
-    model: Literal["gaussian"]
-    sigma_px: FiniteFloat
-
-
-class _Diffraction(_Part):
-    model: Literal["diffraction"]
-    f_number: FiniteFloat
-    wavelength_m: FiniteFloat
-    pixel_pitch_m: FiniteFloat
-
-
-class _Measured(_Part):
-    model: Literal["measured"]
-    frequency_cycles_per_px: list[FiniteFloat]
-    mtf: list[FiniteFloat]
-
-
-class _Box(_Part):
-    model: Literal["box"]
-    half_width_px: FiniteFloat
-
-
-class _WindowedGaussian(_Part):
-    model: Literal["windowed gaussian"]
-    sigma_px: FiniteFloat
-    half_width_px: FiniteFloat
-
-
-class _Uncertainty(_Part):
-    parameters: list[str]
-    covariance: list[list[FiniteFloat]]
-
-
-class _Provenance(_Part):
-    source: str = ""
-    created: str = ""
-    software: str = ""
-    notes: str = ""
-
-
-class _Profile(_Part):
-    format: Literal["matcam camera profile"]
-    version: Literal[1]
-    optics: Annotated[_Gaussian | _Diffraction | _Measured, Field(discriminator="model")]
-    pixel: Annotated[_Box | _WindowedGaussian, Field(discriminator="model")]
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
 
 
 def write(
@@ -126,13 +73,14 @@ def read(path: str | Path) -> dict[str, Any]:
     document = _read_json(path)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise FileFormatError(f'{path}: not a camera profile: field "format" must be "{FORMAT}"')
-    if document.get("version") != VERSION:
+    version = document.get("version")
+    if type(version) is not int or version not in VERSIONS:
         raise FileFormatError(
-            f"{path}: profile version {document.get('version')!r} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads version {VERSION}"
+            f"{path}: profile version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
+            f"reads versions {' and '.join(map(str, VERSIONS))}"
         )
     try:
-        profile = _Profile.model_validate(document)
+        profile: Any = VERSIONS[version].model_validate(document)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"] if part not in MODELS)
@@ -149,20 +97,18 @@ def read(path: str | Path) -> dict[str, Any]:
         raise FileFormatError(f"{path}: {error}") from None
 
 
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of the profile."""
-    return _Profile.model_json_schema()
-
-
 def _as_json(module: eqx.Module) -> dict[str, Any]:
-    model = model_of(module)
-    fields = MODELS[model][1].items()
-    return {"model": model} | {field: np.asarray(getattr(module, attribute)).tolist() for field, attribute in fields}
+    values = {
+        field: _as_json(value) if isinstance(value, eqx.Module) else np.asarray(value).tolist()
+        for field, value in values_of(module).items()
+    }
+    return {"model": model_of(module)} | values
 
 
 def _from_json(part: Any) -> Any:
     cls, fields = MODELS[part.model]
-    return cls(*(getattr(part, field) for field in fields))
+    values = (getattr(part, field) for field in fields)
+    return cls(*(_from_json(v) if isinstance(v, Part) else v for v in values))
 
 
 def _read_json(path: Path) -> Any:
