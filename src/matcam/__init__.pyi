@@ -15,9 +15,10 @@ from .forward.peak import loss_angle, peak_response
 from .forward.texture import texture_contrast
 from .inverse.fresnel_term import fresnel
 from .inverse.tabulated import tabulated_fresnel
+from .material.gaussian_lobe import GaussianNDF
+from .material.ggx import GGX
 from .material.metals import metal, metal_sources, metals
 from .material.microfacet import Microfacet
-from .material.ndf import GGX, GaussianNDF
 from .material.reflectance import Conductor, Constant, Dielectric, Schlick, fresnel_conductor
 from .rigs import Rig
 from .sample.cylinder import Cylinder

@@ -66,7 +66,9 @@ def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike)
     offset = jnp.sin(theta_h) * jnp.cos(theta_d)
     across = jnp.sin(theta_d) * jnp.sin(phi_d)
     x_i, x_o = offset + along, offset - along
-    return jnp.abs(jnp.arctan2(x_i * -across - across * x_o, x_i * x_o - across * across))
+    sine, cosine = x_i * -across - across * x_o, x_i * x_o - across * across
+    # along the normal there is no azimuth: any will do, but its derivative must be a number
+    return jnp.abs(jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:

@@ -15,7 +15,8 @@ class Shading(NamedTuple):
 
     cos_i, cos_o: cosines to the normal, of light and view. slope_along, slope_across: the half vector as the slope of a
     facet that mirrors light into view, along the surface's first tangent and along the second (normal x first).
-    theta_d, phi_d: difference angles, rad; phi_d in (-pi, pi].
+    theta_d, phi_d: difference angles, rad; phi_d in (-pi, pi], counted from the azimuth of the half vector's slope, which
+    is 0 where that slope is.
     """
 
     cos_i: jax.Array
@@ -27,24 +28,27 @@ class Shading(NamedTuple):
 
 
 def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
-    """The angles of unit vectors. tangent: perpendicular to the normal. Slopes keep their digits close to the mirror
+    """The angles of unit vectors; tangent: perpendicular to the normal. Slopes keep their digits close to the mirror
     direction, where a half vector's angle from its cosine would not."""
     total = _combined(light, view, 1)
     length = jnp.sqrt(_dot(total, total))
     half = total[0] / length, total[1] / length, total[2] / length
     difference = _combined(light, view, -1)
     cos_h = _dot(half, normal)
-    along, across = _dot(half, tangent), _dot(half, _cross(normal, tangent))
-    # the light along the half vector's frame: x away from the normal, y = normal x half (both times sin theta_h)
-    x = cos_h * _dot(light, half) - _dot(light, normal)
-    y = _dot(light, _cross(normal, half))
+    second = _cross(normal, tangent)
+    along, across = _dot(half, tangent), _dot(half, second)
+    # the light's azimuth about the half vector, in the surface's frame carried there by the shortest rotation: well
+    # determined where the half vector is the normal, as that of the half vector itself is not
+    carried = (along * _dot(light, tangent) + across * _dot(light, second)) / (1 + cos_h) + _dot(light, normal)
+    azimuth = jnp.arctan2(_dot(light, second) - across * carried, _dot(light, tangent) - along * carried)
+    phi_d = azimuth - jnp.arctan2(across, along)
     return Shading(
         cos_i=_dot(light, normal),
         cos_o=_dot(view, normal),
         slope_along=along / cos_h,
         slope_across=across / cos_h,
         theta_d=jnp.arcsin(jnp.minimum(jnp.sqrt(_dot(difference, difference)) / 2, 1.0)),
-        phi_d=jnp.arctan2(y, x),
+        phi_d=jnp.pi - jnp.mod(jnp.pi - phi_d, 2 * jnp.pi),
     )
 
 

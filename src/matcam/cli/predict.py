@@ -42,12 +42,12 @@ def command(
         check_picture(output, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.forward.peak import predict
-    from matcam.material.ndf import FAMILIES
+    from matcam.material.families import ONE_WIDTH
 
     rig = rig_of(camera, radius, lamp, sample)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
-        data = predict(rig, [FAMILIES[ndf](value) for value in values], dims)
+        data = predict(rig, [ONE_WIDTH[ndf](value) for value in values], dims)
     if output:
         _write(data, rig, output, force)
     if json:

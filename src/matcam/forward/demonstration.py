@@ -6,9 +6,9 @@ import xarray as xr
 
 from matcam.camera.noise import PixelNoise
 from matcam.forward.lobe_table import lobe_table, with_pixel_noise
+from matcam.material.gaussian_lobe import GaussianNDF
 from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
-from matcam.material.ndf import GaussianNDF
 from matcam.material.reflectance import Conductor
 from matcam.rigs import merl
 from matcam.table import CHANNEL_WAVELENGTHS

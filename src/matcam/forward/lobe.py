@@ -20,7 +20,7 @@ from matcam._jax import AnyArray, jax, jnp
 from matcam.camera.camera import Camera
 from matcam.camera.fourier import Rule
 from matcam.camera.gaussian import GaussianOptics
-from matcam.material.ndf import NDF
+from matcam.material.ndf import MixtureNDF
 from matcam.rigs import Rig
 
 # Frequency rule for lenses without a closed form: crowded towards 0, where the widest Gaussians of a mixture live
@@ -28,7 +28,7 @@ _PANELS, _GRADE = 24, 4
 
 
 @eqx.filter_jit
-def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
+def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
     """What pixels at offset (x, y) px from the peak read, relative to the true peak of the lobe.
 
     theta_o: viewing angle of the peak, rad, shape (slices,). x, y: towards the limb and across, shape (slices, points).
@@ -50,7 +50,7 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
 
 
 def tangent_offsets(
-    rig: Rig, ndf: NDF, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray
+    rig: Rig, ndf: MixtureNDF, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray
 ) -> tuple[jax.Array, jax.Array]:
     """Where a half vector's cell lies on the sensor, (x, y) px from the lobe's peak, in the tangent plane."""
     scale_x, scale_y = rig.sample.px_per_rad(jnp.asarray(theta_d))
@@ -59,7 +59,7 @@ def tangent_offsets(
 
 
 @eqx.filter_jit
-def line_record(rig: Rig, ndf: NDF, theta_o: jax.Array) -> jax.Array:
+def line_record(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array) -> jax.Array:
     """Loss at the peak in one dimension, towards the limb (the paper's): shape (slices,)."""
     weights, widths = ndf.mixture()
     scale, lamp = rig.sample.px_per_rad(theta_o)[0], rig.lamp_spread(theta_o)[0]

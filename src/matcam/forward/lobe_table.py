@@ -12,7 +12,9 @@ from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError
 from matcam.forward.cells import CellSet, cell_pixels
 from matcam.forward.lobe import lobe_record, tangent_offsets
+from matcam.material.material import seen_at
 from matcam.material.microfacet import Microfacet
+from matcam.material.ndf import MixtureNDF
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 from matcam.table import CHANNELS, brdf_table
@@ -26,16 +28,19 @@ def lobe_table(material: Microfacet, rig: Rig, sampling: Sampling = "centre") ->
     Each value is one pixel centred on the cell's sampling point.
     """
     _sphere_of(rig)
+    ndf = material.ndf
+    if not isinstance(ndf, MixtureNDF):
+        raise ArgumentError(f"lobe_table needs a mixture of Gaussians such as GGX(0.1), got {type(ndf).__name__}")
     checks.choice("sampling", sampling, ("centre", "edge"))
     grid = merl_grid(sampling)
     theta_h, phi_d = (jnp.asarray(a.ravel()) for a in np.meshgrid(grid.theta_h, grid.phi_d, indexing="ij"))
-    peak = material.ndf.d(0.0)
-    flattening = material.ndf.flattening(theta_h)
+    peak = ndf.d(0.0)
+    flattening = ndf.flattening(theta_h)
 
     def one_slice(theta_d: jax.Array) -> jax.Array:
-        x, y = tangent_offsets(rig, material.ndf, theta_h, theta_d, phi_d)
-        recorded = peak * flattening * lobe_record(rig, material.ndf, theta_d[None], x[None], y[None])[0]
-        specular, _ = material.without_d(theta_h, jnp.broadcast_to(theta_d, theta_h.shape), phi_d)
+        x, y = tangent_offsets(rig, ndf, theta_h, theta_d, phi_d)
+        recorded = peak * flattening * lobe_record(rig, ndf, theta_d[None], x[None], y[None])[0]
+        specular = material.smooth_part(seen_at(theta_h, theta_d, phi_d))
         per_channel = specular if specular.ndim == 2 else specular[:, None]
         return per_channel * recorded[:, None] + jnp.asarray(material.diffuse) / jnp.pi
 

@@ -12,14 +12,14 @@ from matcam import checks
 from matcam._jax import jax, jnp
 from matcam.errors import ArgumentError
 from matcam.forward.lobe import line_record, lobe_record
-from matcam.material.ndf import NDF
+from matcam.material.ndf import MixtureNDF
 from matcam.rigs import Rig
 
 LOSS = 0.05
 """Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
 
 
-def peak_response(rig: Rig, ndf: NDF, theta: ArrayLike, dims: int = 2) -> jax.Array:
+def peak_response(rig: Rig, ndf: MixtureNDF, theta: ArrayLike, dims: int = 2) -> jax.Array:
     """Recorded peak / true peak of a material's highlight, in the tangent plane.
 
     theta: viewing angle of the highlight = half the angle between lamp and camera, rad, [0, pi/2), any shape.
@@ -37,7 +37,7 @@ def peak_response(rig: Rig, ndf: NDF, theta: ArrayLike, dims: int = 2) -> jax.Ar
     return lobe_record(rig, ndf, flat, centre, centre).reshape(theta.shape)
 
 
-def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2) -> xr.Dataset:
+def predict(rig: Rig, ndfs: Sequence[MixtureNDF], dims: int = 2) -> xr.Dataset:
     """What to expect of a rig, for several lobes of one family.
 
     Dataset over (roughness, theta): response, relative_response (to theta = 0); over roughness: loss_angle, the first
@@ -57,7 +57,7 @@ def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2) -> xr.Dataset:
     )
 
 
-def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
+def loss_angle(rig: Rig, ndf: MixtureNDF, dims: int = 2) -> float:
     """First angle, rad, at which the peak has lost more than 5 % against theta = 0; pi/2 if none has below 89.9 degrees."""
     return float(predict(rig, [ndf], dims)["loss_angle"][0])
 
@@ -71,8 +71,8 @@ def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
     return float(np.interp(0.0, lost[i - 1 : i + 1], theta[i - 1 : i + 1]))
 
 
-def _check_kinds(rig: Rig, ndf: NDF) -> None:
+def _check_kinds(rig: Rig, ndf: MixtureNDF) -> None:
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
-    if not isinstance(ndf, NDF):
+    if not isinstance(ndf, MixtureNDF):
         raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")

@@ -15,8 +15,9 @@ from matcam.errors import ArgumentError, FitError
 from matcam.forward.peak import peak_response
 from matcam.inverse.lobe_through_camera import LobeFit, fit_lobe
 from matcam.inverse.peak_cells import peak_data
-from matcam.material.masking import MASKINGS, Masking, g2, smith_lambda
-from matcam.material.ndf import FAMILIES, NDF
+from matcam.material.families import ONE_WIDTH
+from matcam.material.masking import MASKINGS, Masking, g2
+from matcam.material.ndf import MixtureNDF
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 from matcam.table import checked_table
@@ -62,7 +63,7 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     data = peak_data(brdf, rig.sample)  # type: ignore[arg-type]
-    fit = fit_lobe(data, rig, list(FAMILIES) if ndf == "auto" else [ndf], noise and noise.checked())
+    fit = fit_lobe(data, rig, list(ONE_WIDTH) if ndf == "auto" else [ndf], noise and noise.checked())
     theta_d = data.theta_d
     *response, centre = np.asarray(peak_response(rig, fit.ndf, np.append(theta_d, 0.0)))
     term = _FresnelTerm(fit, rig, theta_d, masking, normalise)
@@ -163,7 +164,7 @@ class _FresnelTerm:
 
 @partial(jax.jit, static_argnums=(0, 3))
 def _log_factor_and_slope(
-    ndf_type: type[NDF], log_width: jax.Array, theta_d: jax.Array, masking: Masking
+    ndf_type: type[MixtureNDF], log_width: jax.Array, theta_d: jax.Array, masking: Masking
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """ln of 4 cos^2 / (D(0) G) over theta_d, its derivative by ln width, and G."""
 
@@ -171,7 +172,7 @@ def _log_factor_and_slope(
         ndf = ndf_type(jnp.exp(log_width))
         joint = jnp.ones_like(theta_d)
         if masking is not None:  # light and view mirror each other
-            hidden = smith_lambda(ndf.slope_density, ndf.roughness, theta_d)
+            hidden = ndf.smith_lambda(jnp.cos(theta_d))
             joint = g2(masking, hidden, hidden, jnp.asarray(jnp.pi))
         return jnp.log(4 * jnp.cos(theta_d) ** 2 / (ndf.d(0.0) * joint)), joint
 
@@ -197,7 +198,7 @@ def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"fresnel needs a table recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
-    checks.choice("ndf", ndf, ("auto", *FAMILIES))
+    checks.choice("ndf", ndf, ("auto", *ONE_WIDTH))
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
         raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")

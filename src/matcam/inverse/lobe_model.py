@@ -11,7 +11,8 @@ import numpy as np
 from matcam._jax import AnyArray, jax, jnp
 from matcam.forward.lobe import lobe_record, tangent_offsets
 from matcam.inverse.peak_cells import PeakData
-from matcam.material.ndf import FAMILIES, NDF
+from matcam.material.families import ONE_WIDTH
+from matcam.material.ndf import MixtureNDF
 from matcam.rigs import Rig
 
 _SLICES, _BLOCK = 15, 64  # slices at once, cells in multiples of this: few shapes to compile
@@ -23,7 +24,7 @@ class LobeModel:
     with the cosines of F D G / (4 cos_i cos_o) relative to the peak's. A function of ln width and of the camera."""
 
     def __init__(self, data: PeakData, rig: Rig, family: str):
-        self.ndf_type = FAMILIES[family]
+        self.ndf_type = ONE_WIDTH[family]
         self.uncertainty = rig.camera.uncertainty
         self.names = self.uncertainty.names if self.uncertainty else ()
         # the uncertainty is no input of the forward model
@@ -38,7 +39,7 @@ class LobeModel:
         self._blocks = [(distinct[0], block, np.arccos(distinct[1])) for block in theta_d.reshape(-1, _SLICES)]
         self._off_mirror = data.off_mirror
 
-    def ndf(self, log_width: float) -> NDF:
+    def ndf(self, log_width: float) -> MixtureNDF:
         """The lobe of that width."""
         return self.ndf_type(np.exp(log_width))
 
@@ -72,7 +73,7 @@ class LobeModel:
 
 @eqx.filter_jit
 def _record(
-    rig: Rig, ndf_type: type[NDF], log_width: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray
+    rig: Rig, ndf_type: type[MixtureNDF], log_width: AnyArray, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray
 ) -> jax.Array:
     ndf = ndf_type(jnp.exp(log_width))
     x, y = tangent_offsets(rig, ndf, theta_h, theta_d[:, None], phi_d)

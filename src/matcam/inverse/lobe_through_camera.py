@@ -30,7 +30,8 @@ from matcam.inverse.amplitudes import (
 )
 from matcam.inverse.lobe_model import LobeModel
 from matcam.inverse.peak_cells import PeakData
-from matcam.material.ndf import FAMILIES, NDF
+from matcam.material.families import ONE_WIDTH
+from matcam.material.ndf import MixtureNDF
 from matcam.rigs import Rig
 
 _NARROWEST = 0.02  # px: narrower lobes are the same point to any camera
@@ -45,7 +46,7 @@ _STEPS, _LONGEST_STEP = 5, 0.1
 class LobeFit(NamedTuple):
     """A lobe, its strength in every slice, and their errors. Channels c, slices s, uncertain camera parameters p."""
 
-    ndf: NDF
+    ndf: MixtureNDF
     width: float
     width_determined: bool
     """False: narrower than the camera can tell; the width is then a bound, and its error unknown."""
@@ -117,7 +118,7 @@ def _narrowest(rig: Rig) -> float:
 def _search(data: PeakData, rig: Rig, family: str, noise: PixelNoise | None) -> _Found:
     """Best width of one family: a row of candidates, then two rounds of a bounded search with better weights."""
     model = LobeModel(data, rig, family)
-    low, high = _narrowest(rig), float(np.log(min(FAMILIES[family].largest, 4 * data.half_width)))
+    low, high = _narrowest(rig), float(np.log(min(ONE_WIDTH[family].largest, 4 * data.half_width)))
     weights = first_weights(data)
 
     def misfit(log_width: float) -> float:

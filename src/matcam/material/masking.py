@@ -12,27 +12,68 @@ from matcam._jax import jax, jnp
 Masking = Literal["smith", "smith-separable", "van-ginneken"] | None
 MASKINGS: tuple[Masking, ...] = ("smith", "smith-separable", "van-ginneken", None)
 
-_STEPS = np.linspace(-3.7, 3.7, 121)
+SlopeDensity = Callable[[jax.Array], jax.Array]
+"""P22 of an isotropic surface as a function of the SQUARED slope."""
+
+_STEPS = np.linspace(-3.7, 3.7, 201)  # of the exp-sinh rule: rounding even for a P22 as steep as exp(-slope^8)
+_FARTHEST = 1e9  # cot theta: Lambda is 0 long before
+_NEAREST = 1e-30  # cosine: keeps Lambda finite at the horizon, where 1 / Lambda is 0 for every purpose
+
+# The table's grid: even in asinh(cot / (scale _KNEE)), that is in cot close to the horizon and in its logarithm elsewhere
+_NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
 
 
-def smith_lambda(slope_density: Callable[[jax.Array], jax.Array], scale: jax.Array, theta: jax.Array) -> jax.Array:
-    """Smith's Lambda of any isotropic slope density P22 at `theta` rad from the normal.
+def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
+    """Smith's Lambda of any isotropic slope density at mu = cot theta, by its integral (MODEL 6).
 
-    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta; written
-    over the height y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22
-    falls. Relative error below 1e-10 for GGX and Gaussian slopes (tests).
+    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)]; written over the height
+    y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22 falls. Relative
+    error below 1e-10 (tests).
     """
-    mu = jnp.clip(1 / jnp.tan(jnp.maximum(theta, 1e-9)), 1e-300)[..., None]  # 1e-9 rad: Lambda is 0 long before
-    log_y = np.pi / 2 * np.sinh(_STEPS)
-    y = jnp.sqrt(scale**2 + mu**2) * np.exp(log_y)
+    mu = jnp.clip(cot, _NEAREST, _FARTHEST)[..., None]
+    y = jnp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
     ratio = y / mu
     # y - mu atan(y / mu), without cancellation where y is much smaller
     excess = jnp.where(
         ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * jnp.arctan(ratio)
     )
-    inside = slope_density(jnp.hypot(mu, y)) * excess * y**2 * step
+    inside = slope_density(mu**2 + y**2) * excess * y**2 * step
     return 2 / mu[..., 0] * jnp.sum(inside, axis=-1)
+
+
+def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
+    """`smith_lambda` in directions of cosine `cos` > 0 to the normal: for a few by the integral, for more than a table
+    has nodes by a table and cubic interpolation, to 1e-9 of 1 / (1 + Lambda) for scales from 1e-4 to 1."""
+    cot = cot_of(cos)
+    if cot.size <= _NODES:
+        return smith_lambda(slope_density, scale, cot)
+    spacing = np.arcsinh(_REACH / _KNEE) / (_NODES - 1)
+    nodes = np.maximum(_KNEE * np.sinh(spacing * np.arange(_NODES)), 1e-11)
+    # nu (1 + Lambda) has a finite limit at the horizon, and is nu itself far from it
+    table = jnp.log(nodes * (1 + smith_lambda(slope_density, scale, scale * nodes)))
+    nu = jnp.minimum(cot / scale, _REACH)
+    place = jnp.arcsinh(nu / _KNEE) / spacing
+    return jnp.maximum(jnp.exp(_cubic(table, place)) / nu - 1, 0.0)
+
+
+def _cubic(table: jax.Array, place: jax.Array) -> jax.Array:
+    """Lagrange's cubic through the four entries around `place`."""
+    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 1, table.size - 3))
+    x = place - left
+    i = left.astype(int)
+    return (
+        table[i - 1] * (-x * (x - 1) * (x - 2) / 6)
+        + table[i] * ((x + 1) * (x - 1) * (x - 2) / 2)
+        + table[i + 1] * (-x * (x + 1) * (x - 2) / 2)
+        + table[i + 2] * (x * (x + 1) * (x - 1) / 6)
+    )
+
+
+def cot_of(cos: jax.Array) -> jax.Array:
+    """cot theta of directions with cos theta in (0, 1]; large but finite along the normal."""
+    cos = jnp.maximum(cos, _NEAREST)
+    return cos / jnp.sqrt(jnp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 
 def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:

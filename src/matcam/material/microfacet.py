@@ -7,63 +7,80 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax, jnp
-from matcam.angles import azimuth_difference, cosines
+from matcam.angles import azimuth_difference
 from matcam.errors import ArgumentError
-from matcam.material.masking import MASKINGS, Masking, g2, smith_lambda
-from matcam.material.ndf import NDF
-from matcam.material.reflectance import Reflectance, as_reflectance
+from matcam.material.masking import MASKINGS, Masking, g2
+from matcam.material.material import Material
+from matcam.material.ndf import SlopeDistribution
+from matcam.material.reflectance import Reflectance, as_reflectance, per_channel
+from matcam.shading import Shading
 
 
-class Microfacet(eqx.Module):
+class Microfacet(Material):
     """A rough surface.
 
     ndf: distribution of its facets. fresnel: `Reflectance`, or a number per channel. diffuse: albedo of a Lambertian
     part, a number or one per channel. masking: "smith" (height-correlated), "smith-separable", "van-ginneken", None.
     """
 
-    ndf: NDF
+    ndf: SlopeDistribution
     fresnel: Reflectance
     diffuse: jax.Array
     masking: Masking = eqx.field(static=True)
 
     def __init__(
-        self, ndf: NDF, fresnel: Reflectance | ArrayLike, diffuse: ArrayLike = 0.0, masking: Masking = "smith"
+        self,
+        ndf: SlopeDistribution,
+        fresnel: Reflectance | ArrayLike,
+        diffuse: ArrayLike = 0.0,
+        masking: Masking = "smith",
     ):
-        if not isinstance(ndf, NDF):
+        if not isinstance(ndf, SlopeDistribution):
             raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")
         self.ndf = ndf
         self.fresnel = as_reflectance(fresnel)
-        self.diffuse = checks.within("diffuse", diffuse, 0, 1)
+        self.diffuse = per_channel("diffuse", checks.within("diffuse", diffuse, 0, 1))
         self.masking = checks.choice("masking", masking, MASKINGS)
 
-    def brdf(self, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> jax.Array:
-        """BRDF, 1/sr, shape of the broadcast angles and (channels,) behind it if there are any; NaN below the horizon."""
-        theta_h, theta_d, phi_d = (
-            checks.number(name, a) for name, a in (("theta_h", theta_h), ("theta_d", theta_d), ("phi_d", phi_d))
-        )
-        specular, above = self.without_d(theta_h, theta_d, phi_d)
-        d = self.ndf.d(theta_h)
-        if specular.ndim > above.ndim:
-            d, above = jnp.asarray(d)[..., None], above[..., None]
-        return jnp.where(above, specular * d + self.diffuse / jnp.pi, jnp.nan)
+    @eqx.filter_jit
+    def reflected(self, seen: Shading) -> jax.Array:
+        """F D G / 4 + diffuse cos_i cos_o / pi."""
+        seen, above = _above_horizon(seen)
+        lambert = jnp.where(above, seen.cos_i * seen.cos_o / jnp.pi, 0.0)
+        facets = jnp.where(above, self.ndf.density(seen.slope_along, seen.slope_across), 0.0)
+        facets *= (1 + seen.slope_along**2 + seen.slope_across**2) ** 2 * self._joint_masking(seen) / 4
+        reflectance = self.fresnel.at(seen.theta_d)
+        in_channels = reflectance.ndim > seen.theta_d.ndim
+        if in_channels or self.diffuse.ndim:
+            facets, lambert = facets[..., None], lambert[..., None]
+            reflectance = reflectance if in_channels else reflectance[..., None]
+        return reflectance * facets + self.diffuse * lambert
 
-    def without_d(self, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """(F G / (4 cos_i cos_o), whether both directions are above the horizon)."""
-        cos_i, cos_o = cosines(theta_h, theta_d, phi_d)
-        above = (cos_i > 0) & (cos_o > 0)
-        cos_i, cos_o = jnp.where(above, cos_i, 0.5), jnp.where(above, cos_o, 0.5)
-        factor = self.joint_masking(cos_i, cos_o, azimuth_difference(theta_h, theta_d, phi_d)) / (4 * cos_i * cos_o)
-        reflected = self.fresnel.at(theta_d)
-        if reflected.ndim > jnp.ndim(theta_d):
-            factor = factor[..., None]
-        return reflected * factor, above
+    @property
+    def finest(self) -> jax.Array:
+        """The facets' narrowest scale."""
+        return self.ndf.finest
 
-    def joint_masking(self, cos_i: jax.Array, cos_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-        """G of a pair of directions, given their cosines to the normal and their azimuth difference."""
+    def smooth_part(self, seen: Shading) -> jax.Array:
+        """F G / (4 cos_i cos_o): what stands beside D; shape as `reflected`, 0 below the horizon."""
+        seen, above = _above_horizon(seen)
+        factor = jnp.where(above, self._joint_masking(seen) / (4 * seen.cos_i * seen.cos_o), 0.0)
+        reflectance = self.fresnel.at(seen.theta_d)
+        return reflectance * (factor[..., None] if reflectance.ndim > seen.theta_d.ndim else factor)
+
+    def _joint_masking(self, seen: Shading) -> jax.Array:
         if self.masking is None:
-            return jnp.ones_like(cos_i * cos_o)
-        lambda_i, lambda_o = (
-            smith_lambda(self.ndf.slope_density, self.ndf.roughness, jnp.arccos(jnp.clip(c, -1, 1)))
-            for c in (cos_i, cos_o)
-        )
-        return g2(self.masking, lambda_i, lambda_o, azimuth)
+            return jnp.ones_like(seen.cos_i * seen.cos_o)
+        slope2 = seen.slope_along**2 + seen.slope_across**2
+        mirror = slope2 == 0  # the root's slope is infinite there
+        theta_h = jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))
+        azimuth = azimuth_difference(theta_h, seen.theta_d, seen.phi_d)
+        return g2(self.masking, *self.ndf.lambdas(seen), azimuth)
+
+
+def _above_horizon(seen: Shading) -> tuple[Shading, jax.Array]:
+    """Harmless numbers where light or view lies below the horizon, so that no derivative is poisoned; and where not."""
+    above = (seen.cos_i > 0) & (seen.cos_o > 0)
+    cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (seen.cos_i, seen.cos_o))
+    along, across = (jnp.where(above, s, 0.0) for s in (seen.slope_along, seen.slope_across))
+    return seen._replace(cos_i=cos_i, cos_o=cos_o, slope_along=along, slope_across=across), above

@@ -1,10 +1,12 @@
 """Normal distribution functions: how a rough surface's microfacets are tilted (MODEL 6).
 
-Near its peak an NDF is, as a function of a tangent-plane coordinate r, a mixture of Gaussians
+A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes, and
+D = P22 / cos^4 theta_h that of normals per solid angle, with the integral of D cos over the hemisphere 1. What a camera
+does to a lobe depends on the lobe as a function of a tangent-plane coordinate r,
 
-    D(theta_h) = D(0) flattening(theta_h) sum_j weight_j exp(-r^2 / (2 width_j^2)),     r = coordinate(theta_h),
+    D(theta_h) = D(0) flattening(theta_h) shape(r),     r = coordinate(theta_h),
 
-because a camera's effect on a Gaussian has a closed form (forward/lobe.py).
+and has a closed form where the shape is a mixture of Gaussians (forward/lobe.py).
 """
 
 from __future__ import annotations
@@ -18,22 +20,41 @@ from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax, jnp
-from matcam.material import masking
-
-_MIXTURE_NODES = 56
+from matcam.shading import Shading
 
 
-class NDF(eqx.Module):
+class SlopeDistribution(eqx.Module):
+    """What a microfacet material needs of its facets, isotropic or not."""
+
+    @abstractmethod
+    def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
+        """P22 at a slope's components along the surface's first tangent and across it; integrates to 1 over the plane."""
+
+    @abstractmethod
+    def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
+        """Smith's Lambda of light and view, both above the horizon."""
+
+    @property
+    @abstractmethod
+    def finest(self) -> jax.Array:
+        """Narrowest scale on which P22 changes, a slope, shape ()."""
+
+
+class NDF(SlopeDistribution):
     """An isotropic distribution of microfacet normals; the integral of D cos over the hemisphere is 1."""
 
     family: ClassVar[str]
     """Its name where a family of NDFs is asked for: on the command line, in `fresnel`."""
     largest: ClassVar[float]
-    """Largest value of its roughness, the constructor's argument."""
+    """Largest value of its roughness, the constructor's first argument."""
 
     @abstractmethod
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """D, 1/sr, at angle theta_h (rad) from the surface normal."""
+
+    @abstractmethod
+    def slope_density(self, slope2: jax.Array) -> jax.Array:
+        """P22 at the squared slope `slope2` = tan^2 theta_h."""
 
     @abstractmethod
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
@@ -41,90 +62,42 @@ class NDF(eqx.Module):
 
     @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """D divided by D(0) and by the mixture: what the tangent plane leaves out; 1 at the peak."""
+        """D divided by D(0) and by the shape in r: what the tangent plane leaves out; 1 at the peak."""
 
     @abstractmethod
-    def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """(weights, widths) of the Gaussians in r, each shape (n,); weights sum to 1."""
+    def smith_lambda(self, cos: jax.Array) -> jax.Array:
+        """Smith's Lambda in directions of cosine `cos` > 0 to the normal."""
 
     @property
     @abstractmethod
     def roughness(self) -> jax.Array:
         """The one number that its width goes with; also the scale of the facets' slopes."""
 
-    def slope_density(self, slope: jax.Array) -> jax.Array:
-        """P22: distribution of the facets' slopes, D cos^4; integrates to 1 over the plane."""
-        return self.d(jnp.arctan(slope)) / (1 + slope**2) ** 2
-
     def g1(self, theta: ArrayLike) -> jax.Array:
-        """Smith masking: share of the facets seen from `theta` (rad) that others do not hide."""
-        theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
-        return 1 / (1 + masking.smith_lambda(self.slope_density, self.roughness, theta))
+        """Smith masking: share of the facets seen from `theta` (rad, [0, pi/2]) that others do not hide."""
+        return 1 / (1 + self.smith_lambda(jnp.cos(checks.within("theta", theta, 0, np.pi / 2, "rad"))))
 
+    def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
+        """P22: the same in every direction."""
+        return self.slope_density(along**2 + across**2)
 
-class GaussianNDF(NDF):
-    """D proportional to exp(-theta_h^2 / (2 width^2)): the paper's lobe. width: rad, (0, 0.5]."""
-
-    width: jax.Array
-
-    family = "gaussian"
-    largest = 0.5  # rad; beyond, a Gaussian in theta_h does not die out before the horizon
-
-    def __init__(self, width: ArrayLike):
-        self.width = checks.scalar("width", checks.within("width", width, 0, self.largest, "rad", open_low=True))
-
-    def d(self, theta_h: ArrayLike) -> jax.Array:
-        """exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere."""
-        return jnp.exp(-((checks.number("theta_h", theta_h) / self.width) ** 2) / 2) / self._integral
+    def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
+        """Each depends on its direction's angle to the normal alone."""
+        return self.smith_lambda(seen.cos_i), self.smith_lambda(seen.cos_o)
 
     @property
-    def _integral(self) -> jax.Array:
-        nodes, weights = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(64))
-        reach = jnp.minimum(jnp.pi / 2, 9 * self.width)
-        theta = reach * (nodes + 1) / 2
-        inside = jnp.exp(-((theta / self.width) ** 2) / 2) * jnp.sin(2 * theta)
-        return jnp.pi * reach / 2 * (inside @ weights)
-
-    def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """theta_h itself."""
-        return theta_h
-
-    def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """1: the lobe is Gaussian in theta_h."""
-        return jnp.ones_like(theta_h)
-
-    def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """One Gaussian."""
-        return jnp.ones(1), self.width[None]
-
-    @property
-    def roughness(self) -> jax.Array:
-        """The width, rad."""
-        return self.width
-
-    def __repr__(self) -> str:
-        return f"GaussianNDF(width={self.width!s})"
+    def finest(self) -> jax.Array:
+        """The roughness."""
+        return self.roughness
 
 
-class GGX(NDF):
-    """Trowbridge-Reitz: D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2) (Walter et al. 2007, (33)).
-
-    alpha: roughness, a slope, (0, 1].
-    """
-
-    alpha: jax.Array
-
-    family = "ggx"
-    largest = 1.0
-
-    def __init__(self, alpha: ArrayLike):
-        self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, self.largest, open_low=True))
+class SlopeNDF(NDF):
+    """An NDF that is given as a density of slopes."""
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """D, 1/sr; the denominator as sin^2 + alpha^2 cos^2, which keeps its digits for a sharp lobe."""
-        theta_h = checks.number("theta_h", theta_h)
-        spread = jnp.sin(theta_h) ** 2 + (self.alpha * jnp.cos(theta_h)) ** 2
-        return (self.alpha / spread) ** 2 / jnp.pi
+        """P22 / cos^4 theta_h, 1/sr."""
+        slope2 = jnp.tan(checks.number("theta_h", theta_h)) ** 2
+        return self.slope_density(slope2) * (1 + slope2) ** 2
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
         """The slope tan theta_h."""
@@ -134,22 +107,11 @@ class GGX(NDF):
         """cos^-4 theta_h, from slopes to solid angle."""
         return jnp.cos(theta_h) ** -4
 
+
+class MixtureNDF(NDF):
+    """An NDF whose shape in the tangent plane is a mixture of Gaussians,
+    sum_j weight_j exp(-r^2 / (2 width_j^2))."""
+
+    @abstractmethod
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """(1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt, by the trapezoid rule in ln t (MODEL 4): 2e-11 of the
-        peak, to r = 1e3 alpha."""
-        log_t = np.linspace(-14.0, 3.9, _MIXTURE_NODES)
-        t = np.exp(log_t)
-        weights = t**2 * np.exp(-t)
-        return jnp.asarray(weights / weights.sum()), self.alpha / np.sqrt(2 * t)
-
-    @property
-    def roughness(self) -> jax.Array:
-        """alpha."""
-        return self.alpha
-
-    def __repr__(self) -> str:
-        return f"GGX(alpha={self.alpha!s})"
-
-
-FAMILIES: dict[str, type[NDF]] = {cls.family: cls for cls in (GaussianNDF, GGX)}
-"""NDFs of one roughness, by name."""
+        """(weights, widths) of the Gaussians in r, each shape (n,); weights sum to 1."""

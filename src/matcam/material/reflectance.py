@@ -51,7 +51,7 @@ class Conductor(Reflectance):
 
     def __init__(self, n: ArrayLike, k: ArrayLike):
         n, k = checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True)
-        self.n, self.k = jnp.broadcast_arrays(_per_channel("n", n), _per_channel("k", k))
+        self.n, self.k = jnp.broadcast_arrays(per_channel("n", n), per_channel("k", k))
 
     def at(self, theta: jax.Array) -> jax.Array:
         """`fresnel_conductor`."""
@@ -64,7 +64,7 @@ class Dielectric(Reflectance):
     eta: jax.Array
 
     def __init__(self, eta: ArrayLike):
-        self.eta = _per_channel("eta", checks.within("eta", eta, 1, np.inf, open_low=True, open_high=True))
+        self.eta = per_channel("eta", checks.within("eta", eta, 1, np.inf, open_low=True, open_high=True))
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Fresnel's equations, unpolarised: `fresnel_conductor` with k = 0."""
@@ -77,7 +77,7 @@ class Schlick(Reflectance):
     f0: jax.Array
 
     def __init__(self, f0: ArrayLike):
-        self.f0 = _per_channel("f0", checks.within("f0", f0, 0, 1))
+        self.f0 = per_channel("f0", checks.within("f0", f0, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Schlick's approximation."""
@@ -90,7 +90,7 @@ class Constant(Reflectance):
     value: jax.Array
 
     def __init__(self, value: ArrayLike):
-        self.value = _per_channel("reflectance", checks.within("reflectance", value, 0, 1))
+        self.value = per_channel("reflectance", checks.within("reflectance", value, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
         """The value."""
@@ -102,7 +102,8 @@ def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
     return value if isinstance(value, Reflectance) else Constant(value)
 
 
-def _per_channel(name: str, value: jax.Array) -> jax.Array:
+def per_channel(name: str, value: jax.Array) -> jax.Array:
+    """`value` if it is a number or one per channel; ArgumentError with its shape otherwise."""
     if value.ndim > 1:
         raise ArgumentError(f"{name} must be a number or a list with one entry per channel, got shape {value.shape}")
     return value
