@@ -15,18 +15,27 @@ from .forward.peak import loss_angle, peak_response
 from .forward.texture import texture_contrast
 from .inverse.fresnel_term import fresnel
 from .inverse.tabulated import tabulated_fresnel
+from .material.anisotropic import AnisotropicBeckmann, AnisotropicGGX
+from .material.beckmann import Beckmann
+from .material.epd import EPD
 from .material.gaussian_lobe import GaussianNDF
 from .material.ggx import GGX
 from .material.metals import metal, metal_sources, metals
 from .material.microfacet import Microfacet
 from .material.reflectance import Conductor, Constant, Dielectric, Schlick, fresnel_conductor
+from .material.sgd import SGD
 from .rigs import Rig
 from .sample.cylinder import Cylinder
 from .sample.flat import Flat
 from .sample.sphere import Sphere
 
 __all__ = [
+    "EPD",
     "GGX",
+    "SGD",
+    "AnisotropicBeckmann",
+    "AnisotropicGGX",
+    "Beckmann",
     "BoxPixel",
     "Camera",
     "Conductor",

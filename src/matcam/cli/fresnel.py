@@ -22,7 +22,8 @@ def command(
         ),
     ] = None,
     ndf: Annotated[
-        Literal["auto", "gaussian", "ggx"], typer.Option("--ndf", help="Family of the lobe; auto: the likelier.")
+        Literal["auto", "gaussian", "ggx", "beckmann"],
+        typer.Option("--ndf", help="Family of the lobe; auto: gaussian or ggx, the likelier."),
     ] = "auto",
     masking: Masking = "smith",
     camera: CameraProfile = None,

@@ -30,6 +30,9 @@ NORMALISE = (np.radians(10.0), np.radians(45.0))
 F is flat to 45."""
 
 
+_CANDIDATES = ("gaussian", "ggx")  # of "auto"; Beckmann's lobe is the Gaussian one wherever a camera matters
+
+
 def fresnel(
     brdf: xr.DataArray,
     rig: Rig,
@@ -41,9 +44,9 @@ def fresnel(
 ) -> xr.Dataset:
     """Fresnel term F(theta_d) of a table, raw and corrected for the camera (paper (13); MODEL 5, 8).
 
-    brdf: table as from `read_merl`, recorded by `rig` (a sphere). ndf: family of the lobe, "gaussian", "ggx", or "auto":
-    the likelier one. masking: the G that (13) divides by. noise: of a pixel; None: estimated from the residuals.
-    normalise: range of theta_d, rad, over which the mean of the corrected F is 1.
+    brdf: table as from `read_merl`, recorded by `rig` (a sphere). ndf: family of the lobe, "gaussian", "ggx", "beckmann", or
+    "auto": the likelier of the first two. masking: the G that (13) divides by. noise: of a pixel; None: estimated from the
+    residuals. normalise: range of theta_d, rad, over which the mean of the corrected F is 1.
 
     Returns a Dataset over (theta_d, channel), all dimensionless but for the angles:
       raw, raw_std                F from the recorded peak alone, as if the camera were perfect
@@ -63,7 +66,7 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     data = peak_data(brdf, rig.sample)  # type: ignore[arg-type]
-    fit = fit_lobe(data, rig, list(ONE_WIDTH) if ndf == "auto" else [ndf], noise and noise.checked())
+    fit = fit_lobe(data, rig, list(_CANDIDATES) if ndf == "auto" else [ndf], noise and noise.checked())
     theta_d = data.theta_d
     *response, centre = np.asarray(peak_response(rig, fit.ndf, np.append(theta_d, 0.0)))
     term = _FresnelTerm(fit, rig, theta_d, masking, normalise)
