@@ -118,6 +118,20 @@ class Sphere(Curved):
         )
         return first, last
 
+    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Latitudes in these rows, up to that at which the limb leaves these columns; cut where it enters them."""
+        low, high = self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
+
+        def limb(column: jax.Array) -> jax.Array:
+            share = jnp.clip(column / self.radius, 0, 1)
+            return jnp.arcsin(jnp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
+
+        end = limb(jnp.abs(x) - reach)
+        low, high = jnp.clip(low, -end, end), jnp.clip(high, -end, end)
+        enters = jnp.sign(y) * limb(jnp.abs(x) + reach)
+        inside = (enters > low) & (enters < high) & (jnp.abs(x) + reach < self.radius)
+        return low, jnp.where(inside, enters, (low + high) / 2), high
+
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
         return 1 + half_vector
 
