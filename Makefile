@@ -7,7 +7,7 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test test-all lint format bench clean
+.PHONY: demo test test-all lint format bench tables clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
@@ -30,6 +30,9 @@ format: $(VENV)/.installed-test
 
 bench: $(VENV)/.installed-test
 	for script in benchmarks/bench_*.py; do $(VENV)/bin/python $$script || exit 1; done
+
+tables: $(VENV)/.installed
+	$(RUN) matcam.forward.build_peak_tables
 
 clean:
 	rm -rf $(VENV) demo

@@ -12,7 +12,7 @@ from scipy.special import gammainccinv
 from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF
 from matcam._jax import jnp
 from matcam.errors import ArgumentError
-from matcam.material.families import FAMILIES, WITH_POWER
+from matcam.material.families import FAMILIES, WITH_POWER, ndf_of
 from matcam.material.masking import g2, smith_lambda
 from tests.golden import rows as golden_rows
 from tests.oracle.smith import smith_lambda as lambda_by_quadrature
@@ -187,6 +187,17 @@ def test_roughness_is_checked(value):
     for name, family in FAMILIES.items():
         with pytest.raises(ArgumentError, match=r"(width|alpha|beta) must lie in \(0, (1|0.5)\]"):
             family(value, *([1.0] if name in WITH_POWER else []))
+
+
+def test_families_by_name():
+    assert repr(ndf_of("epd", 0.1, 0.5)) == "EPD(beta=0.1, power=0.5)"
+    assert repr(ndf_of("beckmann", 0.1)) == "Beckmann(alpha=0.1)"
+    with pytest.raises(ArgumentError, match="unknown family of lobes 'ggxx'; did you mean 'ggx'"):
+        ndf_of("ggxx", 0.1)
+    with pytest.raises(ArgumentError, match="power must be given for sgd"):
+        ndf_of("sgd", 0.1)
+    with pytest.raises(ArgumentError, match="power belongs to epd and sgd, not to ggx, got 2"):
+        ndf_of("ggx", 0.1, 2)
 
 
 def test_powers_are_checked():

@@ -16,9 +16,14 @@ _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 def command(
     roughness: Annotated[
         list[float] | None,
-        typer.Argument(help="Widths of the lobe: alpha for ggx, rad for gaussian. Default: a row of them."),
+        typer.Argument(help="Widths of the lobe: alpha or beta, rad for gaussian. Default: a row of them."),
     ] = None,
-    ndf: Annotated[Literal["ggx", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")] = "ggx",
+    ndf: Annotated[
+        Literal["ggx", "gaussian", "beckmann", "epd", "sgd"], typer.Option("--ndf", help="Family of the lobe.")
+    ] = "ggx",
+    power: Annotated[
+        float | None, typer.Option("--power", help="The power p of an epd or sgd lobe, which must be given.")
+    ] = None,
     sample: Annotated[Literal["sphere", "cylinder"], typer.Option("--sample", help="Shape of the sample.")] = "sphere",
     dims: Annotated[int, typer.Option("--dims", help="2: a real sample; 1: the paper's one-dimensional model.")] = 2,
     camera: CameraProfile = None,
@@ -42,18 +47,19 @@ def command(
         check_picture(output, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.forward.peak import predict
-    from matcam.material.families import ONE_WIDTH
+    from matcam.material.families import ndf_of
 
     rig = rig_of(camera, radius, lamp, sample)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
-        data = predict(rig, [ONE_WIDTH[ndf](value) for value in values], dims)
+        data = predict(rig, [ndf_of(ndf, value, power) for value in values], dims)
     if output:
         _write(data, rig, output, force)
     if json:
         show.as_json(
             {
                 "ndf": ndf,
+                "power": power,
                 "roughness": data["roughness"].values,
                 "loss_angle_deg": _degrees(data["loss_angle"]),
                 "theta_deg": _degrees(data["theta"]),
@@ -73,7 +79,11 @@ def command(
         )
     ]
     head = ["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"]
-    show.table(head, rows, f"{ndf} lobe on a {sample}: peak kept at 0°, and loss relative to that")
+    show.table(
+        head,
+        rows,
+        f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: peak kept at 0°, and loss relative to that",
+    )
     if output:
         show.say(f"picture: {output}")
 

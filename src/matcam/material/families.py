@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from matcam.errors import ArgumentError, unknown_name
 from matcam.material.beckmann import Beckmann
 from matcam.material.epd import EPD
 from matcam.material.gaussian_lobe import GaussianNDF
@@ -16,4 +19,17 @@ WITH_POWER: dict[str, type[NDF]] = {cls.family: cls for cls in (EPD, SGD)}
 """Those of a roughness and a power."""
 
 FAMILIES: dict[str, type[NDF]] = {**ONE_WIDTH, **WITH_POWER}
-"""All of them. The constructor's first argument is the roughness, its second, where there is one, the power."""
+"""All of them."""
+
+
+def ndf_of(family: str, roughness: Any, power: Any = None) -> NDF:
+    """The NDF of a family; power: for `WITH_POWER` and only there. ArgumentError for what does not fit together."""
+    if family in ONE_WIDTH:
+        if power is not None:
+            raise ArgumentError(f"power belongs to {' and '.join(WITH_POWER)}, not to {family}, got {power}")
+        return FAMILIES[family](roughness)
+    if family not in WITH_POWER:
+        raise unknown_name("family of lobes", family, FAMILIES)
+    if power is None:
+        raise ArgumentError(f"power must be given for {family}")
+    return FAMILIES[family](roughness, power)
