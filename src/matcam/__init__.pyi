@@ -24,6 +24,7 @@ from .material.metals import metal, metal_sources, metals
 from .material.microfacet import Microfacet
 from .material.reflectance import Conductor, Constant, Dielectric, Schlick, fresnel_conductor
 from .material.sgd import SGD
+from .material.tabulated import Tabulated
 from .rigs import Rig
 from .sample.cylinder import Cylinder
 from .sample.flat import Flat
@@ -56,6 +57,7 @@ __all__ = [
     "Rig",
     "Schlick",
     "Sphere",
+    "Tabulated",
     "Uncertainty",
     "WindowedGaussianPixel",
     "fresnel",

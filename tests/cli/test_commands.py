@@ -14,7 +14,7 @@ import xarray as xr
 
 from matcam import BoxPixel, Camera, GaussianOptics, Uncertainty, write_merl
 from matcam.table import brdf_table
-from tests.oracle import merl_lobe
+from tests.oracle import epd_peak, merl_lobe
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +77,11 @@ def test_predict(matcam, tmp_path):
     text = matcam("predict", 0.01, "--sample", "cylinder", "--dims", 1).stdout
     assert "0.01" in text
     assert "cylinder" in text
+    found = json.loads(matcam("predict", 0.01, "--ndf", "epd", "--power", 0.5, "--json").stdout)
+    assert (found["ndf"], found["power"]) == ("epd", 0.5)
+    across = 256 * np.cos(np.radians([found["loss_angle_deg"][0], 0]))
+    there, head_on = (epd_peak.peak(0.01, 0.5, x, 256, 0.5, 0.5) for x in across)
+    assert there / head_on == pytest.approx(0.95, abs=1e-4)
 
 
 def test_fresnel(matcam, measured, tmp_path):
@@ -177,6 +182,9 @@ def bad_calls(folder, measured):
         (("fresnel", measured, "--ndf", "phong"), "'phong' is not one of"),
         (("fresnel",), "Missing argument 'file'"),
         (("predict", "-1"), "No such option: -1"),
+        (("predict", "--ndf", "epd"), "power must be given for epd"),
+        (("predict", "--power", "1"), "power belongs to epd and sgd, not to ggx, got 1"),
+        (("predict", "1e-7", "--ndf", "epd", "--power", "1"), "must lie in [0.004, 7000]"),
         (("predict", "0"), "alpha must lie in (0, 1], got 0"),
         (("predict", "--radius", "-3"), "radius must lie in"),
         (("predict", "--lamp", "80"), "lamp_radius must lie in"),
@@ -187,10 +195,10 @@ def bad_calls(folder, measured):
     ]
 
 
-@pytest.mark.parametrize("number", range(21))
+@pytest.mark.parametrize("number", range(24))
 def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, tmp_path, number):
     calls = bad_calls(tmp_path, measured)
-    assert len(calls) == 21
+    assert len(calls) == 24
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     arguments, words = calls[number]
     result = matcam(*arguments, code=2)

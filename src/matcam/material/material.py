@@ -51,3 +51,19 @@ def seen_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: Arr
     slope = jnp.tan(theta_h)
     along, across = jnp.broadcast_arrays(slope * jnp.cos(phi_h), slope * jnp.sin(phi_h), cos_i)[:2]
     return Shading(cos_i, cos_o, along, across, theta_d, phi_d)
+
+
+def above_horizon(seen: Shading) -> tuple[Shading, jax.Array]:
+    """`seen` with harmless numbers where light or view lies below the horizon, so that no derivative is poisoned; and
+    where neither does."""
+    above = (seen.cos_i > 0) & (seen.cos_o > 0)
+    cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (seen.cos_i, seen.cos_o))
+    along, across = (jnp.where(above, s, 0.0) for s in (seen.slope_along, seen.slope_across))
+    return seen._replace(cos_i=cos_i, cos_o=cos_o, slope_along=along, slope_across=across), above
+
+
+def theta_h_of(seen: Shading) -> jax.Array:
+    """The half vector's angle to the normal, rad."""
+    slope2 = seen.slope_along**2 + seen.slope_across**2
+    mirror = slope2 == 0  # the root's slope is infinite there
+    return jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))

@@ -10,7 +10,7 @@ from matcam._jax import jax, jnp
 from matcam.angles import azimuth_difference
 from matcam.errors import ArgumentError
 from matcam.material.masking import MASKINGS, Masking, g2
-from matcam.material.material import Material
+from matcam.material.material import Material, above_horizon, theta_h_of
 from matcam.material.ndf import SlopeDistribution
 from matcam.material.reflectance import Reflectance, as_reflectance, per_channel
 from matcam.shading import Shading
@@ -45,7 +45,7 @@ class Microfacet(Material):
     @eqx.filter_jit
     def reflected(self, seen: Shading) -> jax.Array:
         """F D G / 4 + diffuse cos_i cos_o / pi."""
-        seen, above = _above_horizon(seen)
+        seen, above = above_horizon(seen)
         lambert = jnp.where(above, seen.cos_i * seen.cos_o / jnp.pi, 0.0)
         facets = jnp.where(above, self.ndf.density(seen.slope_along, seen.slope_across), 0.0)
         facets *= (1 + seen.slope_along**2 + seen.slope_across**2) ** 2 * self._joint_masking(seen) / 4
@@ -63,7 +63,7 @@ class Microfacet(Material):
 
     def smooth_part(self, seen: Shading) -> jax.Array:
         """F G / (4 cos_i cos_o): what stands beside D; shape as `reflected`, 0 below the horizon."""
-        seen, above = _above_horizon(seen)
+        seen, above = above_horizon(seen)
         factor = jnp.where(above, self._joint_masking(seen) / (4 * seen.cos_i * seen.cos_o), 0.0)
         reflectance = self.fresnel.at(seen.theta_d)
         return reflectance * (factor[..., None] if reflectance.ndim > seen.theta_d.ndim else factor)
@@ -71,16 +71,5 @@ class Microfacet(Material):
     def _joint_masking(self, seen: Shading) -> jax.Array:
         if self.masking is None:
             return jnp.ones_like(seen.cos_i * seen.cos_o)
-        slope2 = seen.slope_along**2 + seen.slope_across**2
-        mirror = slope2 == 0  # the root's slope is infinite there
-        theta_h = jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))
-        azimuth = azimuth_difference(theta_h, seen.theta_d, seen.phi_d)
+        azimuth = azimuth_difference(theta_h_of(seen), seen.theta_d, seen.phi_d)
         return g2(self.masking, *self.ndf.lambdas(seen), azimuth)
-
-
-def _above_horizon(seen: Shading) -> tuple[Shading, jax.Array]:
-    """Harmless numbers where light or view lies below the horizon, so that no derivative is poisoned; and where not."""
-    above = (seen.cos_i > 0) & (seen.cos_o > 0)
-    cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (seen.cos_i, seen.cos_o))
-    along, across = (jnp.where(above, s, 0.0) for s in (seen.slope_along, seen.slope_across))
-    return seen._replace(cos_i=cos_i, cos_o=cos_o, slope_along=along, slope_across=across), above
