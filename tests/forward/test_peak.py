@@ -157,7 +157,8 @@ def test_diffraction_against_a_polar_quadrature():
     theta, width = 1.2, 0.002
     s_x, s_y = 256 * np.cos(theta) * width, 256 * width
 
-    def spectrum(u, v):
+    def spectrum(f, angle):
+        u, v = f * jnp.cos(angle), f * jnp.sin(angle)
         lobe = 2 * np.pi * s_x * s_y * jnp.exp(-2 * (jnp.pi * s_x * u) ** 2 - 2 * (jnp.pi * s_y * v) ** 2)
         return rig.camera.transfer(u, v) * lobe
 
