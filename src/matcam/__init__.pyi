@@ -1,4 +1,5 @@
 from . import paper, rigs
+from .camera.bracketing import expose_bracket, merge_bracket
 from .camera.camera import Camera
 from .camera.defocus import DefocusOptics
 from .camera.diffraction import DiffractionOptics
@@ -7,6 +8,7 @@ from .camera.halo import HaloOptics
 from .camera.measured import MeasuredOptics
 from .camera.noise import PixelNoise
 from .camera.pixel import BoxPixel, WindowedGaussianPixel
+from .camera.sensor import Sensor
 from .camera.uncertainty import Provenance, Uncertainty
 from .errors import MatcamError
 from .files.merl import read_merl, write_merl
@@ -56,14 +58,17 @@ __all__ = [
     "Provenance",
     "Rig",
     "Schlick",
+    "Sensor",
     "Sphere",
     "Tabulated",
     "Uncertainty",
     "WindowedGaussianPixel",
+    "expose_bracket",
     "fresnel",
     "fresnel_conductor",
     "lobe_table",
     "loss_angle",
+    "merge_bracket",
     "metal",
     "metal_sources",
     "metals",

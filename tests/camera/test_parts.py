@@ -74,6 +74,8 @@ def test_measured_mtf_is_an_error_beyond_its_end_unless_it_has_reached_zero():
         DiffractionOptics(8, 5.5e-7, 4.73e-6),
         matcam.DefocusOptics(8, 5.5e-7, 4.73e-6, 1.5),
         matcam.HaloOptics(GaussianOptics(0.5), 0.01, 40),
+        matcam.Sensor(5e-6, 2e4, 2.5, 0.5, 12, "RGGB", prnu=0.01),
+        Camera(GaussianOptics(0.5), BoxPixel(0.4), matcam.Sensor(5e-6, 2e4, 2.5)),
         MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]),
         BoxPixel(0.45),
         WindowedGaussianPixel(0.2, 0.45),

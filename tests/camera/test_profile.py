@@ -14,6 +14,7 @@ from matcam import (
     HaloOptics,
     MeasuredOptics,
     Provenance,
+    Sensor,
     Uncertainty,
     WindowedGaussianPixel,
 )
@@ -30,7 +31,11 @@ CAMERAS = [
         provenance=Provenance(source="lens data sheet", created="2026-01-31", software="x 1", notes="ü"),
     ),
     Camera(MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]), uncertainty=Uncertainty.of({"optics.mtf[2]": 0.02})),
-    Camera(DefocusOptics(8, 550e-9, 4.73e-6, 1.5), BoxPixel(0.5)),
+    Camera(
+        DefocusOptics(8, 550e-9, 4.73e-6, 1.5),
+        BoxPixel(0.5),
+        Sensor(4.73e-6, 2e4, 2.5, 0.7, 14, "RGGB", prnu=0.01, dark_current=3.0, dark_nonuniformity=0.1, pattern_seed=7),
+    ),
     Camera(
         HaloOptics(HaloOptics(MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]), 0.01, 4.0), 0.002, 150.0),
         uncertainty=Uncertainty.of({"optics.radius_px": 30.0, "optics.core.core.mtf[1]": 0.01}),
@@ -99,6 +104,15 @@ def changed(**changes):
     return document
 
 
+def sensor(**changes):
+    fields = {
+        "pitch_m": 5e-6, "full_well_electrons": 2e4, "read_noise_electrons": 2.0, "gain_dn_per_electron": 1.0,
+        "bits": None, "cfa": None, "prnu": 0.0, "dark_current_electrons_per_s": 0.0, "dark_nonuniformity": 0.0,
+        "black_level_dn": 0.0, "pattern_seed": 0,
+    }  # fmt: skip
+    return fields | changes
+
+
 def halo(core, fraction=0.1):
     return {"model": "halo", "core": core, "fraction": fraction, "radius_px": 9.0}
 
@@ -134,6 +148,11 @@ def nested(depth):
         (changed(uncertainty={"parameters": ["optics.blur"], "covariance": [[1.0]]}), "optics.blur"),
         (changed(uncertainty={"parameters": ["optics.sigma_px"], "covariance": [[1.0], [1.0, 2.0]]}), ""),
         (changed(surprise=1), "field surprise"),
+        (changed(sensor={"pitch_m": 5e-6}), "field sensor.full_well_electrons: field required"),
+        (changed(sensor=sensor(bits=99)), "bits must be a whole number in [1, 32]"),
+        (changed(sensor=sensor(cfa="XYZ")), "cfa must be one of"),
+        (changed(sensor=sensor(read_noise_electrons=-1.0)), "read_noise must lie in"),
+        (changed(version=1, sensor=None), "field sensor: extra"),
     ],
 )
 def test_bad_profiles_are_refused_in_one_line_that_names_file_and_field(document, words, tmp_path):

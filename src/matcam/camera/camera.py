@@ -10,10 +10,11 @@ import equinox as eqx
 from jax.typing import ArrayLike
 
 from matcam import checks
-from matcam._jax import jax, jnp
+from matcam._jax import is_concrete, jax, jnp
 from matcam.camera import effective, parameters, profile
 from matcam.camera.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
+from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
 
@@ -22,6 +23,7 @@ class Camera(eqx.Module):
     """Effective kernel of a camera: optics and pixel, sampled at pixel centres.
 
     optics: `Optics`. pixel: `PixelResponse`. A `Camera` is neither, so nothing can be blurred twice.
+    sensor: `Sensor`, noise and mosaic of its pictures; None: nobody said. It does not change the kernel.
     uncertainty: how well its parameters are known (`Uncertainty`); None: they are taken as exact.
     provenance: where it comes from; carried by the profile file.
 
@@ -31,6 +33,7 @@ class Camera(eqx.Module):
 
     optics: Optics
     pixel: PixelResponse
+    sensor: Sensor | None
     uncertainty: Uncertainty | None
     provenance: Provenance = eqx.field(static=True)
 
@@ -38,6 +41,7 @@ class Camera(eqx.Module):
         self,
         optics: Optics,
         pixel: PixelResponse | None = None,
+        sensor: Sensor | None = None,
         *,
         uncertainty: Uncertainty | None = None,
         provenance: Provenance | None = None,
@@ -49,12 +53,17 @@ class Camera(eqx.Module):
             raise ArgumentError(f"optics must be Optics, got {type(given).__name__}{hint}")
         if not isinstance(pixel, PixelResponse):
             raise ArgumentError(f"pixel must be a PixelResponse, got {type(pixel).__name__}")
+        if sensor is not None and not isinstance(sensor, Sensor):
+            raise ArgumentError(f"sensor must be a Sensor, got {type(sensor).__name__}")
         self.optics = optics
         self.pixel = pixel
+        self.sensor = sensor
         self.uncertainty = uncertainty
         self.provenance = provenance or Provenance()
         if uncertainty is not None:
             uncertainty.check_names(self.parameters())
+        if sensor is not None:
+            self._check_pitch(sensor.pitch)
 
     # ------------------------------------------------------------------ the effective kernel
 
@@ -102,8 +111,8 @@ class Camera(eqx.Module):
         return eqx.tree_at(lambda c: (c.optics, c.pixel), self, new)
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the profile (JSON, see `profile`): kernel, uncertainty, provenance. OutputError where it cannot go."""
-        profile.write(path, self.optics, self.pixel, self.uncertainty, self.provenance, force=force)
+        """Write the profile (JSON, see `profile`): kernel, sensor, uncertainty, provenance. OutputError where it cannot go."""
+        profile.write(path, self.optics, self.pixel, self.sensor, self.uncertainty, self.provenance, force=force)
 
     @classmethod
     def load(cls, path: str | Path) -> Camera:
@@ -114,6 +123,15 @@ class Camera(eqx.Module):
         except ArgumentError as error:
             raise FileFormatError(f"{path}: {error}") from None
 
+    def _check_pitch(self, pitch: jax.Array) -> None:
+        """A lens in m and a sensor in m must speak of the same pixels."""
+        for name, value in self.parameters().items():
+            if not name.endswith("pixel_pitch_m") or not is_concrete(value) or not is_concrete(pitch):
+                continue
+            if abs(float(value) / float(pitch) - 1) > 1e-6:
+                raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}")
+
     def __repr__(self) -> str:
+        sensor = "" if self.sensor is None else f", {self.sensor!r}"
         uncertainty = "" if self.uncertainty is None else f", uncertainty={self.uncertainty!r}"
-        return f"Camera({self.optics!r}, {self.pixel!r}{uncertainty})"
+        return f"Camera({self.optics!r}, {self.pixel!r}{sensor}{uncertainty})"

@@ -75,15 +75,15 @@ def _of_one_piece(optics: Optics, terms: int) -> GaussianSum:
     # weights = 1 / terms + basis @ v: their sum is 1 whatever v is
     mean = jnp.full(terms, 1 / terms)
     basis = jnp.asarray(np.linalg.qr(np.eye(terms) - 1 / terms)[0][:, : terms - 1])
-    frequency = _GRID * band
-    importance = jnp.sqrt(_GRID) * _through_full_pixel(frequency)
+    frequency = jnp.asarray(_GRID) * band
+    importance = np.sqrt(_GRID) * _through_full_pixel(frequency)
     spectra = _spectra(frequency, sigmas)
     rows = jnp.concatenate([importance[:, None] * (spectra @ basis), _RIDGE * basis])
     right = jnp.concatenate([importance * (optics.mtf(frequency) - spectra @ mean), -_RIDGE * mean])
     q, r = jnp.linalg.qr(rows)
     weights = mean + basis @ jax.scipy.linalg.solve_triangular(r, q.T @ right)
 
-    checked = _CHECKED * band
+    checked = jnp.asarray(_CHECKED) * band
     difference = jnp.abs(_spectra(checked, sigmas) @ weights - optics.mtf(checked))
     total = difference * _through_full_pixel(checked)
     return GaussianSum(weights, sigmas, jnp.max(difference), jnp.max(total))

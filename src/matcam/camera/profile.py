@@ -4,12 +4,13 @@
       "format": "matcam camera profile",  "version": 2,
       "optics": {"model": "gaussian", "sigma_px": 0.5},
       "pixel": {"model": "box", "half_width_px": 0.5},
+      "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: nobody said
       "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: taken as exact
       "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
     }
 
 Units stand in the names. A lens inside a lens is an object of its own: {"model": "halo", "core": {"model": ...}, ...}.
-Version 1, which knows neither "defocus" nor "halo", is read as well. The published schemas are
+Version 1, which knows neither "defocus" nor "halo" nor sensors, is read as well. The published schemas are
 docs/camera-profile-v1.schema.json and -v2.
 """
 
@@ -30,9 +31,24 @@ from matcam.camera.optics import Optics
 from matcam.camera.parameters import MODELS, model_of, values_of
 from matcam.camera.pixel import PixelResponse
 from matcam.camera.profile_schema import FORMAT, VERSION, VERSIONS, Part
+from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
 
+_SENSOR = {
+    "pitch_m": "pitch",
+    "full_well_electrons": "full_well",
+    "read_noise_electrons": "read_noise",
+    "gain_dn_per_electron": "gain",
+    "bits": "bits",
+    "cfa": "cfa",
+    "prnu": "prnu",
+    "dark_current_electrons_per_s": "dark_current",
+    "dark_nonuniformity": "dark_nonuniformity",
+    "black_level_dn": "black_level",
+    "pattern_seed": "pattern_seed",
+}
+"""Field -> attribute of `Sensor`."""
 _LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
 
 
@@ -40,6 +56,7 @@ def write(
     path: str | Path,
     optics: Optics,
     pixel: PixelResponse,
+    sensor: Sensor | None,
     uncertainty: Uncertainty | None,
     provenance: Provenance,
     *,
@@ -51,6 +68,8 @@ def write(
         "version": VERSION,
         "optics": _as_json(optics),
         "pixel": _as_json(pixel),
+        "sensor": sensor
+        and {field: np.asarray(getattr(sensor, attribute)).tolist() for field, attribute in _SENSOR.items()},
         "uncertainty": None
         if uncertainty is None
         else {"parameters": list(uncertainty.names), "covariance": np.asarray(uncertainty.covariance).tolist()},
@@ -89,6 +108,8 @@ def read(path: str | Path) -> dict[str, Any]:
         return {
             "optics": _from_json(profile.optics),
             "pixel": _from_json(profile.pixel),
+            "sensor": getattr(profile, "sensor", None)  # version 1 has none
+            and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in _SENSOR.items()}),
             "uncertainty": profile.uncertainty
             and Uncertainty(profile.uncertainty.parameters, np.array(profile.uncertainty.covariance)),
             "provenance": Provenance(**profile.provenance.model_dump()),

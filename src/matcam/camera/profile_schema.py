@@ -66,6 +66,20 @@ class _WindowedGaussian(Part):
     half_width_px: FiniteFloat
 
 
+class _Sensor(_Strict):
+    pitch_m: FiniteFloat
+    full_well_electrons: FiniteFloat
+    read_noise_electrons: FiniteFloat
+    gain_dn_per_electron: FiniteFloat
+    bits: int | None
+    cfa: str | None
+    prnu: FiniteFloat
+    dark_current_electrons_per_s: FiniteFloat
+    dark_nonuniformity: FiniteFloat
+    black_level_dn: FiniteFloat
+    pattern_seed: int
+
+
 class _Uncertainty(_Strict):
     parameters: list[str]
     covariance: list[list[FiniteFloat]]
@@ -97,6 +111,7 @@ class _Profile2(_Strict):
     version: Literal[2]
     optics: _Optics
     pixel: _Pixel
+    sensor: _Sensor | None = None
     uncertainty: _Uncertainty | None
     provenance: _Provenance
 
