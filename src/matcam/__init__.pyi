@@ -11,7 +11,10 @@ from .camera.pixel import BoxPixel, WindowedGaussianPixel
 from .camera.sensor import Sensor
 from .camera.uncertainty import Provenance, Uncertainty
 from .errors import MatcamError
+from .files.exr import read_exr, write_exr
+from .files.float_tiff import read_float_tiff, write_float_tiff
 from .files.merl import read_merl, write_merl
+from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .forward.lobe_table import lobe_table, with_pixel_noise
 from .forward.peak import loss_angle, peak_response
 from .forward.texture import texture_contrast
@@ -74,10 +77,17 @@ __all__ = [
     "metals",
     "paper",
     "peak_response",
+    "read_exr",
+    "read_float_tiff",
     "read_merl",
+    "read_sidecar",
     "rigs",
+    "sidecar_path",
     "tabulated_fresnel",
     "texture_contrast",
     "with_pixel_noise",
+    "write_exr",
+    "write_float_tiff",
     "write_merl",
+    "write_sidecar",
 ]

@@ -17,6 +17,7 @@ from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.json_file import write_json
 
 
 class Camera(eqx.Module):
@@ -112,16 +113,28 @@ class Camera(eqx.Module):
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the profile (JSON, see `profile`): kernel, sensor, uncertainty, provenance. OutputError where it cannot go."""
-        profile.write(path, self.optics, self.pixel, self.sensor, self.uncertainty, self.provenance, force=force)
+        write_json(path, self.profile(), force=force)
 
     @classmethod
     def load(cls, path: str | Path) -> Camera:
         """Read a profile. FileFormatError naming the file and the field where it is not one."""
-        parts = profile.read(path)
+        return cls._from_parts(profile.read(path), path)
+
+    def profile(self) -> dict[str, Any]:
+        """The profile as JSON (dicts, lists, numbers, texts), to be embedded in another file."""
+        return profile.as_document(self.optics, self.pixel, self.sensor, self.uncertainty, self.provenance)
+
+    @classmethod
+    def from_profile(cls, document: Any, where: str | Path = "camera profile") -> Camera:
+        """The camera of a `profile()`. FileFormatError naming `where` it stands, and the field."""
+        return cls._from_parts(profile.from_document(document, where), where)
+
+    @classmethod
+    def _from_parts(cls, parts: dict[str, Any], where: str | Path) -> Camera:
         try:
             return cls(**parts)
         except ArgumentError as error:
-            raise FileFormatError(f"{path}: {error}") from None
+            raise FileFormatError(f"{where}: {error}") from None
 
     def _check_pitch(self, pitch: jax.Array) -> None:
         """A lens in m and a sensor in m must speak of the same pixels."""

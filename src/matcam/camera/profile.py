@@ -17,7 +17,6 @@ docs/camera-profile-v1.schema.json and -v2.
 from __future__ import annotations
 
 import datetime
-import json
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ import equinox as eqx
 import numpy as np
 from pydantic import ValidationError
 
-from matcam.atomic import replacing
 from matcam.camera.optics import Optics
 from matcam.camera.parameters import MODELS, model_of, values_of
 from matcam.camera.pixel import PixelResponse
@@ -34,6 +32,7 @@ from matcam.camera.profile_schema import FORMAT, VERSION, VERSIONS, Part
 from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.json_file import read_json
 
 _SENSOR = {
     "pitch_m": "pitch",
@@ -49,21 +48,17 @@ _SENSOR = {
     "pattern_seed": "pattern_seed",
 }
 """Field -> attribute of `Sensor`."""
-_LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
 
 
-def write(
-    path: str | Path,
+def as_document(
     optics: Optics,
     pixel: PixelResponse,
     sensor: Sensor | None,
     uncertainty: Uncertainty | None,
     provenance: Provenance,
-    *,
-    force: bool = False,
-) -> None:
-    """Write a camera's parts to `path`."""
-    document = {
+) -> dict[str, Any]:
+    """A camera's parts as the profile's JSON."""
+    return {
         "format": FORMAT,
         "version": VERSION,
         "optics": _as_json(optics),
@@ -80,22 +75,21 @@ def write(
             "notes": provenance.notes,
         },
     }
-    with replacing(path, force=force) as temporary:
-        temporary.write_text(
-            json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
-        )
 
 
 def read(path: str | Path) -> dict[str, Any]:
     """Arguments of the `Camera` in the profile at `path`. FileFormatError naming file and field."""
-    path = Path(path)
-    document = _read_json(path)
+    return from_document(read_json(path, "a camera profile"), path)
+
+
+def from_document(document: Any, where: str | Path) -> dict[str, Any]:
+    """Arguments of the `Camera` that a profile's JSON describes. FileFormatError naming `where` it stands, and the field."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FileFormatError(f'{path}: not a camera profile: field "format" must be "{FORMAT}"')
+        raise FileFormatError(f'{where}: not a camera profile: field "format" must be "{FORMAT}"')
     version = document.get("version")
     if type(version) is not int or version not in VERSIONS:
         raise FileFormatError(
-            f"{path}: profile version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
+            f"{where}: profile version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
             f"reads versions {' and '.join(map(str, VERSIONS))}"
         )
     try:
@@ -103,7 +97,7 @@ def read(path: str | Path) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"] if part not in MODELS)
-        raise FileFormatError(f"{path}: field {field}: {first['msg'][0].lower()}{first['msg'][1:]}") from None
+        raise FileFormatError(f"{where}: field {field}: {first['msg'][0].lower()}{first['msg'][1:]}") from None
     try:
         return {
             "optics": _from_json(profile.optics),
@@ -115,7 +109,7 @@ def read(path: str | Path) -> dict[str, Any]:
             "provenance": Provenance(**profile.provenance.model_dump()),
         }
     except (ArgumentError, ValueError) as error:
-        raise FileFormatError(f"{path}: {error}") from None
+        raise FileFormatError(f"{where}: {error}") from None
 
 
 def _as_json(module: eqx.Module) -> dict[str, Any]:
@@ -130,19 +124,3 @@ def _from_json(part: Any) -> Any:
     cls, fields = MODELS[part.model]
     values = (getattr(part, field) for field in fields)
     return cls(*(_from_json(v) if isinstance(v, Part) else v for v in values))
-
-
-def _read_json(path: Path) -> Any:
-    def refuse(constant: str) -> None:
-        raise ValueError(f"{constant} is not a number")
-
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a camera profile")
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not a camera profile: {error}") from None

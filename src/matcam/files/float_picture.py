@@ -1,0 +1,51 @@
+"""What a picture file may hold: 32-bit floats, (H, W) or (H, W, channels), row 0 on top. Shared by the formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.errors import ArgumentError, FileFormatError
+
+LARGEST = 1 << 29
+"""Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
+
+
+def as_float32(picture: ArrayLike) -> np.ndarray:
+    """`picture` as contiguous float32. ArgumentError for a wrong shape, for complex numbers or text, and for values that
+    float32 cannot hold; NaN (missing) and infinities pass."""
+    given = np.asarray(picture)
+    if given.dtype.kind not in "fiub":
+        raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
+    if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:
+        raise ArgumentError(
+            f"picture must have shape (H, W) or (H, W, channels) with at most {LARGEST} values, got {given.shape}"
+        )
+    with np.errstate(over="ignore"):
+        stored = np.ascontiguousarray(given, dtype=np.float32)
+    lost = np.isinf(stored) & np.isfinite(given)
+    if np.any(lost):
+        raise ArgumentError(f"picture must lie within float32's range, got {given[lost].flat[0]:g}")
+    return stored
+
+
+def check_promised(path: Path, height: int, width: int, channels: int) -> None:
+    """FileFormatError for a picture that nobody would store, before any memory is asked for it."""
+    if min(height, width, channels) < 1 or height * width * channels > LARGEST:
+        raise FileFormatError(
+            f"{path}: header says {height} x {width} pixels of {channels} channels: damaged or too large"
+        )
+
+
+def file_size(path: Path) -> int:
+    """Size in bytes. FileFormatError where there is no file that could be read."""
+    try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: is a folder, not a picture")
+        return path.stat().st_size
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
