@@ -17,7 +17,7 @@ from .files.merl import read_merl, write_merl
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .forward.lobe_table import lobe_table, with_pixel_noise
 from .forward.peak import loss_angle, peak_response
-from .forward.texture import texture_contrast
+from .forward.texture import texture_contrast, textured_picture
 from .inverse.fresnel_term import fresnel
 from .inverse.tabulated import tabulated_fresnel
 from .material.anisotropic import AnisotropicBeckmann, AnisotropicGGX
@@ -85,6 +85,7 @@ __all__ = [
     "sidecar_path",
     "tabulated_fresnel",
     "texture_contrast",
+    "textured_picture",
     "with_pixel_noise",
     "write_exr",
     "write_float_tiff",

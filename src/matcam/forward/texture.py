@@ -1,13 +1,24 @@
-"""Texture on a flat sample: the contrast that survives tilt and camera (paper (4))."""
+"""Texture on a flat sample: the contrast that survives tilt and camera (paper (4)), and the picture that is left of it.
+
+A texture is periodic, so its picture is a sum of waves: each arrives at its own frequency, stretched by the tilt along
+x, and keeps the camera's total transfer function there. Pixels are read at their centres; nothing is resampled.
+"""
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
+import numpy as np
 from jax.typing import ArrayLike
 
-from matcam._jax import jax
+from matcam import checks
+from matcam._jax import is_concrete, jax, jnp
 from matcam.errors import ArgumentError
 from matcam.rigs import Rig
 from matcam.sample.flat import Flat
+
+Texels = Literal["band-limited", "squares"]
+_MOST_WAVES = 1 << 23  # in the quarter plane: half a GB per channel
 
 
 def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
@@ -16,6 +27,96 @@ def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.
     frequency: cycles/px as seen head-on. theta_o: viewing angle, rad, [0, pi/2). A frequency nu arrives at
     nu / cos(theta_o), and keeps the camera's MTF there; negative means that bright and dark have changed places.
     """
+    return rig.camera.mtf(_flat_sample(rig).frequency_on_sensor(frequency, theta_o))
+
+
+def textured_picture(
+    texture: ArrayLike,
+    rig: Rig,
+    theta_o: ArrayLike,
+    shape: tuple[int, int] | None = None,
+    texture_pitch: float = 1.0,
+    texels: Texels = "band-limited",
+) -> jax.Array:
+    """What the camera of `rig` records of a textured Flat sample that is tilted by theta_o along x, seen from far away.
+
+    texture: albedo (or anything else that light is proportional to), shape (H, W) or (H, W, channels), row 0 on top,
+    finite and >= 0; it repeats itself. texture_pitch: px of the sensor from texel to texel head-on. theta_o: rad,
+    [0, pi/2). shape: rows and columns of the picture; None: the texture's. The texture's centre is the picture's.
+
+    texels: what lies between the texels' centres. "band-limited": the smoothest periodic signal through their values (a
+    sampled sine is that sine; beside an edge it overshoots, and may leave the picture below 0 there). "squares": each
+    texel is a square of constant albedo (a chart, a print); the picture of a positive kernel stays >= 0.
+
+    Returns the picture in the texture's unit, shape + (channels,); a uniform one is read as it is. Exact to rounding for
+    both signals, as far as the lens's MTF has died out at its `band()`; differentiable in texture, angle and camera.
+    """
+    flat = _flat_sample(rig)
+    checks.choice("texels", texels, get_args(Texels))
+    texture = _checked_texture(texture)
+    theta_o = checks.scalar("theta_o", checks.viewing_angle("theta_o", theta_o))
+    checks.scalar("texture_pitch", checks.positive("texture_pitch", texture_pitch, "px"))
+    pitch = float(texture_pitch)  # decides how many waves there are: not to be traced
+    rows, columns = _checked_shape(texture.shape[:2] if shape is None else shape)
+    height, width = texture.shape[:2]
+    band = rig.camera.optics.band() if texels == "squares" else None
+    (k_y, weight_y), (k_x, weight_x) = (_harmonics(n, pitch, band) for n in (height, width))
+    if (k_x.size // 2 + 1) * (k_y.size // 2 + 1) > _MOST_WAVES:
+        raise ArgumentError(
+            f"texture of {height} x {width} texels of {pitch:g} px makes {k_y.size} x {k_x.size} waves that this lens may "
+            f"pass: more than {4 * _MOST_WAVES}; give a smaller texture"
+        )
+
+    # the transfer function is even in both frequencies: a quarter of the plane will do
+    along = flat.frequency_on_sensor(np.arange(k_x.size // 2 + 1) / (width * pitch), theta_o)
+    across = jnp.arange(k_y.size // 2 + 1)[:, None] / (height * pitch)
+    transfer = rig.camera.transfer(along, across)[np.abs(k_y)[:, None], np.abs(k_x)]
+    planes = texture if texture.ndim == 3 else texture[..., None]
+    spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")[(k_y % height)[:, None], k_x % width]
+    spectrum = spectrum * (transfer * weight_y[:, None] * weight_x)[..., None]
+    # where the pixels lie on the texture, in texels
+    at_x = (width - 1) / 2 + (jnp.arange(columns) - (columns - 1) / 2) / (pitch * jnp.cos(theta_o))
+    at_y = (height - 1) / 2 + (jnp.arange(rows) - (rows - 1) / 2) / pitch
+    waves_x, waves_y = _waves(k_x, at_x, width), _waves(k_y, at_y, height)
+    picture = jnp.einsum("rc,cwk->rwk", waves_y, jnp.einsum("cdk,wd->cwk", spectrum, waves_x)).real
+    return picture if texture.ndim == 3 else picture[..., 0]
+
+
+def _harmonics(texels: int, pitch: float, band: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers k of the waves exp(2 pi i k u / texels), symmetric about 0, and how strong the texture's are in the signal.
+
+    band: up to where squares reach into the camera, cycles/px; None: a band-limited signal.
+    """
+    if band is None:
+        k = np.arange(-(texels // 2), texels // 2 + 1)
+        # the wave that changes sign from texel to texel is its own mirror image
+        return k, np.where(2 * np.abs(k) == texels, 0.5, 1.0)
+    reach = int(np.ceil(band * texels * pitch))
+    k = np.arange(-reach, reach + 1)
+    return k, np.sinc(k / texels)
+
+
+def _waves(k: np.ndarray, at: jax.Array, texels: int) -> jax.Array:
+    turns = at[:, None] / texels * k
+    return jnp.exp(2j * jnp.pi * (turns - jnp.round(turns)))
+
+
+def _checked_texture(texture: ArrayLike) -> jax.Array:
+    array = texture if not is_concrete(texture) else checks.within("texture", texture, 0, np.inf, open_high=True)
+    array = jnp.asarray(array, dtype=jnp.float64)
+    if array.ndim not in (2, 3) or 0 in array.shape:
+        raise ArgumentError(f"texture must have shape (H, W) or (H, W, channels), got {array.shape}")
+    return array
+
+
+def _checked_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+    whole = isinstance(shape, tuple) and all(isinstance(n, int | np.integer) and 1 <= n <= 1 << 15 for n in shape)
+    if not whole or len(shape) != 2:
+        raise ArgumentError(f"shape must be two whole numbers (rows, columns) in [1, {1 << 15}], got {shape!r:.60}")
+    return int(shape[0]), int(shape[1])
+
+
+def _flat_sample(rig: Rig) -> Flat:
     if not isinstance(rig.sample, Flat):
-        raise ArgumentError(f"texture_contrast needs a rig with a Flat sample, got {type(rig.sample).__name__}")
-    return rig.camera.mtf(rig.sample.frequency_on_sensor(frequency, theta_o))
+        raise ArgumentError(f"a texture needs a rig with a Flat sample, got {type(rig.sample).__name__}")
+    return rig.sample
