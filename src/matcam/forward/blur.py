@@ -1,34 +1,58 @@
 """All that spreads a piece of surface's light over the sensor, as a sum of Gaussians seen by the pixel: closed forms.
 
-Lens and registration are Gaussians (the lens a sum of them, camera/gaussian_sum.py). The lamp's disc spreads the half
-vector uniformly over an ellipse (MODEL 3): in x, a semicircle's worth of lines, each of which is uniform in y.
+The lens is a sum of Gaussians (camera/gaussian_sum.py); registration is one. A lens out of focus spreads light over a disc
+and a lamp's disc spreads the half vector over an ellipse (MODEL 3): both are taken as Gaussians of the disc's own standard
+deviations, a quarter of its diameter. Those two depend on the place and on the lamp.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+import equinox as eqx
 import numpy as np
 
-from matcam._jax import jax, jnp
+from matcam._jax import is_concrete, jax, jnp
+from matcam.camera.gaussian_sum import gaussian_sum
 from matcam.camera.pixel import PixelResponse
+from matcam.rigs import Rig
+from matcam.sample.shape import Curved
+
+STEEPEST = 0.1
+"""Cosine of theta_d below which a lamp's disc spreads the half vector no further: its ellipse is as long as the sample."""
 
 
-class Blur(NamedTuple):
-    """sum_j weight_j N(std_j) on the sensor, px, through `pixel`. Shapes (terms,)."""
+class Blur(eqx.Module):
+    """sum_j weight_j N(std_j) on the sensor, px, through `pixel`; weights and stds have shape (terms,)."""
 
     pixel: PixelResponse
     weights: jax.Array
     stds: jax.Array
+    lamp_radius: jax.Array
+    aperture: jax.Array
+    focus: jax.Array
+    varies: bool = eqx.field(static=True)
+    """Whether lamp or focus spread the light by more than the lens, the pixel and the registration do."""
 
-    def kernel(self, offset: jax.Array, term: int) -> jax.Array:
+    def spread(self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Variances, px^2, that focus and lamp add along x and y for a piece of surface with this n_z."""
+        if not self.varies:
+            return jnp.zeros(()), jnp.zeros(())
+        circle = sample.radius * self.aperture * (normal_z - jnp.cos(self.focus))
+        theta_d = sample.theta_d(lamp_angle)
+        scale_x, scale_y = sample.px_per_rad(theta_d)
+        along = scale_x * self.lamp_radius / 4
+        across = jnp.where(jnp.isinf(scale_y), 0.0, scale_y) * self.lamp_radius / 4
+        across /= jnp.maximum(jnp.cos(theta_d), STEEPEST)
+        defocus = circle**2 / 16
+        return defocus + along**2, defocus + across**2
+
+    def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
         """One term along one axis, 1/px, at `offset` px from the pixel's centre."""
-        return self.pixel.of_gaussian(offset, self.stds[term])
+        return self.pixel.of_gaussian(offset, self._std(term, variance))
 
-    def rule(self, term: int) -> tuple[jax.Array, jax.Array]:
-        """Five-node Gauss rule (offsets px, weights) whose weight function is the term's kernel along one axis: exact for
-        polynomials of degree 9, so for whatever is smooth on the kernel's scale."""
-        m2, m4, m6, m8 = self._moments(self.stds[term])
+    def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Five-node Gauss rule (offsets px, weights; on a trailing axis) whose weight function is the term's kernel along
+        one axis: exact for polynomials of degree 9, so for whatever is smooth on the kernel's scale."""
+        m2, m4, m6, m8 = self._moments(self._std(term, variance))
         a = (m2 * m8 - m4 * m6) / (m2 * m6 - m4**2)
         b = (a * m4 - m6) / m2
         root = jnp.sqrt(a**2 / 4 - b)
@@ -36,8 +60,11 @@ class Blur(NamedTuple):
         w_inner = (m4 - m2 * outer) / (2 * inner * (inner - outer))
         w_outer = (m4 - m2 * inner) / (2 * outer * (outer - inner))
         x, y = jnp.sqrt(inner), jnp.sqrt(outer)
-        offsets = jnp.stack([-y, -x, 0 * x, x, y])
-        return offsets, jnp.stack([w_outer, w_inner, 1 - 2 * (w_inner + w_outer), w_inner, w_outer])
+        weights = jnp.stack([w_outer, w_inner, 1 - 2 * (w_inner + w_outer), w_inner, w_outer], axis=-1)
+        return jnp.stack([-y, -x, 0 * x, x, y], axis=-1), weights
+
+    def _std(self, term: int, variance: jax.Array) -> jax.Array:
+        return jnp.sqrt(self.stds[term] ** 2 + variance) if self.varies else self.stds[term]
 
     def _moments(self, std: jax.Array) -> tuple[jax.Array, ...]:
         """Second to eighth moment of Gaussian and pixel together."""
@@ -52,3 +79,18 @@ class Blur(NamedTuple):
             g6 + 15 * g4 * p2 + 15 * g2 * p4 + p6,
             g8 + 28 * g6 * p2 + 70 * g4 * p4 + 28 * g2 * p6 + p8,
         )
+
+
+def blur_of(rig: Rig) -> Blur:
+    """The blur of a rig."""
+    lens = gaussian_sum(rig.camera.optics)
+    still = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
+    return Blur(
+        pixel=rig.camera.pixel,
+        weights=lens.weights,
+        stds=jnp.sqrt(lens.sigmas**2 + rig.jitter**2),
+        lamp_radius=rig.lamp_radius,
+        aperture=rig.aperture,
+        focus=rig.focus,
+        varies=not still,
+    )

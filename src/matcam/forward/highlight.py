@@ -50,12 +50,13 @@ def record_around(
     weight = jnp.concatenate([-sides[0][1], sides[1][1]], axis=1) * v_weight[:, None]
     element = sample.surface(u, v[:, None])
     light = scene.sent(element) * weight[..., None]
+    spread_x, spread_y = blur.spread(sample, element.normal[2], lamp)
     total = jnp.zeros((y.size, x.size, light.shape[-1]))
     for term in terms:
-        columns = blur.kernel(x[:, None, None] - element.x, term)
+        columns = blur.kernel(x[:, None, None] - element.x, term, spread_x)
         # the surface is the same on either side of the plane of camera and lamp
         above, below = (y[:, None, None] - sign * element.y for sign in (1, -1))
-        rows = blur.kernel(above, term) + blur.kernel(below, term)
+        rows = blur.kernel(above, term, spread_y) + blur.kernel(below, term, spread_y)
         if rows.shape[-1] == 1:
             by_line = jnp.einsum("xvu,vuc->vxc", columns, light)
             recorded = jnp.einsum("yv,vxc->yxc", rows[..., 0], by_line)

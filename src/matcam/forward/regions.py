@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam._jax import AnyArray, jax, jnp
-from matcam.camera.pixel import PixelResponse
+from matcam._jax import AnyArray, is_concrete, jax, jnp
+from matcam.errors import ArgumentError
+from matcam.forward.blur import STEEPEST, Blur
 from matcam.sample.shape import Curved
 
 
@@ -27,10 +28,32 @@ class Scale(NamedTuple):
     """Grid on which a record is known everywhere: it holds nothing finer."""
 
 
-def scale_of(pixel: PixelResponse, stds: np.ndarray) -> Scale:
-    """Lengths for Gaussian terms of these standard deviations, px, seen by the pixel."""
-    half = float(jax.lax.stop_gradient(pixel.half_width))
-    widest, narrowest = float(np.max(stds)), float(np.min(stds))
+class Group(NamedTuple):
+    """Terms of a blur of about one width."""
+
+    terms: tuple[int, ...]
+    scale: Scale
+
+
+def groups_of(blur: Blur, sample: Curved) -> tuple[Group, ...]:
+    """The terms of a blur, those within a factor of two of each other together. Needs numbers: ArgumentError inside jit."""
+    numbers = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
+    if not all(is_concrete(a) for a in numbers):
+        raise ArgumentError(
+            "the rig's numbers set how its picture is integrated: call this outside of jax.jit and vmap"
+        )
+    stds, half = np.asarray(numbers[0]), float(numbers[1])
+    widened = np.sqrt(stds**2 + _widest_spread(blur, sample))
+    groups, left = [], list(np.argsort(stds))
+    while left:
+        together = [j for j in left if stds[j] <= 2 * stds[left[0]]]
+        groups.append(Group(tuple(int(j) for j in together), _scale(half, stds[together], widened[together])))
+        left = left[len(together) :]
+    return tuple(groups)
+
+
+def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> Scale:
+    widest, narrowest = float(np.max(widened)), float(np.min(stds))
     std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
     return Scale(
         near=10 * std,
@@ -38,6 +61,17 @@ def scale_of(pixel: PixelResponse, stds: np.ndarray) -> Scale:
         reach=half + 5.2 * widest,
         spacing=min(0.5 * narrowest, 0.45 * finest),
     )
+
+
+def _widest_spread(blur: Blur, sample: Curved) -> float:
+    """Largest variance, px^2, that focus and lamp add anywhere."""
+    if not blur.varies:
+        return 0.0
+    aperture, focus, lamp, radius = (
+        float(jax.lax.stop_gradient(a)) for a in (blur.aperture, blur.focus, blur.lamp_radius, sample.radius)
+    )
+    depth = max(np.cos(focus), 1 - np.cos(focus))
+    return (radius * aperture * depth / 4) ** 2 + (radius * lamp / 4 / STEEPEST) ** 2
 
 
 @jax.jit
@@ -68,3 +102,42 @@ def towards_a_pole(sample: Curved, x: AnyArray, y: AnyArray, reach: AnyArray) ->
     """Whether the surface under a kernel at (x, y) turns so fast in v that few panels would not do."""
     first, _, last = sample.rows(x, y, reach)
     return (last - first) * sample.stretch > 4 * reach
+
+
+class Sorted(NamedTuple):
+    """Indices of targets by the way in which their record is integrated."""
+
+    near: np.ndarray
+    ridge: np.ndarray
+    pole: np.ndarray
+    ends: np.ndarray
+    inside: np.ndarray
+
+
+def sorted_targets(sample: Curved, x: np.ndarray, y: np.ndarray, lamp_angle: np.ndarray, scale: Scale) -> Sorted:
+    """Sort targets at (x, y) px, each under its own lamp; those that no light reaches are in no kind."""
+    peak = np.asarray(_highlight_x(sample, lamp_angle))
+    near = (np.abs(x - peak) < scale.near) & (np.abs(y) < scale.near)
+    away = np.asarray(away_from_ends(sample, x, y, lamp_angle, scale.margin)) & ~near
+    pole = np.asarray(towards_a_pole(sample, x, y, scale.reach)) & ~near & ~away
+    ridge = np.asarray(crowded(sample, x, y, lamp_angle, scale.reach)) & ~near & ~pole
+    reached = np.asarray(lit_within(sample, x, y, lamp_angle, scale.reach))
+    ends = ~near & ~pole & ~ridge & ~away
+    kinds = (near, ridge & reached, pole & reached, ends & reached, away & ~ridge)
+    return Sorted(*(np.flatnonzero(kind) for kind in kinds))
+
+
+@jax.jit
+def _highlight_x(sample: Curved, lamp_angle: AnyArray) -> jax.Array:
+    return sample.surface(sample.highlight(jnp.asarray(lamp_angle)), jnp.zeros(())).x
+
+
+@jax.jit
+def lit_within(sample: Curved, x: AnyArray, y: AnyArray, lamp_angle: AnyArray, reach: AnyArray) -> jax.Array:
+    """Whether light within `reach` px of (x, y) can reach it."""
+    any_light = jnp.zeros(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
+    for v in sample.rows(x, y, reach):
+        low, high = sample.lit(v, lamp_angle)
+        left, right = sample.surface(low, v).x, sample.surface(high, v).x
+        any_light |= (right > left) & (x - reach < right) & (x + reach > left)
+    return any_light

@@ -25,13 +25,16 @@ def record_inside(scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array
     """Record at targets (x, y), shape (targets,), whose kernel meets neither highlight nor an end of the light; the scene
     has one lamp or one per target. Shape (targets, channels), radiance per unit irradiance."""
     total: jax.Array | float = 0.0
-    scene = _one_lamp_each(scene)
+    centre, _ = scene.sample.at(x, y)
+    spread_x, spread_y = blur.spread(scene.sample, centre.normal[2], scene.lamp_angle)
+    scene = Scene(scene.material, scene.sample, _beside_nodes(scene.lamp_angle, 1))
     for term in terms:
-        offsets, weights = blur.rule(term)
-        dx, dy = (a.ravel() for a in jnp.meshgrid(offsets, offsets))
-        share = jnp.outer(weights, weights).ravel()
+        (dx, x_weight), (dy, y_weight) = (blur.rule(term, spread) for spread in (spread_x, spread_y))
+        shape = (*jnp.broadcast_shapes(dx.shape[:-1], dy.shape[:-1]), -1)
+        dx, dy = (a.reshape(shape) for a in jnp.broadcast_arrays(dx[..., None, :], dy[..., :, None]))
+        share = (y_weight[..., :, None] * x_weight[..., None, :]).reshape(shape)
         element, _ = scene.sample.at(x[:, None] + dx, y[:, None] + dy)
-        total += blur.weights[term] * jnp.einsum("tnc,n->tc", scene.sent(element), share)
+        total += blur.weights[term] * jnp.sum(scene.sent(element) * share[..., None], axis=1)
     return jnp.asarray(total)
 
 
@@ -51,7 +54,7 @@ def record_across_ridge(
     """The same where a lobe that foreshortening has squeezed runs through the kernel: towards the limb the surface turns
     within a pixel, and even far from its peak the lobe is a narrow ridge along the half vector's u."""
     v, v_weight, low, high = _window(scene, x, y, reach, panels)
-    lamp = scene.lamp_angle[..., None] if jnp.ndim(scene.lamp_angle) else scene.lamp_angle
+    lamp = _beside_nodes(scene.lamp_angle, 1)
     ridge = scene.sample.highlight(lamp)
     # panels no wider than the kernel allows, nor, close to the ridge, than the lobe does
     steps = np.linspace(-1, 1, _RIDGE_PANELS + 1)
@@ -68,7 +71,7 @@ def _window(scene: Scene, x: jax.Array, y: jax.Array, reach: float, panels: int)
     first, between, last = sample.rows(x, y, reach)
     equal = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, panels + 1)
     v, v_weight = nodes_in_panels(jnp.sort(jnp.append(equal, between[:, None], axis=1), axis=1), _ORDER_V)
-    lamp = scene.lamp_angle[..., None] if jnp.ndim(scene.lamp_angle) else scene.lamp_angle
+    lamp = _beside_nodes(scene.lamp_angle, 1)
     low, high = sample.lit(v, lamp)
     ends = (jnp.clip(sample.across(x[:, None] + side * reach, v), low, high) for side in (-1, 1))
     return v, v_weight, *ends
@@ -76,15 +79,17 @@ def _window(scene: Scene, x: jax.Array, y: jax.Array, reach: float, panels: int)
 
 def _through_kernel(scene, blur, terms, x, y, u, v):  # type: ignore[no-untyped-def]
     element = scene.sample.surface(u[0], v[0][..., None])
-    lamp = scene.lamp_angle[..., None, None] if jnp.ndim(scene.lamp_angle) else scene.lamp_angle
+    lamp = _beside_nodes(scene.lamp_angle, 2)
     light = Scene(scene.material, scene.sample, lamp).sent(element) * (u[1] * v[1][..., None])[..., None]
+    spread_x, spread_y = blur.spread(scene.sample, element.normal[2], lamp)
     total: jax.Array | float = 0.0
     for term in terms:
-        kernel = blur.kernel(x[:, None, None] - element.x, term) * blur.kernel(y[:, None, None] - element.y, term)
-        total += blur.weights[term] * jnp.einsum("tvuc,tvu->tc", light, kernel)
+        along = blur.kernel(x[:, None, None] - element.x, term, spread_x)
+        across = blur.kernel(y[:, None, None] - element.y, term, spread_y)
+        total += blur.weights[term] * jnp.sum(light * (along * across)[..., None], axis=(1, 2))
     return jnp.asarray(total)
 
 
-def _one_lamp_each(scene: Scene) -> Scene:
-    lamp = scene.lamp_angle
-    return Scene(scene.material, scene.sample, lamp[..., None] if jnp.ndim(lamp) else lamp)
+def _beside_nodes(lamp_angle: jax.Array, axes: int) -> jax.Array:
+    """One lamp per target, against arrays with `axes` further axes of nodes; a single lamp as it is."""
+    return lamp_angle.reshape(*lamp_angle.shape, *([1] * axes)) if jnp.ndim(lamp_angle) else lamp_angle

@@ -132,6 +132,8 @@ class Curved(Sample):
 
     def highlight(self, lamp_angle: jax.Array) -> jax.Array:
         """The u, at v = 0, whose normal is the half vector: half of lamp_angle if the camera is far."""
+        if self.distant:
+            return jnp.asarray(lamp_angle, dtype=jnp.float64) / 2
         q = self.nearness
 
         def newton(_: int, u: jax.Array) -> jax.Array:
@@ -145,10 +147,17 @@ class Curved(Sample):
         """Angle between lamp and optical axis, rad, at which the highlight's normal sees both at theta_d."""
         return 2 * theta_d - jnp.arcsin(self.nearness * jnp.sin(theta_d))
 
+    def theta_d(self, lamp_angle: jax.Array) -> jax.Array:
+        """Half the angle between lamp and camera as the highlight sees it, rad: the inverse of `lamp_angle`."""
+        return lamp_angle - self.highlight(lamp_angle)
+
     def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
         """(radius cos theta_o, radius) with a distant camera: x = radius sin theta_o (paper (5)). Before a near one the
         half vector turns too, by half of what the line of sight does."""
         q = self.nearness
+        if self.distant:
+            across = self.radius / self._turn_across(jnp.zeros(()))
+            return self.radius * jnp.cos(theta_o), across + jnp.zeros_like(theta_o)
         t = theta_o - jnp.arcsin(q * jnp.sin(theta_o))
         depth, length = 1 - q * jnp.cos(t), jnp.sqrt(1 + q**2 - 2 * q * jnp.cos(t))
         turn_along = q * (jnp.cos(t) - q) / length**2 / 2

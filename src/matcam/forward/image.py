@@ -1,0 +1,105 @@
+"""A picture of a material on a curved sample, as the rig's camera takes it."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+
+from matcam import checks
+from matcam._jax import jax, jnp
+from matcam.camera.sensor import Seed
+from matcam.errors import ArgumentError
+from matcam.forward.blur import blur_of
+from matcam.forward.recording import Targets, record
+from matcam.forward.regions import groups_of
+from matcam.material.material import Material
+from matcam.rigs import Rig, picture_shape
+from matcam.sample.shape import Curved
+
+
+def picture(
+    material: Material,
+    rig: Rig,
+    lamp_angle: ArrayLike,
+    *,
+    shape: tuple[int, int] | None = None,
+    exposure: float | None = None,
+    seed: Seed | None = None,
+    time: float = 0.0,
+) -> xr.DataArray:
+    """The picture of a sphere or cylinder of `material` under a distant lamp of unit irradiance.
+
+    lamp_angle: between lamp and camera, rad, [0, pi): 2 theta_d; the lamp stands towards +x (right). shape: (height,
+    width); None: the rig's crop, or what holds the sample and its blur. Row 0 is on top, pixel centres lie on integers,
+    the optical axis at ((width - 1) / 2, (height - 1) / 2).
+
+    exposure: None for radiance, 1/sr; a number, e- per unit of radiance, for a raw picture of the camera's sensor, DN, of
+    `time` s, with the noise that `seed` stands for.
+
+    DataArray (row, column, channel), or (row, column) behind a colour mosaic. For the differentiable values alone see
+    `picture_values`.
+    """
+    values = picture_values(material, rig, lamp_angle, shape)
+    quantity, unit = "radiance", "1/sr"
+    if exposure is not None:
+        sensor = rig.camera.sensor
+        if sensor is None:
+            raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
+        if seed is None:
+            raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
+        if sensor.cfa is not None and values.shape[-1] == 1:
+            values = jnp.broadcast_to(values, (*values.shape[:2], 3))
+        values, quantity, unit = sensor.expose(values, exposure, seed, time), "digital", "DN"
+    height, width = values.shape[:2]
+    return xr.DataArray(
+        np.asarray(values),
+        dims=("row", "column", "channel")[: values.ndim],
+        coords={
+            "x": ("column", np.arange(width) - (width - 1) / 2, {"units": "px"}),
+            "y": ("row", (height - 1) / 2 - np.arange(height), {"units": "px"}),
+        },
+        name="picture",
+        attrs={"units": unit, "quantity": quantity, "lamp_angle": float(lamp_angle), "rig": repr(rig)},
+    )
+
+
+def picture_values(
+    material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None = None
+) -> jax.Array:
+    """Radiance of `picture`, 1/sr, shape (height, width, channels): differentiable in the numbers of the material and
+    the camera. ArgumentError inside jax.jit."""
+    _check(material, rig)
+    sample: Curved = rig.sample  # type: ignore[assignment]
+    behind = "rad (beyond pi the lamp is behind the sample)"
+    lamp = checks.scalar("lamp_angle", checks.within("lamp_angle", lamp_angle, 0, np.pi, behind, open_high=True))
+    blur = blur_of(rig)
+    reach = max(group.scale.reach for group in groups_of(blur, sample))
+    height, width = _shape(rig, shape, reach)
+    x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
+    x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(x, y))
+    lamps = np.full(x.size, float(lamp))
+    targets = Targets(x, y, lamps, np.zeros(x.size, dtype=np.int32))
+    values = record(material, sample, blur, np.array([float(lamp)]), targets)
+    return values.reshape(height, width, -1)
+
+
+def _shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
+    """What was asked for, the rig's crop, or a square that holds the sample and what its light reaches within 8 px."""
+    if shape is not None:
+        return picture_shape("shape", shape)
+    if rig.crop is not None:
+        return rig.crop
+    side = 2 * int(np.ceil(float(rig.sample.radius) + min(reach, 8.0))) + 1  # type: ignore[attr-defined]
+    return picture_shape("shape", (side, side))
+
+
+def _check(material: Material, rig: Rig) -> None:
+    if not isinstance(material, Material):
+        raise ArgumentError(
+            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
+        )
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    if not isinstance(rig.sample, Curved):
+        raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
