@@ -64,7 +64,7 @@ def test_the_oracle_knows_the_gaussian_lobe():
 
 
 def test_table_against_quadrature_at_random_points():
-    worst = [errors_of(*p[:2], [p[2], 0.0], *p[3:]).max() for p in random_points(150, seed=7)]
+    worst = [errors_of(*p[:2], [p[2], 0.0], *p[3:]).max() for p in random_points(90, seed=7)]
     assert max(worst) < STATED
 
 
@@ -78,7 +78,7 @@ def test_table_against_quadrature_in_the_corners():
 def test_table_against_quadrature_close_to_the_limb():
     """Beyond what is asked for, as far as `predict` looks."""
     theta = np.radians([87.0, 89.0, 89.9])
-    worst = [errors_of(*p[:2], theta, *p[3:]).max() for p in random_points(40, seed=8)]
+    worst = [errors_of(*p[:2], theta, *p[3:]).max() for p in random_points(20, seed=8)]
     assert max(worst) < STATED
 
 
@@ -129,12 +129,13 @@ def test_power_1_is_beckmann_and_so_are_its_derivatives(dims):
 
 
 def test_derivatives_against_differences():
+    @jax.jit
     def response(values):
         beta, power, sigma, half_width, radius, theta = values
         return peak_response(rig_of(sigma, half_width, radius), EPD(beta, power), theta)
 
     at = jnp.asarray([0.004, 0.6, 0.45, 0.4, 200.0, 1.1])
-    slopes = np.asarray(jax.grad(response)(at))
+    slopes = np.asarray(jax.jit(jax.grad(response))(at))
     for k, step in enumerate(1e-5 * np.asarray(at)):
         moved = np.eye(6)[k] * step
         by_difference = (float(response(at + moved)) - float(response(at - moved))) / (2 * step)
