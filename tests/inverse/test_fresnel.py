@@ -81,6 +81,15 @@ def test_without_noise_the_answer_is_exact():
     np.testing.assert_allclose(found["raw"], normalised(CHROMIUM) * loss.values[:, None], rtol=2e-4)
 
 
+def test_beckmanns_lobe_is_the_gaussian_one_when_it_is_sharp():
+    """alpha = sqrt(2) width, and the same Fresnel term."""
+    found = fresnel(one_channel(merl_lobe.record(WIDTH, CHROMIUM[:, 1:2])), rigs.merl(), ndf="beckmann", masking=None)
+    assert found.attrs["ndf"] == "beckmann"
+    assert float(found["width"]) == pytest.approx(np.sqrt(2) * WIDTH, rel=1e-3)
+    truth = normalised(CHROMIUM[:, 1])
+    np.testing.assert_allclose(found["corrected"].values[:76, 0], truth[:76], rtol=2e-3)
+
+
 def test_corrected_is_within_one_percent_and_raw_is_two_thirds_too_low(noisy):
     truth = normalised(CHROMIUM)
     error = noisy["corrected"].values / truth - 1
