@@ -51,10 +51,10 @@ def test_merging_beats_every_single_picture(merged):
 
 
 def test_saturated_in_all_is_flagged_and_missing_stays_missing():
-    scene = np.full((3, 4), 10.0)
+    scene = np.full((8, 8), 10.0)
     scene[0, 0], scene[1, 1] = 1e6, np.nan
     found = merge_bracket(camera(), expose_bracket(camera(), scene, EXPOSURES, 1), EXPOSURES)
-    saturated = np.zeros((3, 4), bool)
+    saturated = np.zeros((8, 8), bool)
     saturated[0, 0] = True
     np.testing.assert_array_equal(found.saturated, saturated)
     for values in (found.radiance, found.std):

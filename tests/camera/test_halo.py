@@ -34,18 +34,18 @@ def box_gaussian(x, sigma, p=0.5):
 def test_against_the_closed_form():
     """Two Gaussians through a square pixel (MODEL 2), written out."""
     camera = Camera(HaloOptics(GaussianOptics(0.5), 0.03, 40.0), BoxPixel(0.5))
-    x, y = np.linspace(-90, 90, 181), 0.7
+    x, y = np.array([-90, -20, -1.3, -0.4, 0, 0.9, 7, 60]), 0.3
     truth = 0.97 * box_gaussian(x, 0.5) * box_gaussian(y, 0.5) + 0.03 * box_gaussian(x, 40) * box_gaussian(y, 40)
     np.testing.assert_allclose(camera.psf(x, y), truth, rtol=1e-10)
-    np.testing.assert_allclose(camera.lsf(x), 0.97 * box_gaussian(x, 0.5) + 0.03 * box_gaussian(x, 40), rtol=1e-10)
-    f = np.array([0.0, 1e-3, 5e-3, 0.2, 0.7])
+    np.testing.assert_allclose(camera.lsf(x, 0.0), 0.97 * box_gaussian(x, 0.5) + 0.03 * box_gaussian(x, 40), rtol=1e-10)
+    f = np.array([0.0, 1e-3, 5e-3, 0.02, 0.2, 0.5, 0.7, 1.2])
     spectrum = 0.97 * np.exp(-2 * (np.pi * 0.5 * f) ** 2) + 0.03 * np.exp(-2 * (np.pi * 40 * f) ** 2)
     np.testing.assert_allclose(camera.mtf(f), spectrum * np.sinc(f), rtol=1e-12)
 
 
 @pytest.mark.parametrize("core", CORES.values(), ids=CORES)
 def test_effective_kernels_are_sums(core):
-    x = np.linspace(-7, 7, 8)
+    x = np.linspace(-3, 3, 8)
     pixel = WindowedGaussianPixel(0.2, 0.45) if isinstance(core, GaussianOptics) else BoxPixel(0.45)
     whole, bare, glare = (Camera(o, pixel) for o in (HaloOptics(core, 0.05, 30.0), core, GaussianOptics(30.0)))
     for kernel in (lambda c: c.psf(x, 0.3), lambda c: c.lsf(x, 0.4), lambda c: c.esf(x, 0.4), lambda c: c.mtf(x)):
@@ -53,7 +53,7 @@ def test_effective_kernels_are_sums(core):
     whole = HaloOptics(core, 0.05, 30.0)
     np.testing.assert_allclose(whole.lsf(x), 0.95 * core.lsf(x) + 0.05 * GaussianOptics(30.0).lsf(x), atol=1e-14)
     np.testing.assert_allclose(
-        whole.psf(x, 1.0), 0.95 * core.psf(x, 1.0) + 0.05 * GaussianOptics(30.0).psf(x, 1.0), atol=1e-14
+        whole.psf(x, 0.3), 0.95 * core.psf(x, 0.3) + 0.05 * GaussianOptics(30.0).psf(x, 0.3), atol=1e-14
     )
 
 
@@ -61,7 +61,7 @@ def test_effective_kernels_are_sums(core):
 @pytest.mark.parametrize("radius", [0.1, 200.0])
 def test_the_whole_lens_can_be_integrated_over_frequencies(core, radius):
     """One rule for core and spike: the line spread of the whole by quadrature against the sum of its parts' own."""
-    x, angle, core = jnp.asarray([0.0, 0.6, 20.0]), jnp.asarray(0.3), CORES[core]
+    x, angle, core = jnp.asarray([0.0, 0.6, 1, 2, 3, 5, 8, 20.0]), jnp.asarray(0.3), CORES[core]
     whole, pixel = HaloOptics(core, 0.2, radius), BoxPixel(0.5)
     by_parts = Camera(whole, pixel).lsf(x, angle)
     scale = 1e-11 * float(by_parts[0])

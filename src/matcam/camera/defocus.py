@@ -62,18 +62,8 @@ class DefocusOptics(Optics):
         known = is_concrete(self.blur_diameter) and is_concrete(cutoff)
         circle = float(self.blur_diameter * cutoff) if known else _TRACED_CIRCLE
         # in u = cos t the cosine runs through at most 0.23 c cutoff periods: three to a panel
-        share, weight = (jnp.asarray(a) for a in piecewise_rule(np.linspace(0, 1, 3 + int(0.08 * circle))))
-
-        def at(frequency: jax.Array) -> jax.Array:
-            nu = frequency / cutoff
-            inside = nu < 1
-            nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
-            end = jnp.arccos(nu)
-            t = end * share
-            wave = jnp.cos(jnp.pi * self.blur_diameter * frequency * (jnp.cos(t) - nu))
-            return jnp.where(inside, 4 / jnp.pi * end * ((wave * jnp.sin(t) ** 2) @ weight), 0.0)
-
-        values = jax.lax.map(at, f.ravel(), batch_size=_FREQUENCIES_AT_ONCE).reshape(f.shape)
+        rule = piecewise_rule(np.linspace(0, 1, 3 + int(0.08 * circle)))
+        values = _overlap(f, cutoff, self.blur_diameter, *(jnp.asarray(a) for a in rule))
         return values if known else jnp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, jnp.nan, values)
 
     def band(self) -> float:
@@ -96,3 +86,19 @@ class DefocusOptics(Optics):
             f"DefocusOptics(f_number={lens.f_number!s}, wavelength={lens.wavelength!s}, "
             f"pixel_pitch={lens.pixel_pitch!s}, blur_diameter={self.blur_diameter!s})"
         )
+
+
+@jax.jit
+def _overlap(
+    f: jax.Array, cutoff: jax.Array, blur_diameter: jax.Array, share: jax.Array, weight: jax.Array
+) -> jax.Array:
+    def at(frequency: jax.Array) -> jax.Array:
+        nu = frequency / cutoff
+        inside = nu < 1
+        nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
+        end = jnp.arccos(nu)
+        t = end * share
+        wave = jnp.cos(jnp.pi * blur_diameter * frequency * (jnp.cos(t) - nu))
+        return jnp.where(inside, 4 / jnp.pi * end * ((wave * jnp.sin(t) ** 2) @ weight), 0.0)
+
+    return jax.lax.map(at, f.ravel(), batch_size=_FREQUENCIES_AT_ONCE).reshape(f.shape)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -77,7 +79,13 @@ class DiffractionOptics(Optics):
 
 def _jinc(v: jax.Array, turns: float) -> jax.Array:
     """2 J1(v) / v as the mean over the pupil's chords, 2 cos^2 t cos(v sin t): exact once the nodes outnumber v."""
-    nodes = 24 + int(np.ceil(np.pi * turns))  # v = pi turns; the trapezoid rule sees the quarter turn only
+    return _over_chords(
+        24 + int(np.ceil(np.pi * turns)), v
+    )  # v = pi turns; the trapezoid rule sees the quarter turn only
+
+
+@partial(jax.jit, static_argnums=0)
+def _over_chords(nodes: int, v: jax.Array) -> jax.Array:
     t = (jnp.arange(nodes) + 0.5) * (jnp.pi / 2 / nodes)
     chord = 2 * jnp.cos(t) ** 2 / nodes
 

@@ -8,7 +8,8 @@ period: below 1e-12 of the kernel's peak.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ _POINTS_AT_ONCE = 64
 
 
 Transfer = Callable[[jax.Array, jax.Array], jax.Array]
+Wave = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Rule(NamedTuple):
@@ -66,29 +68,12 @@ def reach_of(*positions: jax.Array) -> float:
 
 def line_kernel(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Kernel on a line: integral of transfer(f, angle) exp(2 pi i f x) df. x px and angle rad broadcast."""
-    return _over_frequencies(rule, transfer, lambda f, x: 2 * jnp.cos(2 * jnp.pi * f * x), x, angle)
+    return _over_frequencies(_line_wave, rule, transfer, x, angle)
 
 
 def step_response(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Integral of the line kernel from -infinity to x."""
-    # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
-    return 0.5 + _over_frequencies(rule, transfer, lambda f, x: 2 * x * jnp.sinc(2 * f * x), x, angle)
-
-
-def _over_frequencies(
-    rule: Rule, transfer: Transfer, wave: Callable[[jax.Array, jax.Array], jax.Array], x: jax.Array, angle: jax.Array
-) -> jax.Array:
-    frequency, weight = jnp.asarray(rule.frequency), jnp.asarray(rule.weight)
-    if angle.ndim == 0:
-        amplitude = weight * transfer(frequency, angle)
-        return jax.lax.map(lambda u: wave(frequency, u) @ amplitude, x.ravel(), batch_size=_POINTS_AT_ONCE).reshape(
-            x.shape
-        )
-
-    def at(point: jax.Array) -> jax.Array:
-        return wave(frequency, point[0]) @ (weight * transfer(frequency, point[1]))
-
-    return _at_each_pair(at, x, angle)
+    return 0.5 + _over_frequencies(_step_wave, rule, transfer, x, angle)
 
 
 def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
@@ -97,15 +82,10 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
     # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
     angle = jnp.linspace(0, jnp.pi / 2, turns + 1)
     ends = jnp.ones(turns + 1).at[jnp.array([0, -1])].set(0.5)
-    fx = rule.frequency[:, None] * jnp.cos(angle)
-    fy = rule.frequency[:, None] * jnp.sin(angle)
+    frequency = jnp.asarray(rule.frequency)[:, None]
     area = (rule.weight * rule.frequency)[:, None] * ends * (jnp.pi / 2 / turns)
-    amplitude = 4 * area * transfer(jnp.asarray(rule.frequency)[:, None], angle)
-
-    def at(point: jax.Array) -> jax.Array:
-        return jnp.sum(jnp.cos(2 * jnp.pi * fx * point[0]) * jnp.cos(2 * jnp.pi * fy * point[1]) * amplitude)
-
-    return _at_each_pair(at, x, y)
+    amplitude = 4 * area * transfer(frequency, angle)
+    return _plane_sum(frequency * jnp.cos(angle), frequency * jnp.sin(angle), amplitude, *jnp.broadcast_arrays(x, y))
 
 
 def turns_for(reach: float, band: float) -> int:
@@ -113,7 +93,42 @@ def turns_for(reach: float, band: float) -> int:
     return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
 
 
-def _at_each_pair(function: Callable[[jax.Array], jax.Array], first: jax.Array, second: jax.Array) -> jax.Array:
-    first, second = jnp.broadcast_arrays(first, second)
-    pairs = jnp.stack([first.ravel(), second.ravel()], axis=-1)
-    return jax.lax.map(function, pairs, batch_size=_POINTS_AT_ONCE).reshape(first.shape)
+def _line_wave(f: jax.Array, x: jax.Array) -> jax.Array:
+    return 2 * jnp.cos(2 * jnp.pi * f * x)
+
+
+def _step_wave(f: jax.Array, x: jax.Array) -> jax.Array:
+    # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
+    return 2 * x * jnp.sinc(2 * f * x)
+
+
+def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
+    frequency, weight = jnp.asarray(rule.frequency), jnp.asarray(rule.weight)
+    if angle.ndim == 0:
+        return _line_sum(wave, frequency, weight * transfer(frequency, angle), x)
+
+    def at(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return wave(frequency, pair[0]) @ (weight * transfer(frequency, pair[1]))
+
+    return _at_each(at, *jnp.broadcast_arrays(x, angle))
+
+
+# The sums are functions of arrays alone, so that what was compiled for one lens serves the next.
+
+
+@partial(jax.jit, static_argnums=0)
+def _line_sum(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
+    return _at_each(lambda point: wave(frequency, point[0]) @ amplitude, x)
+
+
+@jax.jit
+def _plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+    def at(point: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return jnp.sum(jnp.cos(2 * jnp.pi * fx * point[0]) * jnp.cos(2 * jnp.pi * fy * point[1]) * amplitude)
+
+    return _at_each(at, x, y)
+
+
+def _at_each(function: Callable[[Any], jax.Array], *positions: jax.Array) -> jax.Array:
+    flat = tuple(p.ravel() for p in positions)
+    return jax.lax.map(function, flat, batch_size=_POINTS_AT_ONCE).reshape(positions[0].shape)
