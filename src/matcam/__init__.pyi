@@ -15,7 +15,9 @@ from .files.exr import read_exr, write_exr
 from .files.float_tiff import read_float_tiff, write_float_tiff
 from .files.merl import read_merl, write_merl
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
+from .forward.image import picture, picture_values
 from .forward.lobe_table import lobe_table, with_pixel_noise
+from .forward.measurement import measure, measured_values
 from .forward.peak import loss_angle, peak_response
 from .forward.texture import texture_contrast, textured_picture
 from .inverse.fresnel_term import fresnel
@@ -72,6 +74,7 @@ __all__ = [
     "lobe_table",
     "loss_angle",
     "measure",
+    "measured_values",
     "merge_bracket",
     "metal",
     "metal_sources",
@@ -79,6 +82,7 @@ __all__ = [
     "paper",
     "peak_response",
     "picture",
+    "picture_values",
     "read_exr",
     "read_float_tiff",
     "read_merl",

@@ -60,7 +60,7 @@ def picture(
             "y": ("row", (height - 1) / 2 - np.arange(height), {"units": "px"}),
         },
         name="picture",
-        attrs={"units": unit, "quantity": quantity, "lamp_angle": float(lamp_angle), "rig": repr(rig)},
+        attrs={"units": unit, "quantity": quantity, "lamp_angle": float(np.asarray(lamp_angle)), "rig": repr(rig)},
     )
 
 

@@ -15,7 +15,6 @@ from matcam.forward.recording import Targets, record
 from matcam.material.material import Material
 from matcam.rigs import CellValue, Rig
 from matcam.sample.flat import Flat
-from matcam.sample.shape import Curved
 from matcam.sample.sphere import Sphere
 from matcam.table import CHANNELS, brdf_table
 
@@ -53,13 +52,15 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
 def measured_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:
     """(values, pixels) of `measure` as arrays, (90, 90, 180, channels) and (90, 90, 180): differentiable in the numbers
     of the material and the camera."""
-    _check(material, rig)
-    if isinstance(rig.sample, Flat):
+    sphere = _checked_sample(material, rig)
+    if not isinstance(sphere, Sphere):
         return _of_flat(material, rig), np.zeros(GRID_SHAPE)
-    cells = _cells(rig.sample, rig.cell_value, rig.crop)
-    grid_lamps = np.asarray(rig.sample.lamp_angle(jnp.asarray(merl_grid(_sampling(rig.cell_value)).theta_d)))
-    radiance = record(material, rig.sample, blur_of(rig), grid_lamps, cells.targets)
-    return _folded(radiance, cells), cells.pixels
+    cells = _cells(sphere, rig.cell_value, rig.crop)
+    theta_d = merl_grid(_sampling(rig.cell_value)).theta_d
+    recorded = record(
+        material, sphere, blur_of(rig), np.asarray(sphere.lamp_angle(jnp.asarray(theta_d))), cells.targets
+    )
+    return _folded(recorded, cells), cells.pixels
 
 
 class _Cells(NamedTuple):
@@ -68,8 +69,8 @@ class _Cells(NamedTuple):
 
     targets: Targets
     """Those that are seen."""
-    index: np.ndarray
-    """Their numbers in the flattened arrays."""
+    numbers: np.ndarray
+    """Their places in the flattened arrays."""
     cos_i: np.ndarray
     weight: np.ndarray
     """How much of the cell's value each place makes; 0 where it is not seen."""
@@ -81,7 +82,7 @@ def _sampling(cell_value: CellValue) -> Sampling:
     return "edge" if cell_value == "edge" else "centre"
 
 
-def _cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | None) -> _Cells:
+def _cells(sample: Sphere, cell_value: CellValue, crop: tuple[int, int] | None) -> _Cells:
     n_h, n_d, n_p = GRID_SHAPE
     points = np.array(_POINTS[cell_value])
     share = (np.arange(n_h)[:, None] + points) / n_h
@@ -119,7 +120,7 @@ def _other_way(one_way):  # type: ignore[no-untyped-def]
 def _folded(radiance: jax.Array, cells: _Cells) -> jax.Array:
     """Mean over the places of each cell, both ways; NaN where none is seen."""
     channels = radiance.shape[-1]
-    spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.index].set(radiance)
+    spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.numbers].set(radiance)
     spread = spread.reshape(*cells.cos_i.shape, channels)
     weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.cos_i, 1.0))[..., None]
     total = jnp.sum(weighted + _other_way(weighted), axis=(3, 4))
@@ -139,7 +140,7 @@ def _of_flat(material: Material, rig: Rig) -> jax.Array:
     return jnp.where(below_horizon(sampling)[..., None], jnp.nan, values)
 
 
-def _check(material: Material, rig: Rig) -> None:
+def _checked_sample(material: Material, rig: Rig) -> Sphere | Flat:
     if not isinstance(material, Material):
         raise ArgumentError(
             f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
@@ -150,3 +151,4 @@ def _check(material: Material, rig: Rig) -> None:
         raise ArgumentError(
             f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
         )
+    return rig.sample

@@ -24,7 +24,7 @@ from matcam.sample.shape import Curved
 
 _DETAIL = Detail(graded=6, even=8, order=6)
 # Targets at a time: as many nodes as fit into a processor's cache
-_INSIDE, _WINDOWS, _READ = 4096, 256, 8192
+_INSIDE, _WINDOWS, _READ = 4096, 64, 8192
 
 
 class Targets(NamedTuple):
@@ -81,9 +81,10 @@ def _record_group(
         return lambda x, y, lamp: integral(Scene(material, sample, lamp), blur, terms, x, y, scale.reach, panels)
 
     out = added(out, kinds.inside, inside, _INSIDE)
-    out = added(out, kinds.ends, window(record_at_ends, 3), _WINDOWS)
+    out = added(out, kinds.ends, window(record_at_ends, 2), _WINDOWS)
     out = added(out, kinds.ridge, window(record_across_ridge, 2), _WINDOWS)
-    out = added(out, kinds.pole, window(record_across_ridge, 12), _WINDOWS // 4)
+    out = added(out, kinds.slanted, window(record_at_ends, 4), _WINDOWS // 2)
+    out = added(out, kinds.pole, window(record_at_ends, 10), _WINDOWS // 4)
     if not kinds.near.size:
         return out
 
@@ -94,8 +95,8 @@ def _record_group(
         return sample.surface(sample.highlight(lamp), jnp.zeros(())).x
 
     def stamp(lamp: jax.Array) -> jax.Array:
-        grid = highlight_x(lamp) + scale.spacing * columns, scale.spacing * rows
-        return record_around(Scene(material, sample, lamp), blur, terms, *grid, scale.reach, _DETAIL)
+        x, y = highlight_x(lamp) + scale.spacing * columns, jnp.asarray(scale.spacing * rows)
+        return record_around(Scene(material, sample, lamp), blur, terms, x, y, scale.reach, _DETAIL)
 
     stamps = jax.lax.map(stamp, lamps.ravel())
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam._jax import AnyArray, is_concrete, jax, jnp
+from matcam._jax import is_concrete, jax, jnp
 from matcam.errors import ArgumentError
 from matcam.forward.blur import STEEPEST, Blur
 from matcam.sample.shape import Curved
@@ -57,7 +57,7 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> Scale:
     std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
     return Scale(
         near=10 * std,
-        margin=5.5 * std,
+        margin=4.8 * std,
         reach=half + 5.2 * widest,
         spacing=min(0.5 * narrowest, 0.45 * finest),
     )
@@ -75,7 +75,7 @@ def _widest_spread(blur: Blur, sample: Curved) -> float:
 
 
 @jax.jit
-def away_from_ends(sample: Curved, x: AnyArray, y: AnyArray, lamp_angle: AnyArray, margin: AnyArray) -> jax.Array:
+def away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, margin: float) -> jax.Array:
     """Whether the square of half side `margin` px about (x, y) is visible and lit all over (to its corners)."""
     equator = sample.across(x, jnp.zeros_like(x))
     inside = jnp.ones(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
@@ -88,20 +88,20 @@ def away_from_ends(sample: Curved, x: AnyArray, y: AnyArray, lamp_angle: AnyArra
 
 
 @jax.jit
-def crowded(sample: Curved, x: AnyArray, y: AnyArray, lamp_angle: AnyArray, reach: AnyArray) -> jax.Array:
+def crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
     """Whether the surface under a kernel at (x, y) turns by more than its own angle from the half vector."""
     v, _ = sample.window(y, y, sample.across(x, jnp.zeros_like(x)))
     low, high = sample.lit(v, lamp_angle)
     first, last = (jnp.clip(sample.across(x + side * reach, v), low, high) for side in (-1, 1))
     middle = sample.across(x, v) - sample.highlight(lamp_angle)
-    return jnp.hypot(middle, v) < 1.3 * (last - first)
+    return jnp.hypot(middle, v) < 1.0 * (last - first)
 
 
 @jax.jit
-def towards_a_pole(sample: Curved, x: AnyArray, y: AnyArray, reach: AnyArray) -> jax.Array:
-    """Whether the surface under a kernel at (x, y) turns so fast in v that few panels would not do."""
-    first, _, last = sample.rows(x, y, reach)
-    return (last - first) * sample.stretch > 4 * reach
+def turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> jax.Array:
+    """How far, in px along the surface, a kernel at (x, y) reaches in v: twice its own reach, more where it is seen aslant."""
+    first, last = sample.rows(x, y, reach)
+    return (last - first) * sample.stretch
 
 
 class Sorted(NamedTuple):
@@ -110,33 +110,36 @@ class Sorted(NamedTuple):
     near: np.ndarray
     ridge: np.ndarray
     pole: np.ndarray
+    slanted: np.ndarray
     ends: np.ndarray
     inside: np.ndarray
 
 
 def sorted_targets(sample: Curved, x: np.ndarray, y: np.ndarray, lamp_angle: np.ndarray, scale: Scale) -> Sorted:
     """Sort targets at (x, y) px, each under its own lamp; those that no light reaches are in no kind."""
-    peak = np.asarray(_highlight_x(sample, lamp_angle))
+    px, py, lamp = jnp.asarray(x), jnp.asarray(y), jnp.asarray(lamp_angle)
+    peak = np.asarray(_highlight_x(sample, lamp))
     near = (np.abs(x - peak) < scale.near) & (np.abs(y) < scale.near)
-    away = np.asarray(away_from_ends(sample, x, y, lamp_angle, scale.margin)) & ~near
-    pole = np.asarray(towards_a_pole(sample, x, y, scale.reach)) & ~near & ~away
-    ridge = np.asarray(crowded(sample, x, y, lamp_angle, scale.reach)) & ~near & ~pole
-    reached = np.asarray(lit_within(sample, x, y, lamp_angle, scale.reach))
-    ends = ~near & ~pole & ~ridge & ~away
-    kinds = (near, ridge & reached, pole & reached, ends & reached, away & ~ridge)
-    return Sorted(*(np.flatnonzero(kind) for kind in kinds))
+    away = np.asarray(away_from_ends(sample, px, py, lamp, scale.margin)) & ~near
+    turned = np.asarray(turn_along_v(sample, px, py, scale.reach))
+    pole = (turned > 5 * scale.reach) & ~near & ~away
+    ridge = np.asarray(crowded(sample, px, py, lamp, scale.reach)) & ~near & ~pole
+    ends = np.asarray(lit_within(sample, px, py, lamp, scale.reach)) & ~near & ~ridge & ~pole & ~away
+    slanted = ends & (turned > 2.6 * scale.reach)
+    return Sorted(*(np.flatnonzero(kind) for kind in (near, ridge, pole, slanted, ends & ~slanted, away & ~ridge)))
 
 
 @jax.jit
-def _highlight_x(sample: Curved, lamp_angle: AnyArray) -> jax.Array:
-    return sample.surface(sample.highlight(jnp.asarray(lamp_angle)), jnp.zeros(())).x
+def _highlight_x(sample: Curved, lamp_angle: jax.Array) -> jax.Array:
+    return sample.surface(sample.highlight(lamp_angle), jnp.zeros(())).x
 
 
 @jax.jit
-def lit_within(sample: Curved, x: AnyArray, y: AnyArray, lamp_angle: AnyArray, reach: AnyArray) -> jax.Array:
+def lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
     """Whether light within `reach` px of (x, y) can reach it."""
     any_light = jnp.zeros(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
-    for v in sample.rows(x, y, reach):
+    first, last = sample.rows(x, y, reach)
+    for v in (first, (first + last) / 2, last):
         low, high = sample.lit(v, lamp_angle)
         left, right = sample.surface(low, v).x, sample.surface(high, v).x
         any_light |= (right > left) & (x - reach < right) & (x + reach > left)

@@ -68,9 +68,9 @@ def record_across_ridge(
 def _window(scene: Scene, x: jax.Array, y: jax.Array, reach: float, panels: int):  # type: ignore[no-untyped-def]
     """Nodes and weights in v, and the visible and lit interval of u at each, within `reach` of the targets."""
     sample = scene.sample
-    first, between, last = sample.rows(x, y, reach)
-    equal = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, panels + 1)
-    v, v_weight = nodes_in_panels(jnp.sort(jnp.append(equal, between[:, None], axis=1), axis=1), _ORDER_V)
+    first, last = sample.rows(x, y, reach)
+    borders = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, panels + 1)
+    v, v_weight = nodes_in_panels(borders, _ORDER_V)
     lamp = _beside_nodes(scene.lamp_angle, 1)
     low, high = sample.lit(v, lamp)
     ends = (jnp.clip(sample.across(x[:, None] + side * reach, v), low, high) for side in (-1, 1))

@@ -66,10 +66,9 @@ class Cylinder(Curved):
         middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
         return (middle - half) / scale, (middle + half) / scale
 
-    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Places along the axis, cut in the middle."""
-        low, high = self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
-        return low, (low + high) / 2, high
+    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
+        """Places along the axis."""
+        return self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
 
     def _element(self, n_x: jax.Array, n_z: jax.Array, v: jax.Array) -> tuple[Element, jax.Array]:
         zero = jnp.zeros(())

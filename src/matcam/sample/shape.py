@@ -95,9 +95,8 @@ class Curved(Sample):
         """Interval of v that holds all that the picture shows between y = low and y = high px, around u."""
 
     @abstractmethod
-    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Interval of v, as (first, between, last), that holds all that the picture shows within `reach` px of (x, y) in
-        both directions; if the limb enters these columns there, it does so at `between`."""
+    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
+        """Interval of v that holds all that the picture shows within `reach` px of (x, y) in both directions."""
 
     @property
     def nearness(self) -> jax.Array:

@@ -26,14 +26,14 @@ class Sphere(Curved):
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
         """x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (MODEL 3)."""
-        cos_v = jnp.cos(v)
-        n_z = cos_v * jnp.cos(u)
-        normal = cos_v * jnp.sin(u), jnp.sin(v), n_z
+        cos_v, sin_u = jnp.cos(v), jnp.sin(u)
+        cos_u = jnp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
+        normal = cos_v * sin_u, jnp.sin(v), cos_v * cos_u
         view, length, depth = self.line_of_sight(normal, normal[1])
         scale = self.stretch / depth
         return Element(
             normal=normal,
-            tangent=(jnp.cos(u), jnp.zeros(()), -jnp.sin(u)),
+            tangent=(cos_u, jnp.zeros(()), -sin_u),
             view=view,
             x=scale * normal[0],
             y=scale * normal[1],
@@ -118,19 +118,12 @@ class Sphere(Curved):
         )
         return first, last
 
-    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Latitudes in these rows, up to that at which the limb leaves these columns; cut where it enters them."""
+    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
+        """Latitudes in these rows, up to that at which the limb leaves these columns."""
         low, high = self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
-
-        def limb(column: jax.Array) -> jax.Array:
-            share = jnp.clip(column / self.radius, 0, 1)
-            return jnp.arcsin(jnp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
-
-        end = limb(jnp.abs(x) - reach)
-        low, high = jnp.clip(low, -end, end), jnp.clip(high, -end, end)
-        enters = jnp.sign(y) * limb(jnp.abs(x) + reach)
-        inside = (enters > low) & (enters < high) & (jnp.abs(x) + reach < self.radius)
-        return low, jnp.where(inside, enters, (low + high) / 2), high
+        share = jnp.clip((jnp.abs(x) - reach) / self.radius, 0, 1)
+        end = jnp.arcsin(jnp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
+        return jnp.clip(low, -end, end), jnp.clip(high, -end, end)
 
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
         return 1 + half_vector
