@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
@@ -15,7 +15,7 @@ from matcam.camera.gaussian import GaussianOptics
 from matcam.camera.pixel import BoxPixel
 from matcam.camera.uncertainty import Provenance
 from matcam.errors import ArgumentError
-from matcam.sample.shape import Sample
+from matcam.sample.shape import Curved, Sample
 from matcam.sample.sphere import Sphere
 
 CellValue = Literal["centre", "edge", "mean"]
@@ -80,6 +80,24 @@ class Rig(eqx.Module):
         of camera and lamp and across it, at difference angle theta_d (MODEL 3)."""
         quarter = self.lamp_radius / 4
         return quarter + jnp.zeros_like(theta_d), quarter / jnp.cos(theta_d)
+
+    def description(self) -> dict[str, Any]:
+        """What a picture's sidecar has to say of the rig, as plain numbers: sections camera, sample, blur, and the lamp's
+        radius, units in the names."""
+        sample: dict[str, Any] = {"kind": type(self.sample).__name__.lower()}
+        if isinstance(self.sample, Curved):
+            distance = None if self.sample.distant else float(self.sample.distance)
+            sample |= {"radius_px": float(self.sample.radius), "distance_radii": distance}
+        return {
+            "camera": self.camera.profile(),
+            "sample": sample,
+            "blur": {
+                "jitter_px": float(self.jitter),
+                "aperture": float(self.aperture),
+                "focus_rad": float(self.focus),
+            },
+            "lamp_radius_rad": float(self.lamp_radius),
+        }
 
     def __repr__(self) -> str:
         more = "".join(

@@ -38,6 +38,7 @@ def sections(**changes):
         "camera": CAMERA.profile(),
         "sample": {"kind": "sphere", "radius_px": 1 / 3, "distance_radii": None},
         "lamp": {"angles_rad": [0.5, 1.0], "radius_rad": 0.004},
+        "blur": {"jitter_px": 0.1, "aperture": 0.02, "focus_rad": 0.3},
         "exposure": {"electrons_per_radiance": [1e3, 1e4], "times_s": [0.01, 0.1], "seed": 1},
         "material": {"ndf": {"kind": "ggx", "alpha": 0.1}, "fresnel": [0.9, 0.6, 0.4]},
     }  # fmt: skip

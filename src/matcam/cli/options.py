@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -34,10 +34,29 @@ Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, on standard output.")]
 
 
-def rig_of(camera: Path | None, radius: float | None, lamp_degrees: float, sample: str = "sphere") -> Rig:
+Distance = Annotated[
+    float | None, typer.Option("--distance", help="Distance of the camera in radii of the sample. Default: far away.")
+]
+Glare = Annotated[
+    float, typer.Option("--glare", help="Share of the light that the lens scatters around, beside its profile.")
+]
+GlareRadius = Annotated[float, typer.Option("--glare-radius", help="Standard deviation of that halo, px.")]
+
+
+def rig_of(
+    camera: Path | None,
+    radius: float | None,
+    lamp_degrees: float,
+    sample: str = "sphere",
+    distance: float | None = None,
+    glare: float = 0.0,
+    glare_radius: float = 30.0,
+    **more: Any,
+) -> Rig:
     """The MERL rig, with what the user has replaced."""
     from matcam import rigs
     from matcam.camera.camera import Camera
+    from matcam.camera.halo import HaloOptics
     from matcam.sample.cylinder import Cylinder
     from matcam.sample.flat import Flat
     from matcam.sample.shape import Sample
@@ -45,6 +64,10 @@ def rig_of(camera: Path | None, radius: float | None, lamp_degrees: float, sampl
 
     merl = rigs.merl()
     chosen = merl.camera if camera is None else Camera.load(camera)
+    if glare:
+        optics = HaloOptics(chosen.optics, glare, glare_radius)
+        chosen = Camera(optics, chosen.pixel, chosen.sensor, provenance=chosen.provenance)
     size = 256.0 if radius is None else radius
-    shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size)
-    return rigs.Rig(chosen, shape, math.radians(lamp_degrees))
+    far = math.inf if distance is None else distance
+    shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size, far)
+    return rigs.Rig(chosen, shape, math.radians(lamp_degrees), **more)

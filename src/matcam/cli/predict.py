@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Radius, rig_of
+from matcam.cli.options import AsJson, CameraProfile, Distance, Force, Glare, GlareRadius, LampRadius, Radius, rig_of
 
 _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 
@@ -26,35 +26,53 @@ def command(
     ] = None,
     sample: Annotated[Literal["sphere", "cylinder"], typer.Option("--sample", help="Shape of the sample.")] = "sphere",
     dims: Annotated[int, typer.Option("--dims", help="2: a real sample; 1: the paper's one-dimensional model.")] = 2,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="The curved sample with its limb and Smith masking, not the tangent plane.")
+    ] = False,
     camera: CameraProfile = None,
     radius: Radius = None,
+    distance: Distance = None,
     lamp: LampRadius = 0.0,
+    glare: Glare = 0.0,
+    glare_radius: GlareRadius = 30.0,
+    map_: Annotated[
+        Path | None,
+        typer.Option(
+            "--map", help="Picture to write of the whole plane of roughness and angle; a .csv goes beside it."
+        ),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Picture to write (.png, .pdf, .svg); a .csv goes beside it.")
     ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """How much of a highlight a rig keeps, and up to which angle it loses less than 5 %.
+    """How much of a highlight a rig keeps, and up to which angle it loses less than 5 %; with --glare, how much false haze
+    and false diffuse each material gains.
 
-    Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png`
+    Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
     from matcam._jax import use_compilation_cache
     from matcam.figures.style import check_picture
 
     inputs = [camera] if camera else []
-    if output:
-        check_picture(output, force=force, inputs=inputs)
+    for path in (output, map_):
+        if path:
+            check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.forward.peak import predict
     from matcam.material.families import ndf_of
 
-    rig = rig_of(camera, radius, lamp, sample)
+    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
-        data = predict(rig, [ndf_of(ndf, value, power) for value in values], dims)
+        lobes = [ndf_of(ndf, value, power) for value in values]
+        data = predict(rig, lobes, dims, exact)
+    false = _false_light(rig, lobes) if glare else []
     if output:
         _write(data, rig, output, force)
+    if map_:
+        _map(rig, ndf, power, (dims, exact), map_, force)
     if json:
         show.as_json(
             {
@@ -64,6 +82,7 @@ def command(
                 "loss_angle_deg": _degrees(data["loss_angle"]),
                 "theta_deg": _degrees(data["theta"]),
                 "response": data["response"].values,
+                "false_light": [{"diffuse": f["false_diffuse"].values, "haze_2deg": _haze(f)} for f in false],
             }
         )
         return
@@ -84,8 +103,47 @@ def command(
         rows,
         f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: peak kept at 0°, and loss relative to that",
     )
-    if output:
-        show.say(f"picture: {output}")
+    if false:
+        show.table(
+            ["roughness", "false diffuse", "haze at 2°", "at 5°", "at 10°"],
+            [
+                [f"{value:g}", f"{float(f['false_diffuse'][0]):.2g}", *(f"{_haze(f, a):.2g}" for a in (2, 5, 10))]
+                for value, f in zip(values, false, strict=True)
+            ],
+            f"{glare:g} of the light in a halo of {glare_radius:g} px: albedo that is not there, and added / true BRDF "
+            "off the half vector, for a perfect mirror's Fresnel term",
+        )
+    for path in (output, map_):
+        if path:
+            show.say(f"picture: {path}")
+
+
+def _false_light(rig, lobes):  # type: ignore[no-untyped-def]
+    from matcam.forward.glare import false_light
+    from matcam.material.microfacet import Microfacet
+
+    with show.working("following the glare"):
+        return [false_light(Microfacet(lobe, 1.0), rig) for lobe in lobes]
+
+
+def _haze(false, degrees: float = 2.0) -> float:  # type: ignore[no-untyped-def]
+    at = false.isel(channel=0).sel(theta_h=degrees * 3.141592653589793 / 180, method="nearest")
+    return float(at["added"] / at["true"])
+
+
+def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
+    import numpy as np
+
+    from matcam.figures.prediction import plane_figure
+    from matcam.figures.style import save
+    from matcam.files.columns import write_columns
+    from matcam.forward.peak import predict
+    from matcam.material.families import ndf_of
+
+    with show.working("drawing the plane"):
+        data = predict(rig, [ndf_of(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
+        write_columns(path.with_suffix(".csv"), data, force=force)
+        save(plane_figure(data, f"Peak kept, relative to 0°: {rig.sample!r}"), path, force=force)
 
 
 def _degrees(angles) -> list[float]:  # type: ignore[no-untyped-def]

@@ -36,3 +36,25 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
             title=f"roughness\n({data.attrs['ndf']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
         )
     return figure
+
+
+def plane_figure(data: xr.Dataset, title: str) -> Figure:
+    """Map of the (angle, roughness) plane: relative response, its 5 % line drawn. data: `forward.peak.predict`."""
+    with styled():
+        figure = Figure(figsize=(7.4, 4.6), layout="constrained")
+        axes = figure.subplots()
+        axes.grid(False)
+        theta, roughness = np.degrees(data["theta"].values), data["roughness"].values
+        relative = data["relative_response"].values
+        steps = np.linspace(0, 1.0, 11)
+        filled = axes.contourf(theta, roughness, np.clip(relative, 0, 1), levels=steps, cmap="cividis")
+        limit = 1 - data.attrs["loss"]
+        if relative.min() < limit < relative.max():
+            lines = axes.contour(theta, roughness, relative, levels=[limit], colors=[BLACK], linewidths=1.6)
+            axes.clabel(lines, fmt={limit: "5 % loss"}, fontsize=8.5)
+        axes.set_yscale("log")
+        degrees_axis(axes, r"viewing angle $\theta_o$")
+        axes.set_ylabel(f"roughness ({data.attrs['ndf']}) [{'rad' if data.attrs['ndf'] == 'gaussian' else 'slope'}]")
+        axes.set_title(title, loc="left", fontsize=9.5)
+        figure.colorbar(filled, ax=axes, label=r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+    return figure

@@ -8,6 +8,7 @@
       "camera": {...},                                        a camera profile, whole
       "sample": {"kind": "sphere", "radius_px": 256.0, "distance_radii": null},           null: infinitely far
       "lamp": {"angles_rad": [0.5], "radius_rad": 0.004},     angle lamp-camera = 2 theta_d, lamp towards +x
+      "blur": {"jitter_px": 0.0, "aperture": 0.0, "focus_rad": 0.0},        registration; pupil over distance, and focus
       "exposure": {"electrons_per_radiance": [1e4], "times_s": [0.01], "seed": 1},        null: no noise was added
       "material": {...},                                      free
       "notes": ""
@@ -67,6 +68,12 @@ class _Lamp(_Strict):
     radius_rad: _NotNegative
 
 
+class _Blur(_Strict):
+    jitter_px: _NotNegative
+    aperture: _NotNegative
+    focus_rad: _NotNegative
+
+
 class _Exposure(_Strict):
     electrons_per_radiance: Annotated[list[_Positive], Field(min_length=1)]
     times_s: list[_NotNegative]
@@ -82,6 +89,7 @@ class _Sidecar(_Strict):
     camera: dict[str, Any]
     sample: Annotated[_Round | _Flat, Field(discriminator="kind")]
     lamp: _Lamp
+    blur: _Blur
     exposure: _Exposure | None
     material: dict[str, Any]
     notes: str = ""
@@ -100,6 +108,7 @@ def write_sidecar(
     camera: dict[str, Any],
     sample: dict[str, Any],
     lamp: dict[str, Any],
+    blur: dict[str, Any],
     exposure: dict[str, Any] | None,
     material: dict[str, Any],
     notes: str = "",
@@ -116,6 +125,7 @@ def write_sidecar(
         "camera": camera,
         "sample": sample,
         "lamp": lamp,
+        "blur": blur,
         "exposure": exposure,
         "material": material,
         "notes": notes,

@@ -94,3 +94,8 @@ def blur_of(rig: Rig) -> Blur:
         focus=rig.focus,
         varies=not still,
     )
+
+
+def kernel_error(rig: Rig) -> float:
+    """Largest error of the camera's transfer function that taking its lens as a sum of Gaussians makes; 0 for Gaussians."""
+    return float(gaussian_sum(rig.camera.optics).total_error)

@@ -10,7 +10,7 @@ from matcam import checks
 from matcam._jax import jax, jnp
 from matcam.camera.sensor import Seed
 from matcam.errors import ArgumentError
-from matcam.forward.blur import blur_of
+from matcam.forward.blur import blur_of, kernel_error
 from matcam.forward.recording import Targets, record
 from matcam.forward.regions import groups_of
 from matcam.material.material import Material
@@ -60,7 +60,13 @@ def picture(
             "y": ("row", (height - 1) / 2 - np.arange(height), {"units": "px"}),
         },
         name="picture",
-        attrs={"units": unit, "quantity": quantity, "lamp_angle": float(np.asarray(lamp_angle)), "rig": repr(rig)},
+        attrs={
+            "units": unit,
+            "quantity": quantity,
+            "lamp_angle": float(np.asarray(lamp_angle)),
+            "rig": repr(rig),
+            "kernel_error": kernel_error(rig),
+        },
     )
 
 

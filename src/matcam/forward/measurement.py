@@ -10,7 +10,7 @@ import xarray as xr
 from matcam._jax import jax, jnp
 from matcam.angles import GRID_SHAPE, Sampling, below_horizon, cosines, merl_grid, theta_h_edges
 from matcam.errors import ArgumentError
-from matcam.forward.blur import blur_of
+from matcam.forward.blur import blur_of, kernel_error
 from matcam.forward.recording import Targets, record
 from matcam.material.material import Material
 from matcam.rigs import CellValue, Rig
@@ -38,14 +38,12 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
     Source: MODEL 2, 3; error below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests). Lenses that are no
     Gaussians are sums of them: attribute `kernel_error` is the largest error of their MTF.
     """
-    values, pixels = measured_values(material, rig)
-    values = (
-        np.broadcast_to(np.asarray(values), (*GRID_SHAPE, len(CHANNELS))).copy() if values.shape[-1] == 1 else values
-    )
-    if values.shape[-1] != len(CHANNELS):
-        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {values.shape[-1]}")
-    sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
-    table = brdf_table(np.asarray(values), sampling, cell_value=rig.cell_value, rig=repr(rig))
+    recorded, pixels = measured_values(material, rig)
+    if recorded.shape[-1] not in (1, len(CHANNELS)):
+        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}")
+    values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
+    attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    table = brdf_table(values, _sampling(rig.cell_value), **attrs)
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
 
 

@@ -12,35 +12,49 @@ from jax.typing import ArrayLike
 from matcam import checks
 from matcam._jax import jax, jnp
 from matcam.errors import ArgumentError
+from matcam.forward.exact_peak import exact_peak
 from matcam.forward.lobe import line_record, lobe_record
 from matcam.forward.peak_tables import tabulated_peak
 from matcam.material.epd import EPD
-from matcam.material.ndf import NDF, MixtureNDF
+from matcam.material.masking import MASKINGS, Masking
+from matcam.material.ndf import NDF, MixtureNDF, SlopeDistribution
 from matcam.rigs import Rig
 
 LOSS = 0.05
 """Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
 
 
-def peak_response(rig: Rig, ndf: NDF, theta: ArrayLike, dims: int = 2) -> jax.Array:
-    """Recorded peak / true peak of a material's highlight, in the tangent plane.
+def peak_response(
+    rig: Rig, ndf: SlopeDistribution, theta: ArrayLike, dims: int = 2, exact: bool = False, masking: Masking = "smith"
+) -> jax.Array:
+    """Recorded peak / true peak of a material's highlight.
 
     theta: viewing angle of the highlight = half the angle between lamp and camera, rad, [0, pi/2), any shape.
-    dims: 2, a real sample; 1, the paper's one-dimensional model (towards the limb only). In (0, 1]; on a sphere the
-    loss relative to theta = 0 is at most cos(theta), for lobes much narrower than the kernel.
-    Closed forms for mixtures of Gaussians; EPD by a table, within 1e-4: Gaussian optics, box pixel, point lamp only, and
-    ArgumentError outside its range.
-    Source: Holzschuch & Pacanowski (2017), section 3, as corrected in MODEL 4: a(w r cos theta) a(w r).
+    dims: 2, a real sample; 1, the paper's one-dimensional model (towards the limb only).
+
+    exact=False, the tangent plane: in (0, 1]; on a sphere the loss relative to theta = 0 is at most cos(theta), for
+    lobes much narrower than the kernel. Closed forms for mixtures of Gaussians; EPD by a table, within 1e-4: Gaussian
+    optics, box pixel, point lamp only, and ArgumentError outside its range. Source: Holzschuch & Pacanowski (2017),
+    section 3, as corrected in MODEL 4: a(w r cos theta) a(w r).
+
+    exact=True, two dimensions only: the curved sample itself with its limb, under `masking`, for every NDF; the peak's
+    pixel may then read more than the peak (MODEL 4).
     """
     theta = checks.viewing_angle("theta", theta)
     checks.choice("dims", dims, (1, 2))
+    checks.choice("masking", masking, MASKINGS)
     _check_kinds(rig, ndf)
-    return _in_tangent_plane(ndf, rig, jnp.reshape(theta, -1), dims).reshape(theta.shape)
+    flat = jnp.reshape(theta, -1)
+    if exact:
+        if dims != 2:
+            raise ArgumentError("exact=True is a real sample's: dims must be 2, got 1")
+        return exact_peak(rig, ndf, flat, masking).reshape(theta.shape)
+    return _in_tangent_plane(ndf, rig, flat, dims).reshape(theta.shape)
 
 
 @singledispatch
-def _in_tangent_plane(ndf: NDF, rig: Rig, theta: jax.Array, dims: int) -> jax.Array:
-    raise ArgumentError(f"no peak response is known for the lobe of {type(ndf).__name__}")
+def _in_tangent_plane(ndf: SlopeDistribution, rig: Rig, theta: jax.Array, dims: int) -> jax.Array:
+    raise ArgumentError(f"the tangent plane knows no {type(ndf).__name__}: ask with exact=True")
 
 
 @_in_tangent_plane.register(MixtureNDF)
@@ -56,14 +70,14 @@ def _from_table(ndf: EPD, rig: Rig, theta: jax.Array, dims: int) -> jax.Array:
     return tabulated_peak(rig, ndf, theta, dims)
 
 
-def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2) -> xr.Dataset:
-    """What to expect of a rig, for several lobes of one family.
+def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False) -> xr.Dataset:
+    """What to expect of a rig, for several lobes of one family. exact: as `peak_response`, with Smith masking.
 
     Dataset over (roughness, theta): response, relative_response (to theta = 0); over roughness: loss_angle, the first
     angle, rad, whose relative loss exceeds 5 % (pi/2 where none below 89.9 degrees does).
     """
     theta = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
-    response = np.stack([np.asarray(peak_response(rig, ndf, theta, dims=dims)) for ndf in ndfs])
+    response = np.stack([np.asarray(peak_response(rig, ndf, theta, dims=dims, exact=exact)) for ndf in ndfs])
     relative = response / response[:, :1]
     return xr.Dataset(
         {
@@ -72,7 +86,7 @@ def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2) -> xr.Dataset:
             "loss_angle": ("roughness", [_first_beyond(theta, row) for row in relative], {"units": "rad"}),
         },
         coords={"roughness": [float(ndf.roughness) for ndf in ndfs], "theta": ("theta", theta, {"units": "rad"})},
-        attrs={"ndf": ndfs[0].family, "loss": LOSS, "dims": dims},
+        attrs={"ndf": ndfs[0].family, "loss": LOSS, "dims": dims, "exact": int(exact)},
     )
 
 
@@ -90,8 +104,8 @@ def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
     return float(np.interp(0.0, lost[i - 1 : i + 1], theta[i - 1 : i + 1]))
 
 
-def _check_kinds(rig: Rig, ndf: NDF) -> None:
+def _check_kinds(rig: Rig, ndf: SlopeDistribution) -> None:
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
-    if not isinstance(ndf, NDF):
+    if not isinstance(ndf, SlopeDistribution):
         raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")

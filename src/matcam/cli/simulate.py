@@ -1,0 +1,169 @@
+"""`matcam simulate`: what would a rig record of a known material?"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import (
+    AsJson,
+    CameraProfile,
+    Distance,
+    Force,
+    Glare,
+    GlareRadius,
+    LampRadius,
+    Radius,
+    Sampling,
+    rig_of,
+)
+
+_TABLES, _PICTURES = (".binary", ".nc"), (".exr", ".tif", ".tiff")
+
+
+def command(
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="A table (.binary, .nc) or a picture (.exr, .tif; a .json goes beside it)."
+        ),
+    ],
+    table: Annotated[
+        Path | None, typer.Argument(help="MERL file of the material. Default: the lobe that the options describe.")
+    ] = None,
+    roughness: Annotated[float, typer.Option("--roughness", help="Width of the lobe: alpha or beta.")] = 0.01,
+    ndf: Annotated[
+        Literal["ggx", "gaussian", "beckmann", "epd", "sgd"], typer.Option("--ndf", help="Family of the lobe.")
+    ] = "ggx",
+    power: Annotated[float | None, typer.Option("--power", help="The power p of an epd or sgd lobe.")] = None,
+    metal: Annotated[str, typer.Option("--metal", help="Metal whose n and k make the Fresnel term.")] = "Cr",
+    source: Annotated[
+        str | None, typer.Option("--source", help="Which table of n and k; see the metals' names.")
+    ] = None,
+    diffuse: Annotated[float, typer.Option("--diffuse", help="Albedo of a Lambertian part.")] = 0.0,
+    lamp_angle: Annotated[
+        float, typer.Option("--lamp-angle", help="Angle between lamp and camera in a picture, degrees.")
+    ] = 60.0,
+    sample: Annotated[Literal["sphere", "cylinder"], typer.Option("--sample", help="Shape of the sample.")] = "sphere",
+    cell: Annotated[
+        Literal["centre", "edge", "mean"], typer.Option("--cell", help="What a cell of a table stands for.")
+    ] = "centre",
+    size: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--size", help="Height and width of the picture, px. Default: the sample's."),
+    ] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option("--exposure", help="e- per unit of radiance: a raw picture of the profile's sensor, with noise."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of that noise.")] = 0,
+    camera: CameraProfile = None,
+    radius: Radius = None,
+    distance: Distance = None,
+    lamp: LampRadius = 0.0,
+    glare: Glare = 0.0,
+    glare_radius: GlareRadius = 30.0,
+    sampling: Sampling = "centre",
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """What a rig records of a known material: the whole table, or one picture.
+
+    Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
+    """
+    from matcam.atomic import check_output
+    from matcam.errors import ArgumentError
+
+    suffix = output.suffix.lower()
+    if suffix not in _TABLES + _PICTURES:
+        raise ArgumentError(f"{output}: the name must end in one of {', '.join(_TABLES + _PICTURES)}")
+    inputs = [path for path in (camera, table) if path]
+    check_output(output, force=force, inputs=inputs)
+    if suffix in _PICTURES:
+        from matcam.files.sidecar import sidecar_path
+
+        check_output(sidecar_path(output), force=force, inputs=inputs)
+    from matcam._jax import use_compilation_cache
+
+    use_compilation_cache()
+    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, cell_value=cell)
+    material, described = _material(table, sampling, ndf, roughness, power, metal, source, diffuse)
+    if suffix in _TABLES:
+        result = _table(material, rig, output, described, force)
+    else:
+        options = {"shape": size, "exposure": exposure, "seed": seed if exposure else None}
+        result = _picture(material, rig, math.radians(lamp_angle), options, output, described, force)
+    if json:
+        show.as_json({**result, "material": described, "output": str(output)})
+    else:
+        show.say(f"{result['what']}: {output}")
+
+
+def _material(table, sampling, ndf, roughness, power, metal, source, diffuse):  # type: ignore[no-untyped-def]
+    if table:
+        from matcam.files.merl import read_merl
+        from matcam.material.tabulated import Tabulated
+
+        return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
+    from matcam.material.families import ndf_of
+    from matcam.material.metals import metal as constants
+    from matcam.material.microfacet import Microfacet
+    from matcam.material.reflectance import Conductor
+    from matcam.table import CHANNEL_WAVELENGTHS
+
+    n, k, used = constants(metal, CHANNEL_WAVELENGTHS, *([source] if source else []))
+    described = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": used, "diffuse": diffuse}
+    return Microfacet(ndf_of(ndf, roughness, power), Conductor(n, k), diffuse), described
+
+
+def _table(material, rig, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]
+    from matcam.files.merl import write_merl
+    from matcam.files.netcdf import write_netcdf
+    from matcam.forward.measurement import measure
+
+    with show.working("measuring every cell"):
+        data = measure(material, rig)
+    if output.suffix.lower() == ".nc":
+        write_netcdf(output, data.assign_attrs(material=str(described)).to_dataset(), force=force)
+    else:
+        write_merl(output, data, force=force)
+    return {"what": "table", "missing_share": float(data.isnull().mean()), "largest": float(data.max())}
+
+
+def _picture(material, rig, lamp_angle, options, output: Path, described, force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]
+    from matcam.files.exr import write_exr
+    from matcam.files.float_tiff import write_float_tiff
+    from matcam.files.sidecar import sidecar_path, write_sidecar
+    from matcam.forward.image import picture
+    from matcam.table import CHANNEL_WAVELENGTHS
+
+    with show.working("taking the picture"):
+        taken = picture(material, rig, lamp_angle, **options)
+    height, width = taken.shape[:2]
+    about = rig.description()
+    noise = {"electrons_per_radiance": [options["exposure"]], "times_s": [0.0], "seed": options["seed"]}
+    write = write_exr if output.suffix.lower() == ".exr" else write_float_tiff
+    write(output, taken.values, force=force)
+    write_sidecar(
+        sidecar_path(output),
+        picture={
+            "file": output.name,
+            "shape": list(taken.shape),
+            "quantity": taken.attrs["quantity"],
+            "channel_wavelengths_m": list(CHANNEL_WAVELENGTHS) if taken.ndim == 3 and taken.shape[2] == 3 else None,
+            "axis_column_px": (width - 1) / 2,
+            "axis_row_px": (height - 1) / 2,
+        },
+        camera=about["camera"],
+        sample=about["sample"],
+        lamp={"angles_rad": [lamp_angle], "radius_rad": about["lamp_radius_rad"]},
+        blur=about["blur"],
+        exposure=noise if options["exposure"] else None,
+        material=described,
+        force=force,
+    )
+    return {"what": f"picture of {width} x {height} px", "largest": float(taken.max()), "units": taken.attrs["units"]}
