@@ -1,4 +1,6 @@
 from . import paper, rigs
+from .calibration.edge import edge_mtf, edge_mtf_stack
+from .calibration.edge_result import EdgeMTF
 from .camera.bracketing import expose_bracket, merge_bracket
 from .camera.camera import Camera
 from .camera.defocus import DefocusOptics
@@ -52,6 +54,7 @@ __all__ = [
     "DefocusOptics",
     "Dielectric",
     "DiffractionOptics",
+    "EdgeMTF",
     "Flat",
     "GaussianNDF",
     "GaussianOptics",
@@ -68,6 +71,8 @@ __all__ = [
     "Tabulated",
     "Uncertainty",
     "WindowedGaussianPixel",
+    "edge_mtf",
+    "edge_mtf_stack",
     "expose_bracket",
     "fresnel",
     "fresnel_conductor",

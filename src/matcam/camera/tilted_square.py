@@ -15,6 +15,7 @@ from matcam._jax import jax, jnp
 from matcam.camera.pixel import gaussian_over_interval, mean_over_interval
 
 _SLIVER = 0.05  # short half width / std
+_THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
 
 
 def line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
@@ -86,3 +87,24 @@ def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     t = jnp.where(x > 0, x, -x) / std
     tail = std**2 / 2 * ((t**2 + 1) * jax.scipy.special.ndtr(-t) - t * jax.scipy.stats.norm.pdf(t))
     return jnp.where(x > 0, -tail, tail)
+
+
+def edge_and_slopes(
+    x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """`edge`, and its derivatives by x and by std, for the price of one: for fits, which need all three again and again.
+
+    The plain second difference, good to 1e-9 of the step up to 100 px: H solves the heat equation, so all three are made
+    of one normal distribution function and one density per corner of the square.
+    """
+    long, _, short = _boxes(angle, half_width, std)
+    short = jnp.where(short > _THINNEST, short, _THINNEST)
+    sums = [jnp.zeros(()), jnp.zeros(()), jnp.zeros(())]
+    for corner, sign in ((long + short, 1), (long - short, -1), (short - long, -1), (-long - short, 1)):
+        t = (x + corner) / std
+        phi = jnp.exp(-(t**2) / 2) / jnp.sqrt(2 * jnp.pi)
+        below = (1 + jax.scipy.special.erf(t / jnp.sqrt(2.0))) / 2
+        parts = (std**2 / 2 * ((t**2 + 1) * below + t * phi), std * (t * below + phi), std * below)
+        sums = [total + sign * part for total, part in zip(sums, parts, strict=True)]
+    area = 4 * long * short
+    return sums[0] / area, sums[1] / area, sums[2] / area

@@ -1,0 +1,198 @@
+"""From a picture to the rows that are measured: region, tone curve, colour plane, orientation. NumPy; nothing is resampled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.errors import ArgumentError, FitError
+
+SMALLEST = 16
+"""px: both sides of a region must have as many."""
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
+_CLIPPED = 0.02  # share of samples at the brightest value of an integer type
+_FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
+_MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
+
+
+class Region(NamedTuple):
+    """Rows of samples, turned so that edges are nearer to vertical than to horizontal and their bright sides are right."""
+
+    value: np.ndarray
+    """(n, rows, columns) linear; NaN where there is none."""
+    y: np.ndarray
+    start: np.ndarray
+    """(rows,) px from the region's centre: the row's place, and that of its first sample."""
+    step: int
+    """px between samples."""
+    shape: tuple[int, int]
+    """Rows and columns of the turned region, px."""
+    transposed: bool
+    mirrored: np.ndarray
+    """(n,) whether left and right were exchanged, after transposing."""
+
+
+def cut(
+    image: ArrayLike, roi: Sequence[int] | None, cfa: str | None, channel: str | None, tone: str | ArrayLike | None
+) -> np.ndarray:
+    """The region's linear values, (height, width), NaN where this colour has no site. ArgumentError for what cannot be."""
+    picture = np.asarray(image)
+    if (
+        picture.ndim not in (2, 3)
+        or (picture.ndim == 3 and picture.shape[2] not in (3, 4))
+        or picture.dtype.kind not in "uif"
+    ):
+        raise ArgumentError(
+            f"image must be numbers of shape (height, width) or (height, width, 3), got {picture.dtype} {picture.shape}"
+        )
+    x, y, width, height = _checked_roi(roi, picture.shape)
+    part = picture[y : y + height, x : x + width]
+    _refuse_clipped(part)
+    linear = _linear(part, tone)
+    if linear.ndim == 3:
+        if cfa is not None:
+            raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {picture.shape}")
+        return _of_colours(linear, channel)
+    if cfa is None:
+        if channel is not None:
+            raise ArgumentError(f"channel {channel!r} asks for a colour of a grey image: give cfa if it is a mosaic")
+        return linear
+    return np.where(_sites(cfa, channel, x, y, linear.shape), linear, np.nan)
+
+
+def rows_of(values: np.ndarray, *, mosaic: bool = False) -> Region:
+    """Rows of regions (n, height, width) that lie alike: all nearer to vertical than to horizontal, or all the other way.
+
+    mosaic: most values are NaN because the colour has no site there; n is then 1.
+    """
+    across, along = (_difference(values, axis) for axis in (2, 1))
+    height, width = values.shape[1:]
+    # the mean gradient is what opposite borders differ by
+    transposed = bool(np.abs(along).sum() * width > np.abs(across).sum() * height)
+    mirrored = (along if transposed else across) < 0
+    turned = values.swapaxes(1, 2) if transposed else values
+    if mirrored.any():
+        turned = np.where(mirrored[:, None, None], turned[:, :, ::-1], turned)
+    height, width = turned.shape[1:]
+    y, first, step = np.arange(height) - (height - 1) / 2, np.zeros(height), 1
+    if mosaic:  # of a 2 x 2 cell at most two sites, and in a row every other column
+        site = np.isfinite(turned[0])
+        odd = site[:, 1::2].mean(1) > site[:, ::2].mean(1)
+        rows, step = np.flatnonzero(site.mean(1) > 0.25), 2
+        turned = np.stack([turned[0, row, int(odd[row]) :: 2][: width // 2] for row in rows])[None]
+        y, first = y[rows], odd[rows].astype(float)
+    value = np.full((len(turned), padded(turned.shape[1]), padded(turned.shape[2])), np.nan)
+    value[:, : turned.shape[1], : turned.shape[2]] = turned
+    more = (0, value.shape[1] - turned.shape[1])
+    return Region(
+        value, np.pad(y, more), np.pad(first, more) - (width - 1) / 2, step, (height, width), transposed, mirrored
+    )
+
+
+def _difference(values: np.ndarray, axis: int) -> np.ndarray:
+    """(n,) of the borders at both ends of an axis."""
+    last, first = (np.take(values, places, axis).reshape(len(values), -1) for places in ((-1, -2), (0, 1)))
+    if np.isfinite(values).all():
+        return last.mean(1) - first.mean(1)
+    return np.nanmean(last, 1) - np.nanmean(first, 1)
+
+
+def flaws(values: np.ndarray) -> list[str]:
+    """`flaw` of every region of a stack (n, height, width), the quick way where there is none."""
+    low, high = values.min((1, 2)), values.max((1, 2))
+    share = (values == high[:, None, None]).mean((1, 2))
+    doubtful = ~((low < high) & (share <= _FLAT_TOP))  # NaN is doubtful
+    return [flaw(value) if look else "" for value, look in zip(values, doubtful, strict=True)]
+
+
+def flaw(values: np.ndarray) -> str:
+    """Why nothing can be measured in a region (height, width), in one line; empty if something might."""
+    used = values[np.isfinite(values)]
+    if used.size < SMALLEST**2 / 4:
+        return f"region holds {used.size} usable samples: too few"
+    low, high = used.min(), used.max()
+    if not low < high:
+        return f"region is all one value, {low:g}: there is no edge in it"
+    if (used == high).mean() > _FLAT_TOP:
+        # noise piles up at the end of a range, and nowhere else; without noise the dark side is as flat
+        middle = (low + high) / 2
+        flat = (used == high).sum() / (used > middle).sum()
+        dark = np.unique(used[used <= middle], return_counts=True)[1]
+        if dark.max() / dark.sum() < flat / 2:
+            return f"region is saturated: {flat:.0%} of its bright samples have the very same value, {high:g}"
+    return ""
+
+
+def padded(size: int) -> int:
+    """The next of 8, 10, 12 or 14 times a power of two: regions of nearly one size share one compiled program."""
+    power = 1
+    while True:
+        for eighths in (8, 10, 12, 14):
+            if eighths * power >= size:
+                return eighths * power
+        power *= 2
+
+
+def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    height, width = shape[:2]
+    if roi is None:
+        x, y, w, h = 0, 0, width, height
+    else:
+        try:
+            x, y, w, h = (int(v) for v in roi)
+            whole = all(float(v) == int(v) for v in roi)
+        except (TypeError, ValueError, OverflowError):
+            raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}") from None
+        if not whole:
+            raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}")
+        if x < 0 or y < 0 or x + w > width or y + h > height:
+            raise ArgumentError(f"roi must lie inside the picture of {width} x {height} px, got {(x, y, w, h)}")
+    if w < SMALLEST or h < SMALLEST:
+        raise ArgumentError(f"roi must be at least {SMALLEST} x {SMALLEST} px, got {w} x {h}")
+    return x, y, w, h
+
+
+def _refuse_clipped(part: np.ndarray) -> None:
+    if part.dtype.kind in "ui":
+        full = np.iinfo(part.dtype).max
+        share = (part == full).mean()
+        if share > _CLIPPED:
+            raise FitError(f"region is saturated: {share:.0%} of its samples are at {full}, the end of their range")
+
+
+def _linear(part: np.ndarray, tone: str | ArrayLike | None) -> np.ndarray:
+    if tone is None:
+        return part.astype(np.float64)
+    if isinstance(tone, str):
+        if tone != "srgb":
+            raise ArgumentError(f"tone must be None, 'srgb' or a table of linear values by code, got {tone!r}")
+        scale = np.iinfo(part.dtype).max if part.dtype.kind in "ui" else 1.0
+        code = part / scale
+        return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
+    table = np.asarray(tone, dtype=np.float64)
+    if table.ndim != 1 or part.dtype.kind not in "ui" or not np.all(np.isfinite(table)):
+        raise ArgumentError(f"tone as a table needs finite numbers and an image of whole numbers, got {part.dtype}")
+    if part.max() >= table.size:
+        raise ArgumentError(f"tone has {table.size} entries, the image has the code {part.max()}")
+    return table[part]
+
+
+def _of_colours(linear: np.ndarray, channel: str | None) -> np.ndarray:
+    if channel in (None, "Y"):
+        return linear[..., :3] @ np.array(_LUMINANCE)
+    if channel not in ("R", "G", "B"):
+        raise ArgumentError(f"channel must be one of 'R', 'G', 'B', 'Y', got {channel!r}")
+    return linear[..., "RGB".index(channel)]
+
+
+def _sites(cfa: str, channel: str | None, x: int, y: int, shape: tuple[int, int]) -> np.ndarray:
+    """Where the mosaic has this colour. cfa: colours of the picture's first 2 x 2 px, row by row."""
+    if cfa not in _MOSAICS:
+        raise ArgumentError(f"cfa must be one of {', '.join(map(repr, _MOSAICS))}, got {cfa!r}")
+    if channel not in ("R", "G", "B"):
+        raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
+    rows, columns = (np.arange(n) + offset for n, offset in zip(shape, (y, x), strict=True))
+    return np.array(list(cfa)).reshape(2, 2)[np.ix_(rows % 2, columns % 2)] == channel
