@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from matcam import GGX, fresnel, paper, rigs, tabulated_fresnel
+from matcam import GGX, edge_mtf, fresnel, paper, rigs, tabulated_fresnel
 from matcam.errors import OutputError
+from matcam.figures.edge import edge_figure
 from matcam.figures.fresnel_term import fresnel_figure
 from matcam.figures.paper import highlight_figure, loss_figure
 from matcam.figures.prediction import prediction_figure
 from matcam.figures.style import save
 from matcam.forward.peak import predict
 from matcam.table import brdf_table
-from tests.oracle import merl_lobe
+from tests.oracle import merl_lobe, slanted_edge
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,9 @@ def figures():
     table = brdf_table(merl_lobe.record(0.002, np.ones((90, 3))), "centre")
     result = fresnel(table, rigs.merl(), ndf="gaussian")
     result.attrs["source"] = "a-rather-long-name-of-a-material.binary"
+    edge = slanted_edge.photographs(slanted_edge.gaussian(0.5), 100, 1, 3)[0]
     return {
+        "edge": edge_figure(edge_mtf(edge), edge, None, "a-rather-long-name-of-a-photograph.tif"),
         "figure 3": highlight_figure(paper.figure_3_4(10.0)),
         "figure 4": highlight_figure(paper.figure_3_4(1.0)),
         "figure 5": loss_figure(paper.figure_5()),
@@ -32,7 +35,7 @@ def figures():
     }
 
 
-NAMES = ["figure 3", "figure 4", "figure 5", "figure 6", "figure 6 without tables", "prediction"]
+NAMES = ["edge", "figure 3", "figure 4", "figure 5", "figure 6", "figure 6 without tables", "prediction"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,0 +1,165 @@
+"""`matcam edge`: the MTF of a camera from one picture of one edge."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, Force
+
+
+def command(
+    picture: Annotated[Path, typer.Argument(help="Photograph of an edge: TIFF, PNG or JPEG.")],
+    roi: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option("--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: all of it."),
+    ] = None,
+    model: Annotated[
+        Literal["gaussian", "diffraction", "defocus", "halo"],
+        typer.Option("--model", help="Lens of the parametric estimate."),
+    ] = "gaussian",
+    wavelength: Annotated[
+        float | None, typer.Option("--wavelength", metavar="NM", help="For diffraction and defocus, nm.")
+    ] = None,
+    pitch: Annotated[
+        float | None, typer.Option("--pitch", metavar="UM", help="Of the pixels, um: for diffraction and defocus.")
+    ] = None,
+    half_width: Annotated[
+        float, typer.Option("--half-width", metavar="PX", help="Half the side of a pixel's sensitive area, px.")
+    ] = 0.5,
+    cfa: Annotated[
+        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
+        typer.Option("--cfa", help="The picture is a mosaic: colours of its first 2 x 2 px."),
+    ] = None,
+    channel: Annotated[
+        Literal["R", "G", "B", "Y"] | None, typer.Option("--channel", help="Colour; Y: luminance (default).")
+    ] = None,
+    tone: Annotated[
+        Literal["linear", "srgb"], typer.Option("--tone", help="What the codes are: linear, or sRGB, which is undone.")
+    ] = "linear",
+    accept_sharpened: Annotated[
+        bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture all the same.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Picture to write (.png, .pdf, .svg). Default: PICTURE-edge.png here."),
+    ] = None,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """MTF of lens and pixel across a slanted edge, with error bars: free of a model, and as a lens (ISO 12233).
+
+    Example: `matcam edge chart.tif --roi 120 80 80 160`
+    """
+    from matcam.atomic import check_output
+    from matcam.figures.style import check_picture
+
+    output = output or Path(f"{picture.stem}-edge.png")
+    check_picture(output, force=force, inputs=[picture])
+    check_output(output.with_suffix(".csv"), force=force, inputs=[picture])
+    with show.working(f"{picture}: measuring the edge"):
+        from matcam._jax import use_compilation_cache
+
+        use_compilation_cache()
+        from matcam.calibration.edge import edge_mtf
+        from matcam.files.photographs import read_photograph
+
+        image = read_photograph(picture)
+        result = edge_mtf(
+            image,
+            roi,
+            model=model,
+            wavelength=None if wavelength is None else wavelength * 1e-9,
+            pixel_pitch=None if pitch is None else pitch * 1e-6,
+            half_width=half_width,
+            cfa=cfa,
+            channel=channel,
+            tone=None if tone == "linear" else tone,
+            accept_sharpened=accept_sharpened,
+        )
+        _write(result, image, roi, picture.name, output, force)
+    if json:
+        show.as_json(_document(result, output))
+    else:
+        _print(result, output)
+
+
+def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:
+    from matcam.figures.edge import edge_figure
+    from matcam.figures.style import save
+    from matcam.files.columns import write_columns
+
+    write_columns(output.with_suffix(".csv"), result.dataset(), force=force)
+    save(edge_figure(result, image, roi, name), output, force=force)
+
+
+def _document(result: Any, output: Path) -> dict[str, Any]:
+    import numpy as np
+
+    fit = result.parametric
+    return {
+        "mtf50_cycles_per_px": result.mtf50,
+        "mtf50_std": result.mtf50_std,
+        "core_mtf50_cycles_per_px": result.core_mtf50,
+        "core_mtf50_std": result.core_mtf50_std,
+        "glare_fraction": result.glare_fraction,
+        "glare_fraction_std": result.glare_fraction_std,
+        "glare_radius_px": result.glare_radius,
+        "angle_deg": np.degrees(result.angle),
+        "angle_std_deg": np.degrees(result.angle_std),
+        "bow_px": result.bow,
+        "light_per_px": result.light,
+        "levels": [result.dark, result.bright],
+        "gain": result.gain,
+        "read_noise": result.read_noise,
+        "excess": result.excess,
+        "overshoot": result.overshoot,
+        "parametric": {
+            "model": fit.model,
+            "mtf50_cycles_per_px": fit.mtf50,
+            "mtf50_std": fit.mtf50_std,
+            "parameters": dict(zip(fit.names, fit.values, strict=True)),
+            "covariance": fit.covariance,
+            "chi2": fit.chi2,
+            "degrees": fit.degrees,
+            "misfit_probability": fit.misfit_probability,
+            "consistent": bool(fit.consistent),
+        },
+        "frequency_cycles_per_px": result.frequency,
+        "mtf": result.mtf,
+        "mtf_std": result.mtf_std,
+        "files": [str(output), str(output.with_suffix(".csv"))],
+    }
+
+
+def _print(result: Any, output: Path) -> None:
+    import numpy as np
+
+    fit = result.parametric
+    rows = [["free of a model", f"{result.mtf50:.4f} ± {result.mtf50_std:.4f}"]]
+    if result.glare_found:
+        rows.append(["without its glare", f"{result.core_mtf50:.4f} ± {result.core_mtf50_std:.4f}"])
+    rows.append([f"{fit.model} lens", f"{fit.mtf50:.4f} ± {fit.mtf50_std:.4f}"])
+    show.table(["MTF50, lens and pixel", "cycles/px"], rows)
+    std = np.sqrt(np.diag(fit.covariance))
+    for name, value, error in zip(fit.names, fit.values, std, strict=True):
+        show.say(f"{name}: {value:.4g} ± {error:.2g}")
+    verdict = "explains the edge" if fit.consistent else "does NOT explain the edge: believe the free curve"
+    show.say(f"the {fit.model} lens {verdict} (probability of such residuals {fit.misfit_probability:.2g})")
+    show.say(
+        f"edge: normal at {np.degrees(result.angle):.3f}° ± {np.degrees(result.angle_std):.3f}°, bow {result.bow:+.2f} px; "
+        f"light changes by {1e4 * result.light[0]:+.1f}, {1e4 * result.light[1]:+.1f} % per 100 px in x, y"
+    )
+    if result.glare_found:
+        show.say(
+            f"glare: {result.glare_fraction:.1%} ± {result.glare_fraction_std:.1%} of the light, "
+            f"radius {result.glare_radius:.0f} px"
+        )
+    if result.overshoot > 0.02:
+        show.say(f"the edge overshoots by {result.overshoot:.1%}: a sharpened picture; this is not the lens alone")
+    if result.excess > 1:
+        show.say(f"the picture scatters more than its noise: errors were raised by {np.sqrt(result.excess):.1f}")
+    show.say(f"picture: {output}")

@@ -1,0 +1,95 @@
+"""`matcam edge`, run as users run it: as a process."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import tifffile
+
+from tests.oracle import slanted_edge as oracle
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "100"}
+
+
+@pytest.fixture
+def edge(environment, tmp_path):
+    def run(*arguments, code=0):
+        command = [sys.executable, "-m", "matcam", "edge", *map(str, arguments)]
+        result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300)
+        assert result.returncode == code, result.stderr
+        return result
+
+    return run
+
+
+@pytest.fixture
+def photograph(tmp_path):
+    """A 16-bit TIFF with an edge at (30, 20), 80 x 160 px, in a field of noise."""
+    rng = np.random.default_rng(2)
+    frame = rng.integers(2000, 9000, (200, 150)).astype(np.uint16)
+    frame[20:180, 30:110] = oracle.photographs(oracle.gaussian(0.5), 100, 1, 4)[0]
+    tifffile.imwrite(tmp_path / "chart.tif", frame)
+    return tmp_path / "chart.tif"
+
+
+ROI = ("--roi", 30, 20, 80, 160)
+
+
+def test_verdict_figure_and_columns(edge, photograph, tmp_path):
+    text = edge(photograph, *ROI).stdout
+    assert "free of a model" in text
+    assert "the gaussian lens explains the edge" in text
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["chart-edge.csv", "chart-edge.png", "chart.tif"]
+    assert (tmp_path / "chart-edge.png").read_bytes().startswith(b"\x89PNG")
+    header, *lines = (tmp_path / "chart-edge.csv").read_text().splitlines()
+    assert header.startswith("frequency_cycles_per_px,mtf,mtf_std,core_mtf,")
+    assert len(lines) == 81
+    assert "use --force" in edge(photograph, *ROI, code=2).stderr
+    found = json.loads(edge(photograph, *ROI, "--json", "-o", "out/e.svg").stdout)
+    truth = oracle.gaussian_half(0.5)
+    assert abs(found["mtf50_cycles_per_px"] - truth) < 4 * found["mtf50_std"]
+    assert abs(found["parametric"]["parameters"]["optics.sigma_px"] - 0.5) < 0.01
+    assert found["angle_deg"] == pytest.approx(5, abs=0.05)
+    assert found["files"] == ["out/e.svg", "out/e.csv"]
+
+
+BAD = [
+    (("none.tif",), "none.tif: no such file"),
+    (("text.tif",), "neither TIFF, PNG nor JPEG"),
+    (("cut.tif",), "damaged picture"),
+    (("chart.tif", "--roi", 100, 0, 80, 160), "roi must lie inside the picture of 150 x 200 px"),
+    (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
+    (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),
+    (("chart.tif", *ROI, "--model", "defocus"), "wavelength must be given for the defocus model"),
+    (("chart.tif", *ROI, "--model", "lens"), "'lens' is not one of"),
+    (("chart.tif", *ROI, "--channel", "R"), "asks for a colour of a grey image"),
+    (("chart.tif", *ROI, "--half-width", 0.7), "half_width must lie in (0, 0.5] px"),
+    (("chart.tif", *ROI, "-o", "chart.tif"), "is the input itself"),
+    (("chart.tif", *ROI, "-o", "a.bmp"), "must end in"),
+    (("flat.tif",), "all one value"),
+    (("white.tif",), "saturated"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(BAD)))
+def test_bad_input_is_one_line_code_2_and_nothing_written(edge, photograph, tmp_path, number):
+    (tmp_path / "text.tif").write_text("not a picture")
+    (tmp_path / "cut.tif").write_bytes(photograph.read_bytes()[:3000])
+    tifffile.imwrite(tmp_path / "flat.tif", np.full((50, 50), 9, np.uint8))
+    tifffile.imwrite(
+        tmp_path / "white.tif",
+        np.where(np.arange(50) > 25, 255, 40 + np.arange(50) % 3).astype(np.uint8)[None] + np.zeros((50, 1), np.uint8),
+    )
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    arguments, words = BAD[number]
+    lines = edge(*arguments, code=2).stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("matcam: ")
+    assert words in lines[0]
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
