@@ -60,6 +60,9 @@ def command(
         float | None,
         typer.Option("--exposure", help="e- per unit of radiance: a raw picture of the profile's sensor, with noise."),
     ] = None,
+    preview: Annotated[
+        Path | None, typer.Option("--preview", help="Figure of the picture to write (.png, .pdf, .svg).")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of that noise.")] = 0,
     camera: CameraProfile = None,
     radius: Radius = None,
@@ -87,6 +90,12 @@ def command(
         from matcam.files.sidecar import sidecar_path
 
         check_output(sidecar_path(output), force=force, inputs=inputs)
+    if preview:
+        from matcam.figures.style import check_picture
+
+        if suffix in _TABLES:
+            raise ArgumentError("--preview shows a picture, and the output is a table")
+        check_picture(preview, force=force, inputs=inputs)
     from matcam._jax import use_compilation_cache
 
     use_compilation_cache()
@@ -97,6 +106,9 @@ def command(
     else:
         options = {"shape": size, "exposure": exposure, "seed": seed if exposure else None}
         result = _picture(material, rig, math.radians(lamp_angle), options, output, described, force)
+        if preview:
+            _preview(result.pop("picture"), described, rig, preview, force)
+        result.pop("picture", None)
     if json:
         show.as_json({**result, "material": described, "output": str(output)})
     else:
@@ -166,4 +178,18 @@ def _picture(material, rig, lamp_angle, options, output: Path, described, force:
         material=described,
         force=force,
     )
-    return {"what": f"picture of {width} x {height} px", "largest": float(taken.max()), "units": taken.attrs["units"]}
+    return {
+        "what": f"picture of {width} x {height} px",
+        "largest": float(taken.max()),
+        "units": taken.attrs["units"],
+        "picture": taken,
+    }
+
+
+def _preview(taken, described: dict[str, Any], rig, path: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
+    from matcam.figures.picture import picture_figure
+    from matcam.figures.style import save
+
+    name = described.get("table") or f"{described['metal']}, {described['ndf']} {described['roughness']:g}"
+    angle = math.degrees(taken.attrs["lamp_angle"])
+    save(picture_figure(taken, f"{name}, lamp {angle:.0f}° from the camera: {rig.sample!r}"), path, force=force)

@@ -8,7 +8,7 @@ from matcam._jax import jax, jnp
 from matcam.errors import ArgumentError
 from matcam.forward.blur import Blur, blur_of
 from matcam.forward.highlight import Detail, record_around
-from matcam.forward.regions import Group, groups_of
+from matcam.forward.regions import groups_of
 from matcam.forward.scene import Scene
 from matcam.material.masking import Masking
 from matcam.material.microfacet import Microfacet
@@ -29,12 +29,20 @@ def exact_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking: Mask
         raise ArgumentError(f"no exact peak is known for a {type(rig.sample).__name__}")
     blur = blur_of(rig)
     material = Microfacet(ndf, 1.0, masking=masking)
-    return _responses(material, rig.sample, blur, groups_of(blur, rig.sample), theta)
+    groups = groups_of(blur, rig.sample)
+    # lengths as arrays: what is compiled for one rig serves all of its kind
+    reaches = jnp.asarray([group.scale.reach for group in groups])
+    return _responses(material, rig.sample, blur, tuple(group.terms for group in groups), reaches, theta)
 
 
 @eqx.filter_jit
 def _responses(
-    material: Microfacet, sample: Curved, blur: Blur, groups: tuple[Group, ...], theta: jax.Array
+    material: Microfacet,
+    sample: Curved,
+    blur: Blur,
+    terms: tuple[tuple[int, ...], ...],
+    reaches: jax.Array,
+    theta: jax.Array,
 ) -> jax.Array:
     def one(angle: jax.Array) -> jax.Array:
         scene = Scene(material, sample, sample.lamp_angle(angle))
@@ -42,8 +50,8 @@ def _responses(
         element, _ = sample.at(x, jnp.zeros(()))
         centre = jnp.zeros(1)
         recorded = sum(
-            record_around(scene, blur, group.terms, x[None], centre, group.scale.reach, _DETAIL)[0, 0, 0]
-            for group in groups
+            record_around(scene, blur, together, x[None], centre, reaches[i], _DETAIL)[0, 0, 0]
+            for i, together in enumerate(terms)
         )
         return recorded / scene.sent(element)[0]
 

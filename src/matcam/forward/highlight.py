@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from matcam._jax import jax, jnp
 from matcam.forward.blur import Blur
@@ -26,7 +27,7 @@ class Detail(NamedTuple):
 
 
 def record_around(
-    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, reach: float, detail: Detail
+    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, reach: ArrayLike, detail: Detail
 ) -> jax.Array:
     """Record at the rectangle of targets x (columns,), y (rows,) px, which holds the highlight or lies next to it.
 

@@ -44,6 +44,11 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[Group, ...]:
         )
     stds, half = np.asarray(numbers[0]), float(numbers[1])
     widened = np.sqrt(stds**2 + _widest_spread(blur, sample))
+    radius = float(numbers[2])
+    if np.min(stds) >= radius:
+        raise ArgumentError(
+            f"the sample's radius must exceed the camera's blur, of standard deviation {np.min(stds):g} px, got {radius:g} px"
+        )
     groups, left = [], list(np.argsort(stds))
     while left:
         together = [j for j in left if stds[j] <= 2 * stds[left[0]]]

@@ -1,0 +1,74 @@
+"""`matcam simulate` as a user runs it."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from matcam import read_exr, read_float_tiff, read_merl, read_sidecar, sidecar_path
+
+
+def run(*arguments, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "matcam", "simulate", *map(str, arguments)], cwd=cwd, capture_output=True, text=True
+    )
+
+
+def test_a_picture_with_all_that_is_needed_to_invert_it(tmp_path):
+    options = ("--roughness", 0.05, "--radius", 40, "--lamp-angle", 60, "--lamp", 0.25, "--size", 31, 33)
+    done = run(*options, "-o", "a.exr", "--preview", "a.png", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["what"] == "picture of 33 x 31 px"
+    picture, about = read_exr(tmp_path / "a.exr"), read_sidecar(sidecar_path(tmp_path / "a.exr"))
+    assert picture.shape == (31, 33, 3)
+    assert picture.dtype == np.float32
+    assert picture.max() > 0
+    assert about["sample"] == {"kind": "sphere", "radius_px": 40.0, "distance_radii": None}
+    assert about["lamp"]["angles_rad"] == pytest.approx([np.pi / 3])
+    assert about["lamp"]["radius_rad"] == pytest.approx(np.radians(0.25))
+    assert (about["picture"]["axis_column_px"], about["picture"]["axis_row_px"]) == (16.0, 15.0)
+    assert about["material"]["roughness"] == 0.05
+    assert (tmp_path / "a.png").stat().st_size > 5000
+    # the lamp stands to the right: so does the highlight
+    assert picture[15, :, 1].argmax() > 16
+    again = run(*options, "-o", "a.exr", cwd=tmp_path)
+    assert again.returncode == 2
+    assert "--force" in again.stderr
+    same = run(*options, "-o", "b.tif", cwd=tmp_path)
+    assert same.returncode == 0
+    np.testing.assert_array_equal(read_float_tiff(tmp_path / "b.tif"), picture)
+
+
+def test_a_table_in_the_format_of_merl(tmp_path):
+    done = run("--ndf", "beckmann", "--roughness", 0.3, "--diffuse", 0.1, "-o", "a.binary", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    table = read_merl(tmp_path / "a.binary")
+    assert 0.2 < float(table.isnull().mean()) < 0.3
+    assert float(table.min()) > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("-o", "a.png"), "must end in one of"),
+        (("-o", "a.exr", "--roughness", -1), "alpha must lie in"),
+        (("-o", "a.exr", "--radius", 0), "radius must lie in"),
+        (("-o", "a.exr", "--radius", 0.3), "radius must exceed the camera's blur"),
+        (("-o", "a.exr", "--distance", 0.5), "distance must lie in"),
+        (("-o", "a.exr", "--lamp-angle", 200), "behind the sample"),
+        (("-o", "a.exr", "--metal", "Unobtainium"), "Unobtainium"),
+        (("-o", "a.exr", "--exposure", 100), "camera with a sensor"),
+        (("-o", "a.exr", "--size", 0, 5), "shape must be (height, width)"),
+        (("-o", "a.binary", "--sample", "cylinder"), "not a Cylinder"),
+        (("-o", "a.binary", "--preview", "a.png"), "--preview shows a picture"),
+        (("absent.binary", "-o", "a.exr"), "absent.binary"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, arguments, message):
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
