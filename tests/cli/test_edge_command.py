@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
+from matcam.cli import main
 from tests.oracle import slanted_edge as oracle
 
 
@@ -50,12 +51,12 @@ def test_verdict_figure_and_columns(edge, photograph, tmp_path):
     header, *lines = (tmp_path / "chart-edge.csv").read_text().splitlines()
     assert header.startswith("frequency_cycles_per_px,mtf,mtf_std,core_mtf,")
     assert len(lines) == 81
-    assert "use --force" in edge(photograph, *ROI, code=2).stderr
     found = json.loads(edge(photograph, *ROI, "--json", "-o", "out/e.svg").stdout)
     truth = oracle.gaussian_half(0.5)
     assert abs(found["mtf50_cycles_per_px"] - truth) < 4 * found["mtf50_std"]
     assert abs(found["parametric"]["parameters"]["optics.sigma_px"] - 0.5) < 0.01
     assert found["angle_deg"] == pytest.approx(5, abs=0.05)
+    assert "use --force" in edge("chart.tif", "-o", "out/e.svg", code=2).stderr
     assert found["files"] == ["out/e.svg", "out/e.csv"]
 
 
@@ -78,17 +79,21 @@ BAD = [
 
 
 @pytest.mark.parametrize("number", range(len(BAD)))
-def test_bad_input_is_one_line_code_2_and_nothing_written(edge, photograph, tmp_path, number):
+def test_bad_input_is_one_line_code_2_and_nothing_written(photograph, tmp_path, monkeypatch, capsys, number):
     (tmp_path / "text.tif").write_text("not a picture")
     (tmp_path / "cut.tif").write_bytes(photograph.read_bytes()[:3000])
     tifffile.imwrite(tmp_path / "flat.tif", np.full((50, 50), 9, np.uint8))
-    tifffile.imwrite(
-        tmp_path / "white.tif",
-        np.where(np.arange(50) > 25, 255, 40 + np.arange(50) % 3).astype(np.uint8)[None] + np.zeros((50, 1), np.uint8),
-    )
+    white = np.where(np.arange(50) > 25, 255, 40 + np.arange(50) % 3).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "white.tif", np.tile(white, (50, 1)))
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     arguments, words = BAD[number]
-    lines = edge(*arguments, code=2).stderr.strip().splitlines()
+    monkeypatch.chdir(tmp_path)
+    # the user's own cache of compiled functions is not for tests
+    monkeypatch.setattr("matcam._jax.use_compilation_cache", lambda: None)
+    with pytest.raises(SystemExit) as exit_:
+        main(["edge", *map(str, arguments)])
+    assert exit_.value.code == 2
+    lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("matcam: ")
     assert words in lines[0]

@@ -23,6 +23,7 @@ from matcam.camera.uncertainty import Provenance, Uncertainty
 if TYPE_CHECKING:
     import xarray as xr
 
+_LENGTH = 512
 _WRONG = 1e-3  # probability below which a model is called wrong
 
 
@@ -195,8 +196,11 @@ class EdgeMTF:
 
     def _curve(self, function: Any, distance: ArrayLike) -> Curve:
         at = checks.number("distance", np.asarray(distance))
-        found = function(self._found.free, at.ravel())
-        return Curve(np.asarray(found.value).reshape(at.shape), np.asarray(found.std).reshape(at.shape))
+        # always a multiple of some length, so that one compiled program serves most calls
+        padded = np.pad(np.asarray(at).ravel(), (0, -at.size % _LENGTH))
+        found = function(self._found.free, padded)
+        value, std = (np.asarray(a)[: at.size].reshape(at.shape) for a in (found.value, found.std))
+        return Curve(value, std)
 
     def __getitem__(self, index: int) -> EdgeMTF:
         if not self.problems:
