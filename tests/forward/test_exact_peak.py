@@ -22,6 +22,7 @@ from matcam import (
     Sphere,
     peak_response,
 )
+from matcam._jax import jax
 from matcam.errors import ArgumentError
 from tests.golden import rows
 
@@ -107,3 +108,17 @@ def test_flat_samples_lose_nothing_and_wrong_questions_are_told():
         peak_response(rig_of(Sphere(100.0)), AnisotropicGGX(0.1, 0.2), 0.5)
     with pytest.raises(ArgumentError, match="radius must exceed the camera's blur"):
         peak_response(rig_of(Sphere(0.4), 0.5), GGX(0.1), 0.5, exact=True)
+
+
+@pytest.mark.parametrize("lens", [GaussianOptics, lambda sigma: HaloOptics(GaussianOptics(sigma), 0.05, 20 * sigma)])
+def test_gradients_against_differences(lens):
+    def response(numbers):
+        width, sigma, half_width = numbers
+        rig = Rig(Camera(lens(sigma), BoxPixel(half_width)), Sphere(150.0))
+        return peak_response(rig, GGX(width), 1.2, exact=True)
+
+    at = np.array([0.004, 0.5, 0.4])
+    gradient = jax.grad(response)(at)
+    for i, step in enumerate(np.diag(1e-4 * at)):
+        difference = (response(at + step) - response(at - step)) / (2 * step[i])
+        assert_allclose(gradient[i], difference, rtol=1e-5)

@@ -24,7 +24,9 @@ def command(
     power: Annotated[
         float | None, typer.Option("--power", help="The power p of an epd or sgd lobe, which must be given.")
     ] = None,
-    sample: Annotated[Literal["sphere", "cylinder"], typer.Option("--sample", help="Shape of the sample.")] = "sphere",
+    sample: Annotated[
+        Literal["sphere", "cylinder", "flat"], typer.Option("--sample", help="Shape of the sample.")
+    ] = "sphere",
     dims: Annotated[int, typer.Option("--dims", help="2: a real sample; 1: the paper's one-dimensional model.")] = 2,
     exact: Annotated[
         bool, typer.Option("--exact", help="The curved sample with its limb and Smith masking, not the tangent plane.")
