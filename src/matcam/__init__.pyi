@@ -21,6 +21,7 @@ from .forward.image import picture, picture_values
 from .forward.lobe_table import lobe_table, with_pixel_noise
 from .forward.measurement import measure, measured_values
 from .forward.peak import loss_angle, peak_response
+from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
 from .inverse.fresnel_term import fresnel
 from .inverse.tabulated import tabulated_fresnel
@@ -76,6 +77,7 @@ __all__ = [
     "expose_bracket",
     "fresnel",
     "fresnel_conductor",
+    "highlight_stamps",
     "lobe_table",
     "loss_angle",
     "measure",
