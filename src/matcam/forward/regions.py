@@ -64,7 +64,7 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> Scale:
         near=10 * std,
         margin=4.8 * std,
         reach=half + 5.2 * widest,
-        spacing=min(0.5 * narrowest, 0.45 * finest),
+        spacing=min(0.4 * narrowest, 0.36 * finest),
     )
 
 

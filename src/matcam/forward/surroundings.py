@@ -19,6 +19,7 @@ _ORDER_U = 8
 _RIDGE_PANELS = 5
 _RIDGE_CUTS = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
 _RIDGE_ORDER = 6
+_LAYERS = np.array([1.0, 5.0])
 
 
 def record_inside(scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array) -> jax.Array:
@@ -60,7 +61,10 @@ def record_across_ridge(
     steps = np.linspace(-1, 1, _RIDGE_PANELS + 1)
     by_kernel = scene.sample.across(x[:, None, None] + reach * steps, v[..., None])
     by_lobe = (ridge + 0 * v)[..., None] + jnp.hypot(scene.material.finest, v)[..., None] * _RIDGE_CUTS
-    cuts = jnp.concatenate([by_kernel, by_lobe], axis=-1)
+    # masking takes effect within the lobe's own width of the ends
+    layer = scene.material.finest * _LAYERS
+    at_ends = jnp.concatenate([low[..., None] + layer, high[..., None] - layer], axis=-1)
+    cuts = jnp.concatenate([by_kernel, by_lobe, at_ends], axis=-1)
     cuts = jnp.sort(jnp.clip(cuts, low[..., None], high[..., None]), axis=-1)
     return _through_kernel(scene, blur, terms, x, y, nodes_in_panels(cuts, _RIDGE_ORDER), (v, v_weight))
 
