@@ -49,7 +49,9 @@ def test_esf_and_lsf(straight):
         len(result)
 
 
-@pytest.mark.parametrize("f_number", [2.8, 5.6, 8, 16])
+@pytest.mark.parametrize(
+    "f_number", [pytest.param(2.8, marks=pytest.mark.slow), pytest.param(5.6, marks=pytest.mark.slow), 8, 16]
+)
 def test_diffraction_pattern_that_no_model_was_told_of(f_number):
     cutoff = 4.73 / (0.55 * f_number)
     mtf = lambda f: oracle.airy_mtf(f, cutoff)  # noqa: E731

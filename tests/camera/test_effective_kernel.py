@@ -145,6 +145,7 @@ def test_airy_pattern_against_galsim():
     np.testing.assert_allclose(optics.psf(x, y), truth, rtol=0, atol=1e-12 * airy.xValue(0, 0))
 
 
+@pytest.mark.slow
 def test_measured_optics_sampled_from_a_gaussian_behave_like_it():
     f = np.linspace(0, 2.8, 281)
     curve = np.exp(-2 * (np.pi * 0.5 * f) ** 2)

@@ -69,6 +69,7 @@ def test_no_sum_of_gaussians_comes_much_closer(f_number, limit):
     assert solution.fun < float(gaussian_sum(lens).total_error) < 8 * solution.fun
 
 
+@pytest.mark.slow
 def test_kernel_of_the_sum_is_the_kernel_of_the_lens():
     """In space: a sum of closed forms against Fourier quadrature of the lens itself, relative to the kernel's peak."""
     lens, pixel = HaloOptics(DiffractionOptics(8, WAVELENGTH, PITCH), 0.05, 20.0), BoxPixel(0.5)

@@ -44,6 +44,7 @@ def test_against_the_closed_form():
 
 
 @pytest.mark.parametrize("core", CORES.values(), ids=CORES)
+@pytest.mark.slow
 def test_effective_kernels_are_sums(core):
     x = np.linspace(-3, 3, 8)
     pixel = WindowedGaussianPixel(0.2, 0.45) if isinstance(core, GaussianOptics) else BoxPixel(0.45)

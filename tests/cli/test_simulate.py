@@ -41,6 +41,7 @@ def test_a_picture_with_all_that_is_needed_to_invert_it(tmp_path):
     np.testing.assert_array_equal(read_float_tiff(tmp_path / "b.tif"), picture)
 
 
+@pytest.mark.slow
 def test_a_table_in_the_format_of_merl(tmp_path):
     done = run("--ndf", "beckmann", "--roughness", 0.3, "--diffuse", 0.1, "-o", "a.binary", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

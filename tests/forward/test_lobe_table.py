@@ -114,6 +114,7 @@ def test_floor_is_a_share_of_each_pictures_peak():
         assert np.nanstd(noise[60:, j, :, 1]) == pytest.approx(1e-3 * peak / np.sqrt(2), rel=0.1)
 
 
+@pytest.mark.slow
 def test_seeds_decide():
     rig = rigs.merl()
     table = lobe_table(Microfacet(GaussianNDF(0.002), 1.0, masking=None), rig)

@@ -76,6 +76,7 @@ def test_golden_cells():
     assert missed.max() < 1, list(zip(missed, cells, strict=True))
 
 
+@pytest.mark.slow
 def test_a_table_is_its_cells():
     """`measure` against the golden cells of one roughness, and everywhere against its own operator at single cells: the
     same places, cosines, folding and horizon."""

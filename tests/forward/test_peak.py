@@ -134,7 +134,16 @@ def test_lamp_disc_is_one_more_gaussian_on_the_sensor():
     np.testing.assert_allclose(peak_response(rig, ndf, theta), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("ndf", [GaussianNDF(0.0005), GaussianNDF(0.004), GGX(0.002), GGX(0.1)], ids=repr)
+@pytest.mark.parametrize(
+    "ndf",
+    [
+        pytest.param(GaussianNDF(0.0005), marks=pytest.mark.slow),
+        GaussianNDF(0.004),
+        GGX(0.002),
+        pytest.param(GGX(0.1), marks=pytest.mark.slow),
+    ],
+    ids=repr,
+)
 def test_a_lens_without_closed_form_takes_the_other_route_to_the_same_record(ndf):
     """The frequency route, given a lens that is Gaussian in all but name, against the erf products."""
     f = np.linspace(0, 2.8, 561)

@@ -215,6 +215,7 @@ def test_ggx_lobes_are_told_from_gaussian_ones():
     assert float(found["width"]) == pytest.approx(0.01, rel=0.02)
 
 
+@pytest.mark.slow
 def test_other_lenses_go_through_the_same_fit():
     """A lens without closed form: a lobe recorded through diffraction by our own forward model, and read back."""
     ndf, rings = GaussianNDF(0.004), 20
