@@ -6,7 +6,8 @@ import pytest
 from matcam import GGX, Microfacet, measure, rigs
 from matcam.angles import below_horizon, cosines, merl_grid
 from matcam.forward.blur import blur_of
-from matcam.forward.recording import Targets, record
+from matcam.forward.plan import Targets, planned
+from matcam.forward.recording import record
 from tests.golden import rows
 from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
 
@@ -33,10 +34,11 @@ def recorded_cells(alphas, cells):
     rig, lamps = rigs.merl(), 2 * GRID.theta_d
     targets = Targets(x, y, lamps[slices], slices)
     blur = blur_of(rig)
+    plan = planned(rig.sample, blur, lamps, targets)
     return np.array(
         [
             np.mean(
-                np.reshape(record(material(alpha), rig.sample, blur, lamps, targets)[:, 0], (2, -1)) / np.array(cosine),
+                np.reshape(record(material(alpha), rig.sample, blur, plan)[:, 0], (2, -1)) / np.array(cosine),
                 0,
             )
             for alpha in alphas

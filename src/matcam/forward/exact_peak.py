@@ -8,7 +8,7 @@ from matcam._jax import jax, jnp
 from matcam.errors import ArgumentError
 from matcam.forward.blur import Blur, blur_of
 from matcam.forward.highlight import Detail, record_around
-from matcam.forward.regions import groups_of
+from matcam.forward.kernel_scale import groups_of
 from matcam.forward.scene import Scene
 from matcam.material.masking import Masking
 from matcam.material.microfacet import Microfacet

@@ -12,7 +12,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.halo import HaloOptics
 from matcam.errors import ArgumentError
 from matcam.forward.blur import blur_of
-from matcam.forward.recording import Targets, record
+from matcam.forward.plan import Targets, planned
+from matcam.forward.recording import record
 from matcam.material.material import Material
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
@@ -42,8 +43,9 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     targets = Targets(x, y, lamp, np.zeros(x.size, dtype=np.int32))
     cos_i = np.asarray(cosines(theta_h, theta_d, phi_d)[0])[:, None]
     bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp_radius, jitter=rig.jitter)
+    blurs = blur_of(rig), blur_of(bare)
     with_halo, without = (
-        np.asarray(record(material, sphere, blur_of(one), lamps, targets)) / cos_i for one in (rig, bare)
+        np.asarray(record(material, sphere, blur, planned(sphere, blur, lamps, targets))) / cos_i for blur in blurs
     )
     true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)
     dims = ("theta_h", "channel")

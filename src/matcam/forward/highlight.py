@@ -31,7 +31,8 @@ def record_around(
 ) -> jax.Array:
     """Record at the rectangle of targets x (columns,), y (rows,) px, which holds the highlight or lies next to it.
 
-    reach: how far the kernel's terms reach, px. One lamp. Shape (rows, columns, channels), radiance per unit irradiance.
+    reach: how far the kernel's terms reach, px. One lamp. Shape (rows, columns, channels + 1), radiance per unit
+    irradiance; the last channel is that of a flat field of radiance 1 wherever light falls.
     """
     sample, lamp = scene.sample, scene.lamp_angle
     peak, finest = sample.highlight(lamp), scene.material.finest
@@ -50,7 +51,7 @@ def record_around(
     # on the lower side the nodes run downwards, and their weights are negative
     weight = jnp.concatenate([-sides[0][1], sides[1][1]], axis=1) * v_weight[:, None]
     element = sample.surface(u, v[:, None])
-    light = scene.sent(element) * weight[..., None]
+    light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1) * weight[..., None]
     spread_x, spread_y = blur.spread(sample, element.normal[2], lamp)
     total = jnp.zeros((y.size, x.size, light.shape[-1]))
     for term in terms:

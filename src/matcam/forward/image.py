@@ -11,8 +11,9 @@ from matcam._jax import jax, jnp
 from matcam.camera.sensor import Seed
 from matcam.errors import ArgumentError
 from matcam.forward.blur import blur_of, kernel_error
-from matcam.forward.recording import Targets, record
-from matcam.forward.regions import groups_of
+from matcam.forward.kernel_scale import groups_of
+from matcam.forward.plan import Targets, planned
+from matcam.forward.recording import record
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.shape import Curved
@@ -86,7 +87,7 @@ def picture_values(
     x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(x, y))
     lamps = np.full(x.size, float(lamp))
     targets = Targets(x, y, lamps, np.zeros(x.size, dtype=np.int32))
-    values = record(material, sample, blur, np.array([float(lamp)]), targets)
+    values = record(material, sample, blur, planned(sample, blur, np.array([float(lamp)]), targets))
     return values.reshape(height, width, -1)
 
 

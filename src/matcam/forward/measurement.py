@@ -11,7 +11,8 @@ from matcam._jax import jax, jnp
 from matcam.angles import GRID_SHAPE, Sampling, below_horizon, cosines, merl_grid, theta_h_edges
 from matcam.errors import ArgumentError
 from matcam.forward.blur import blur_of, kernel_error
-from matcam.forward.recording import Targets, record
+from matcam.forward.plan import Targets, planned
+from matcam.forward.recording import record
 from matcam.material.material import Material
 from matcam.rigs import CellValue, Rig
 from matcam.sample.flat import Flat
@@ -55,9 +56,8 @@ def measured_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray
         return _of_flat(material, rig), np.zeros(GRID_SHAPE)
     cells = _cells(sphere, rig.cell_value, rig.crop)
     theta_d = merl_grid(_sampling(rig.cell_value)).theta_d
-    recorded = record(
-        material, sphere, blur_of(rig), np.asarray(sphere.lamp_angle(jnp.asarray(theta_d))), cells.targets
-    )
+    blur, lamp_angles = blur_of(rig), np.asarray(sphere.lamp_angle(jnp.asarray(theta_d)))
+    recorded = record(material, sphere, blur, planned(sphere, blur, lamp_angles, cells.targets))
     return _folded(recorded, cells), cells.pixels
 
 

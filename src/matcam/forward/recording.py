@@ -1,13 +1,13 @@
 """What a camera records of a curved sample at given places in its pictures: the one operator behind tables and pictures.
 
-Targets are sorted once, by geometry alone; each kind has its own integral, and all are smooth functions of material and
-camera. Around each highlight the record is made on a grid that holds all of it, and read off between the grid's points.
+It follows a plan (plan.py): each kind of target has its own integral. Around each highlight the record is made on a grid
+that holds all of it, and read off between the grid's points. Wherever the kernel meets no end of the light, each integral
+is divided by what it makes of a flat field, whose record is known: its quadrature's error falls out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -16,100 +16,83 @@ from matcam._jax import jax, jnp
 from matcam.forward.blur import Blur
 from matcam.forward.highlight import Detail, record_around
 from matcam.forward.interpolation import POINTS, interpolated
-from matcam.forward.regions import Group, Sorted, groups_of, sorted_targets
+from matcam.forward.plan import Part, Plan, Targets, Window
+from matcam.forward.regions import highlight_x
 from matcam.forward.scene import Scene
-from matcam.forward.surroundings import record_across_ridge, record_at_ends, record_inside
+from matcam.forward.surroundings import Cuts, record_in_window, record_inside
 from matcam.material.material import Material
 from matcam.sample.shape import Curved
 
-_DETAIL = Detail(graded=6, even=8, order=6)
+_GRADED, _ORDER = 6, 6
 # Targets at a time: as many nodes as fit into a processor's cache
-_INSIDE, _WINDOWS, _READ = 4096, 64, 8192
+_INSIDE, _NODES, _READ = 4096, 128, 8192
 
 
-class Targets(NamedTuple):
-    """Places in pictures, shape (targets,): position px, the lamp's angle rad, and the number of the picture."""
-
-    x: np.ndarray
-    y: np.ndarray
-    lamp_angle: np.ndarray
-    picture: np.ndarray
-
-
-def record(material: Material, sample: Curved, blur: Blur, lamp_angles: np.ndarray, targets: Targets) -> jax.Array:
-    """Radiance under unit irradiance, 1/sr, that pixels centred on `targets` record; shape (targets, channels).
-
-    lamp_angles: (pictures,), rad. A target's own lamp may differ a little from that of its picture (before a near camera a
-    slice of a table is taken from pictures of many lamps): around the highlight, three lamps that span them are recorded.
-    """
-    total: jax.Array | float = 0.0
-    for group in groups_of(blur, sample):
-        kinds = sorted_targets(sample, targets.x, targets.y, targets.lamp_angle, group.scale)
-        lamps = _lamps_around(lamp_angles, targets, kinds.near)
-        total += _record_group(material, sample, blur, group, jnp.asarray(lamps), targets, kinds)
-    return jnp.asarray(total)
-
-
-def _lamps_around(lamp_angles: np.ndarray, targets: Targets, near: np.ndarray) -> np.ndarray:
-    """Lamps at which to record each picture's highlight, (pictures, 1 or 3), rad."""
-    offset = np.abs(targets.lamp_angle[near] - lamp_angles[targets.picture[near]])
-    if not near.size or offset.max() < 1e-12:
-        return lamp_angles[:, None]
-    widest = np.full(lamp_angles.size, 1e-6)
-    np.maximum.at(widest, targets.picture[near], offset)
-    return lamp_angles[:, None] + widest[:, None] * np.array([-1.0, 0.0, 1.0])
+def record(material: Material, sample: Curved, blur: Blur, plan: Plan) -> jax.Array:
+    """Radiance under unit irradiance, 1/sr, that pixels centred on the plan's targets record; shape (targets, channels).
+    The plan: made for this sample and this blur, or for numbers that differ little."""
+    return jnp.asarray(sum(_record_part(material, sample, blur, part, plan.targets) for part in plan.parts))
 
 
 @eqx.filter_jit
-def _record_group(
-    material: Material, sample: Curved, blur: Blur, group: Group, lamps: jax.Array, targets: Targets, kinds: Sorted
-) -> jax.Array:
-    terms, scale = group
-    x, y, lamp = (jnp.asarray(a) for a in (targets.x, targets.y, targets.lamp_angle))
-    out = jnp.zeros((x.size, Scene(material, sample, jnp.zeros(())).channels()))
-
-    def added(out: jax.Array, chosen: np.ndarray, function: Callable[..., jax.Array], size: int, *more) -> jax.Array:  # type: ignore[no-untyped-def]
-        if not chosen.size:
-            return out
-        values = in_batches(function, (x[chosen], y[chosen], lamp[chosen], *(a[chosen] for a in more)), size)
-        return out.at[chosen].set(values)
+def _record_part(material: Material, sample: Curved, blur: Blur, part: Part, targets: Targets) -> jax.Array:
+    x, y, lamp = (jnp.asarray(a) for a in targets[:3])
+    places = x, y, lamp
 
     def inside(x: jax.Array, y: jax.Array, lamp: jax.Array) -> jax.Array:
-        return record_inside(Scene(material, sample, lamp), blur, terms, x, y)
+        return record_inside(Scene(material, sample, lamp), blur, part.terms, x, y)
 
-    def window(integral: Callable[..., jax.Array], panels: int) -> Callable[..., jax.Array]:
-        return lambda x, y, lamp: integral(Scene(material, sample, lamp), blur, terms, x, y, scale.reach, panels)
+    def in_window(window: Window) -> jax.Array:
+        cuts = Cuts(jnp.asarray(part.reach), jnp.asarray(part.cuts), window.panels, window.ridge)
 
-    out = added(out, kinds.inside, inside, _INSIDE)
-    out = added(out, kinds.ends, window(record_at_ends, 2), _WINDOWS)
-    out = added(out, kinds.ridge, window(record_across_ridge, 2), _WINDOWS)
-    out = added(out, kinds.slanted, window(record_at_ends, 4), _WINDOWS // 2)
-    out = added(out, kinds.pole, window(record_at_ends, 10), _WINDOWS // 4)
-    if not kinds.near.size:
-        return out
+        def integral(x: jax.Array, y: jax.Array, lamp: jax.Array, whole: jax.Array) -> jax.Array:
+            values = record_in_window(Scene(material, sample, lamp), blur, part.terms, x, y, cuts)
+            return _against_flat_field(values, whole, blur, part.terms)
 
-    steps = int(np.ceil(scale.near / scale.spacing)) + POINTS // 2
-    columns, rows = np.arange(-steps, steps + 1), np.arange(-POINTS // 2, steps + 1)
+        chosen = (*(a[window.chosen] for a in places), jnp.asarray(window.whole))
+        return in_batches(integral, chosen, _NODES // window.panels)
 
-    def highlight_x(lamp: jax.Array) -> jax.Array:
-        return sample.surface(sample.highlight(lamp), jnp.zeros(())).x
+    records = [in_window(window) for window in part.windows]
+    if part.inside.size:
+        records.insert(0, in_batches(inside, tuple(a[part.inside] for a in places), _INSIDE))
+    if part.near.size:
+        records.append(_read_highlights(material, sample, blur, part, targets))
+    dark = jnp.zeros((1, Scene(material, sample, jnp.zeros(())).channels()))
+    return jnp.concatenate([*records, dark])[part.place]
+
+
+def _read_highlights(material: Material, sample: Curved, blur: Blur, part: Part, targets: Targets) -> jax.Array:
+    lamps, spacing = jnp.asarray(part.lamps), jnp.asarray(part.spacing)
+    columns, rows = np.arange(-part.steps, part.steps + 1), np.arange(-POINTS // 2, part.steps + 1)
+    detail = Detail(graded=_GRADED, even=part.even, order=_ORDER)
 
     def stamp(lamp: jax.Array) -> jax.Array:
-        x, y = highlight_x(lamp) + scale.spacing * columns, jnp.asarray(scale.spacing * rows)
-        return record_around(Scene(material, sample, lamp), blur, terms, x, y, scale.reach, _DETAIL)
+        x, y = highlight_x(sample, lamp) + spacing * columns, spacing * rows
+        return record_around(Scene(material, sample, lamp), blur, part.terms, x, y, part.reach, detail)
 
     stamps = jax.lax.map(stamp, lamps.ravel())
 
-    def read(x: jax.Array, y: jax.Array, lamp: jax.Array, picture: jax.Array) -> jax.Array:
-        row, column = jnp.abs(y) / scale.spacing - rows[0], (x - highlight_x(lamp)) / scale.spacing - columns[0]
+    def read(x: jax.Array, y: jax.Array, lamp: jax.Array, picture: jax.Array, whole: jax.Array) -> jax.Array:
+        row, column = jnp.abs(y) / spacing - rows[0], (x - highlight_x(sample, lamp)) / spacing - columns[0]
         values = [interpolated(stamps, picture * lamps.shape[1] + k, row, column) for k in range(lamps.shape[1])]
         if len(values) == 1:
-            return values[0]
-        # a parabola through the three lamps
-        t = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
-        return values[0] * t * (t - 1) / 2 + values[1] * (1 - t) * (1 + t) + values[2] * t * (t + 1) / 2
+            value = values[0]
+        else:  # a parabola through the three lamps
+            t = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
+            value = values[0] * t * (t - 1) / 2 + values[1] * (1 - t) * (1 + t) + values[2] * t * (t + 1) / 2
+        return _against_flat_field(value, whole, blur, part.terms)
 
-    return added(out, kinds.near, read, _READ, jnp.asarray(targets.picture))
+    chosen = tuple(jnp.asarray(a)[part.near] for a in targets)
+    return in_batches(read, (*chosen, jnp.asarray(part.near_whole)), _READ)
+
+
+def _against_flat_field(values: jax.Array, whole: jax.Array, blur: Blur, terms: tuple[int, ...]) -> jax.Array:
+    """The records before the last channel; where the kernel is whole, over what the last, a flat field, ought to be."""
+    recorded, flat = values[:, :-1], values[:, -1]
+    if blur.varies:
+        return recorded  # each piece of surface is spread by its own kernel: a flat field need not read its radiance
+    expected = sum(blur.weights[term] for term in terms)
+    return recorded * jnp.where(whole, expected / jnp.where(whole, flat, 1.0), 1.0)[:, None]
 
 
 def in_batches(function: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], size: int) -> jax.Array:

@@ -39,6 +39,10 @@ class Scene(eqx.Module):
             light = light[..., None]
         return light * (element.area[..., None] if jnp.ndim(element.area) else element.area)
 
+    def flat_field(self, element: Element) -> jax.Array:
+        """The same, without channels, for a surface of radiance 1 all over, lit or not."""
+        return self.seen(element).cos_o * element.area
+
     def channels(self) -> int:
         """How many channels its light has."""
         at_centre = Scene(self.material, self.sample, jnp.zeros(()))

@@ -2,10 +2,12 @@
 
 There the light is smooth on the scale of the kernel, except where it ends: at the limb, at the terminator. Inside, a few
 nodes on the sensor do (`record_inside`). Along the ends, the integral is taken over (u, v), in which what is visible and
-lit is one interval whose ends are known, and smooth up to them (`record_at_ends`).
+lit is one interval whose ends are known, and smooth up to them (`record_in_window`).
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +20,7 @@ _ORDER_V = 7
 _ORDER_U = 8
 _RIDGE_PANELS = 5
 _RIDGE_CUTS = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
-_RIDGE_ORDER = 6
+_ORDER_RIDGE = 6
 _LAYERS = np.array([1.0, 5.0])
 
 
@@ -39,53 +41,63 @@ def record_inside(scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array
     return jnp.asarray(total)
 
 
-def record_at_ends(
-    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, reach: float, panels: int
+class Cuts(NamedTuple):
+    """How a window about a kernel is cut into panels."""
+
+    reach: jax.Array
+    """How far the kernel is followed, px."""
+    steps: jax.Array
+    """Offsets, px, at which the kernel must be cut to be smooth in between; none where it is smooth."""
+    panels: int
+    """Along v."""
+    ridge: bool
+    """Whether a squeezed lobe runs through it: towards the limb the surface turns within a pixel, and even far from its
+    peak a lobe is a narrow ridge along the half vector's u."""
+
+
+def record_in_window(
+    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, cuts: Cuts
 ) -> jax.Array:
-    """The same at targets whose kernel may cross the limb or the terminator; reach: how far it is followed, px."""
-    v, v_weight, low, high = _window(scene, x, y, reach, panels)
-    middle = jnp.clip(scene.sample.across(x[:, None], v), low, high)
-    u = nodes_in_panels(jnp.stack([low, middle, high], axis=-1), _ORDER_U)
-    return _through_kernel(scene, blur, terms, x, y, u, (v, v_weight))
-
-
-def record_across_ridge(
-    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, reach: float, panels: int
-) -> jax.Array:
-    """The same where a lobe that foreshortening has squeezed runs through the kernel: towards the limb the surface turns
-    within a pixel, and even far from its peak the lobe is a narrow ridge along the half vector's u."""
-    v, v_weight, low, high = _window(scene, x, y, reach, panels)
-    lamp = _beside_nodes(scene.lamp_angle, 1)
-    ridge = scene.sample.highlight(lamp)
-    # panels no wider than the kernel allows, nor, close to the ridge, than the lobe does
-    steps = np.linspace(-1, 1, _RIDGE_PANELS + 1)
-    by_kernel = scene.sample.across(x[:, None, None] + reach * steps, v[..., None])
-    by_lobe = (ridge + 0 * v)[..., None] + jnp.hypot(scene.material.finest, v)[..., None] * _RIDGE_CUTS
-    # masking takes effect within the lobe's own width of the ends
-    layer = scene.material.finest * _LAYERS
-    at_ends = jnp.concatenate([low[..., None] + layer, high[..., None] - layer], axis=-1)
-    cuts = jnp.concatenate([by_kernel, by_lobe, at_ends], axis=-1)
-    cuts = jnp.sort(jnp.clip(cuts, low[..., None], high[..., None]), axis=-1)
-    return _through_kernel(scene, blur, terms, x, y, nodes_in_panels(cuts, _RIDGE_ORDER), (v, v_weight))
-
-
-def _window(scene: Scene, x: jax.Array, y: jax.Array, reach: float, panels: int):  # type: ignore[no-untyped-def]
-    """Nodes and weights in v, and the visible and lit interval of u at each, within `reach` of the targets."""
+    """The same at targets whose kernel may cross the limb or the terminator, or a squeezed lobe; a flat field of radiance 1
+    as the last channel."""
     sample = scene.sample
-    first, last = sample.rows(x, y, reach)
-    borders = first[:, None] + (last - first)[:, None] * np.linspace(0, 1, panels + 1)
+    first, last = (end[:, None] for end in sample.rows(x, y, cuts.reach))
+    borders = first + (last - first) * np.linspace(0, 1, cuts.panels + 1)
+    if cuts.steps.size:
+        at = y[:, None] + cuts.steps[1:-1]
+        stepped, _ = sample.window(at, at, sample.across(x, jnp.zeros_like(x))[:, None])
+        borders = jnp.sort(jnp.concatenate([borders, jnp.clip(stepped, first, last)], axis=-1), axis=-1)
     v, v_weight = nodes_in_panels(borders, _ORDER_V)
-    lamp = _beside_nodes(scene.lamp_angle, 1)
-    low, high = sample.lit(v, lamp)
-    ends = (jnp.clip(sample.across(x[:, None] + side * reach, v), low, high) for side in (-1, 1))
-    return v, v_weight, *ends
+    low, high = sample.lit(v, _beside_nodes(scene.lamp_angle, 1))
+    low, high = (jnp.clip(sample.across(x[:, None] + side * cuts.reach, v), low, high) for side in (-1, 1))
+    inner = [low[..., None], high[..., None], *_cuts_along_u(scene, x, v, (low, high), cuts)]
+    along = jnp.sort(jnp.clip(jnp.concatenate(inner, axis=-1), low[..., None], high[..., None]), axis=-1)
+    u, u_weight = nodes_in_panels(along, _ORDER_RIDGE if cuts.ridge else _ORDER_U)
+    return _through_kernel(scene, blur, terms, x, y, u, v[..., None], u_weight * v_weight[..., None])
 
 
-def _through_kernel(scene, blur, terms, x, y, u, v):  # type: ignore[no-untyped-def]
-    element = scene.sample.surface(u[0], v[0][..., None])
-    lamp = _beside_nodes(scene.lamp_angle, 2)
-    light = Scene(scene.material, scene.sample, lamp).sent(element) * (u[1] * v[1][..., None])[..., None]
-    spread_x, spread_y = blur.spread(scene.sample, element.normal[2], lamp)
+def _cuts_along_u(scene, x, v, ends, cuts: Cuts) -> list[jax.Array]:  # type: ignore[no-untyped-def]
+    """Places in u, on a trailing axis, at which the integrand must be cut for its panels to be smooth."""
+    sample, finest = scene.sample, scene.material.finest
+    steps = cuts.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if cuts.ridge else jnp.zeros(1)
+    if cuts.steps.size:
+        steps = jnp.concatenate([steps, cuts.steps[1:-1]])
+    by_kernel = sample.across(x[:, None, None] + steps, v[..., None])
+    if not cuts.ridge:
+        return [by_kernel]
+    ridge = sample.highlight(_beside_nodes(scene.lamp_angle, 1))
+    # no wider, close to the ridge, than the lobe is
+    by_lobe = (ridge + 0 * v)[..., None] + jnp.hypot(finest, v)[..., None] * _RIDGE_CUTS
+    # masking takes effect within the lobe's own width of the ends
+    low, high = (end[..., None] for end in ends)
+    return [by_kernel, by_lobe, low + finest * _LAYERS, high - finest * _LAYERS]
+
+
+def _through_kernel(scene, blur, terms, x, y, u, v, weight):  # type: ignore[no-untyped-def]
+    element = scene.sample.surface(u, v)
+    lit = Scene(scene.material, scene.sample, _beside_nodes(scene.lamp_angle, 2))
+    light = jnp.concatenate([lit.sent(element), lit.flat_field(element)[..., None]], axis=-1) * weight[..., None]
+    spread_x, spread_y = blur.spread(scene.sample, element.normal[2], lit.lamp_angle)
     total: jax.Array | float = 0.0
     for term in terms:
         along = blur.kernel(x[:, None, None] - element.x, term, spread_x)
