@@ -49,11 +49,12 @@ def turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> ja
 
 @jax.jit
 def lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
-    """Whether light within `reach` px of (x, y) can reach it."""
-    any_light = jnp.zeros(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
+    """Whether light may come from within `reach` px of (x, y); seldom true where none does, never the other way."""
     first, last = sample.rows(x, y, reach)
-    for v in (first, (first + last) / 2, last):
+    # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
+    left, right = jnp.inf, -jnp.inf
+    for v in (first, jnp.clip(0.0, first, last), last):
         low, high = sample.lit(v, lamp_angle)
-        left, right = sample.surface(low, v).x, sample.surface(high, v).x
-        any_light |= (right > left) & (x - reach < right) & (x + reach > left)
-    return any_light
+        left = jnp.minimum(left, sample.surface(low, v).x)
+        right = jnp.maximum(right, sample.surface(high, v).x)
+    return (last > first) & (x - reach < right) & (x + reach > left)

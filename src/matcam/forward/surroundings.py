@@ -16,8 +16,8 @@ from matcam.forward.blur import Blur
 from matcam.forward.panels import nodes_in_panels
 from matcam.forward.scene import Scene
 
-_ORDER_V = 7
-_ORDER_U = 8
+_ORDER_V = 9
+_ORDER_U = 10
 _RIDGE_PANELS = 5
 _RIDGE_CUTS = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
 _ORDER_RIDGE = 6
