@@ -180,6 +180,33 @@ def test_a_lamps_disc_is_the_mean_over_its_points(plain):
     assert np.abs(disc - expected).max() < 0.1 * changed
 
 
+@pytest.mark.slow
+def test_depth_of_field():
+    """Each piece of surface spread by its own circle of confusion, of which the Gaussian has the variance: by 12 x 12 points
+    in every pixel, each with a kernel of its own."""
+    aperture, focus, sigma = 0.08, 0.4, 0.5
+    ours = taken(material(), Sphere(RADIUS), aperture=aperture, focus=focus)[..., 0]
+    fine = (np.arange(61 * 12) + 0.5) / 12 - 30.5
+    x, y = np.meshgrid(fine, fine)
+    n_x, n_y = x / RADIUS, y / RADIUS
+    n_z = np.sqrt(np.maximum(1 - n_x**2 - n_y**2, 0))
+    cos_i = n_x * np.sin(LAMP) + n_z * np.cos(LAMP)
+    lit = (cos_i > 0) & (n_z > 0)
+    x, y, n_x, n_z, cos_i = (a[lit] for a in (x, y, n_x, n_z, cos_i))
+    a, cos_h = SURFACE.alpha, n_x * np.sin(LAMP / 2) + n_z * np.cos(LAMP / 2)
+    d = (a / (cos_h**2 * (a**2 - 1) + 1)) ** 2 / np.pi
+    lambdas = [(np.sqrt(1 + a**2 * (1 / c**2 - 1)) - 1) / 2 for c in (cos_i, n_z)]
+    light = d / (1 + sum(lambdas)) / (4 * n_z) + SURFACE.diffuse * cos_i / np.pi
+    circle = RADIUS * aperture * (n_z - np.cos(focus))
+    unit = np.sqrt(2 * (sigma**2 + circle**2 / 16))
+    for row, column in ((30, 30), (30, 38), (22, 35), (40, 25), (30, 48)):
+        kernel = 1.0
+        for offset in (x - (column - 30), y - (30 - row)):
+            kernel = kernel * (erf((offset + 0.5) / unit) - erf((offset - 0.5) / unit)) / 2
+        assert ours[row, column] == pytest.approx(np.sum(kernel * light) / 144, rel=1e-3)
+    assert np.abs(circle / 4).max() > 0.2
+
+
 NUMBERS = np.array([0.05, 0.6, 0.5, 0.45])
 
 

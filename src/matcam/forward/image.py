@@ -41,14 +41,15 @@ def picture(
     DataArray (row, column, channel), or (row, column) behind a colour mosaic. For the differentiable values alone see
     `picture_values`.
     """
+    _check(material, rig)
+    sensor = rig.camera.sensor
+    if exposure is not None and sensor is None:
+        raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
+    if exposure is not None and seed is None:
+        raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
     values = picture_values(material, rig, lamp_angle, shape)
     quantity, unit = "radiance", "1/sr"
-    if exposure is not None:
-        sensor = rig.camera.sensor
-        if sensor is None:
-            raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
-        if seed is None:
-            raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
+    if sensor is not None and exposure is not None and seed is not None:
         if sensor.cfa is not None and values.shape[-1] == 1:
             values = jnp.broadcast_to(values, (*values.shape[:2], 3))
         values, quantity, unit = sensor.expose(values, exposure, seed, time), "digital", "DN"
