@@ -14,7 +14,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam import checks
-from matcam._jax import jax, jnp
+from matcam._jax import AnyArray, is_concrete, jax, jnp
 
 _NARROW = 0.02  # half width / std below which differences of erf lose more digits than a series
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
@@ -117,14 +117,28 @@ def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) 
     x = jnp.where(x < 0, -x, x)  # even; in the right tail the difference keeps its digits
     ratio = half_width / std
     wide = ratio > _NARROW
-    safe = jnp.where(wide, half_width, std)
+    if jnp.ndim(ratio):
+        return jnp.where(wide, _by_difference(x, jnp.where(wide, half_width, std), std), _by_series(x, ratio, std))
+    if is_concrete(ratio):
+        return _by_difference(x, half_width, std) if wide else _by_series(x, ratio, std)
+    return jax.lax.cond(
+        wide,
+        lambda: _by_difference(x, jnp.where(wide, half_width, std), std),
+        lambda: _by_series(x, ratio, std),
+    )
+
+
+def _by_difference(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
     unit = jnp.sqrt(2) * std
-    direct = (jax.scipy.special.erfc((x - safe) / unit) - jax.scipy.special.erfc((x + safe) / unit)) / (4 * safe)
+    ends = (jax.scipy.special.erfc((x + side * half_width) / unit) for side in (-1, 1))
+    return (next(ends) - next(ends)) / (4 * half_width)
+
+
+def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
     # Taylor's series of the mean about x, in Hermite polynomials: the next term is ratio^8 / 9! He8
     z2, r2 = (x / std) ** 2, ratio**2
     series = 1 + r2 * ((z2 - 1) / 6 + r2 * (((z2 - 6) * z2 + 3) / 120 + r2 * (((z2 - 15) * z2 + 45) * z2 - 15) / 5040))
-    smooth = jnp.exp(-z2 / 2) / (jnp.sqrt(2 * jnp.pi) * std) * series
-    return jnp.where(wide, direct, smooth)
+    return jnp.exp(-z2 / 2) / (jnp.sqrt(2 * jnp.pi) * std) * series
 
 
 def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array, half_width: jax.Array) -> jax.Array:

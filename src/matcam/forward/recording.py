@@ -8,15 +8,16 @@ is divided by what it makes of a flat field, whose record is known: its quadratu
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
-from matcam._jax import jax, jnp
+from matcam._jax import AnyArray, jax, jnp
 from matcam.forward.blur import Blur
 from matcam.forward.highlight import Detail, record_around
 from matcam.forward.interpolation import POINTS, interpolated
-from matcam.forward.plan import Part, Plan, Targets, Window
+from matcam.forward.plan import Part, Plan, Targets
 from matcam.forward.regions import highlight_x
 from matcam.forward.scene import Scene
 from matcam.forward.surroundings import Cuts, record_in_window, record_inside
@@ -31,59 +32,96 @@ _INSIDE, _NODES, _READ = 4096, 128, 8192
 def record(material: Material, sample: Curved, blur: Blur, plan: Plan) -> jax.Array:
     """Radiance under unit irradiance, 1/sr, that pixels centred on the plan's targets record; shape (targets, channels).
     The plan: made for this sample and this blur, or for numbers that differ little."""
-    return jnp.asarray(sum(_record_part(material, sample, blur, part, plan.targets) for part in plan.parts))
+    light = _Light(material, sample, blur)
+    return jnp.asarray(sum(_record_part(light, part, plan.targets) for part in plan.parts))
+
+
+class _Light(NamedTuple):
+    material: Material
+    sample: Curved
+    blur: Blur
+
+    def under(self, lamp_angle: jax.Array) -> Scene:
+        return Scene(self.material, self.sample, lamp_angle)
+
+
+def _record_part(light: _Light, part: Part, targets: Targets) -> jax.Array:
+    """Every kind is dispatched by itself, so that they run side by side."""
+    records = [jnp.zeros((0, light.under(jnp.zeros(())).channels()))]
+    if part.inside.size:
+        records.append(_record_inside(light, part.terms, *_chosen(targets, part.inside)[:3]))
+    for window in part.windows:
+        chosen = *_chosen(targets, window.chosen)[:3], window.whole
+        cuts = jnp.asarray(part.reach), jnp.asarray(part.cuts)
+        records.append(_record_in_window(light, part.terms, cuts, window.panels, window.ridge, *chosen))
+    if part.near.size:
+        grid = _Grid(part.terms, part.steps, part.even, *(jnp.asarray(a) for a in (part.reach, part.spacing)))
+        chosen = *_chosen(targets, part.near), part.near_whole
+        records.append(_read_highlights(light, grid, jnp.asarray(part.lamps), *chosen))
+    return _placed(records, part.place)
+
+
+def _chosen(targets: Targets, which: np.ndarray) -> tuple[np.ndarray, ...]:
+    return tuple(a[which] for a in targets)
+
+
+@jax.jit
+def _placed(records: list[jax.Array], place: np.ndarray) -> jax.Array:
+    return jnp.concatenate([*records, jnp.zeros((1, records[0].shape[1]))])[place]
 
 
 @eqx.filter_jit
-def _record_part(material: Material, sample: Curved, blur: Blur, part: Part, targets: Targets) -> jax.Array:
-    x, y, lamp = (jnp.asarray(a) for a in targets[:3])
-    places = x, y, lamp
+def _record_inside(light: _Light, terms: tuple[int, ...], *places: AnyArray) -> jax.Array:
+    def integral(x: jax.Array, y: jax.Array, lamp: jax.Array) -> jax.Array:
+        return record_inside(light.under(lamp), light.blur, terms, x, y)
 
-    def inside(x: jax.Array, y: jax.Array, lamp: jax.Array) -> jax.Array:
-        return record_inside(Scene(material, sample, lamp), blur, part.terms, x, y)
-
-    def in_window(window: Window) -> jax.Array:
-        cuts = Cuts(jnp.asarray(part.reach), jnp.asarray(part.cuts), window.panels, window.ridge)
-
-        def integral(x: jax.Array, y: jax.Array, lamp: jax.Array, whole: jax.Array) -> jax.Array:
-            values = record_in_window(Scene(material, sample, lamp), blur, part.terms, x, y, cuts)
-            return _against_flat_field(values, whole, blur, part.terms)
-
-        chosen = (*(a[window.chosen] for a in places), jnp.asarray(window.whole))
-        return in_batches(integral, chosen, _NODES // window.panels)
-
-    records = [in_window(window) for window in part.windows]
-    if part.inside.size:
-        records.insert(0, in_batches(inside, tuple(a[part.inside] for a in places), _INSIDE))
-    if part.near.size:
-        records.append(_read_highlights(material, sample, blur, part, targets))
-    dark = jnp.zeros((1, Scene(material, sample, jnp.zeros(())).channels()))
-    return jnp.concatenate([*records, dark])[part.place]
+    return in_batches(integral, tuple(jnp.asarray(a) for a in places), _INSIDE)
 
 
-def _read_highlights(material: Material, sample: Curved, blur: Blur, part: Part, targets: Targets) -> jax.Array:
-    lamps, spacing = jnp.asarray(part.lamps), jnp.asarray(part.spacing)
-    columns, rows = np.arange(-part.steps, part.steps + 1), np.arange(-POINTS // 2, part.steps + 1)
-    detail = Detail(graded=_GRADED, even=part.even, order=_ORDER)
+@eqx.filter_jit
+def _record_in_window(light, terms, kernel, panels, ridge, *chosen):  # type: ignore[no-untyped-def]
+    cuts = Cuts(*kernel, panels, ridge)
+
+    def integral(x: jax.Array, y: jax.Array, lamp: jax.Array, whole: jax.Array) -> jax.Array:
+        values = record_in_window(light.under(lamp), light.blur, terms, x, y, cuts)
+        return _against_flat_field(values, whole, light.blur, terms)
+
+    return in_batches(integral, tuple(jnp.asarray(a) for a in chosen), _NODES // panels)
+
+
+class _Grid(NamedTuple):
+    """The grid around each highlight."""
+
+    terms: tuple[int, ...]
+    steps: int
+    even: int
+    reach: jax.Array
+    spacing: jax.Array
+
+
+@eqx.filter_jit
+def _read_highlights(light: _Light, grid: _Grid, lamps: jax.Array, *chosen: AnyArray) -> jax.Array:
+    columns, rows = np.arange(-grid.steps, grid.steps + 1), np.arange(-POINTS // 2, grid.steps + 1)
+    detail = Detail(graded=_GRADED, even=grid.even, order=_ORDER)
 
     def stamp(lamp: jax.Array) -> jax.Array:
-        x, y = highlight_x(sample, lamp) + spacing * columns, spacing * rows
-        return record_around(Scene(material, sample, lamp), blur, part.terms, x, y, part.reach, detail)
+        x, y = highlight_x(light.sample, lamp) + grid.spacing * columns, grid.spacing * rows
+        return record_around(light.under(lamp), light.blur, grid.terms, x, y, grid.reach, detail)
 
     stamps = jax.lax.map(stamp, lamps.ravel())
 
     def read(x: jax.Array, y: jax.Array, lamp: jax.Array, picture: jax.Array, whole: jax.Array) -> jax.Array:
-        row, column = jnp.abs(y) / spacing - rows[0], (x - highlight_x(sample, lamp)) / spacing - columns[0]
+        row = jnp.abs(y) / grid.spacing - rows[0]
+        column = (x - highlight_x(light.sample, lamp)) / grid.spacing - columns[0]
         values = [interpolated(stamps, picture * lamps.shape[1] + k, row, column) for k in range(lamps.shape[1])]
         if len(values) == 1:
             value = values[0]
         else:  # a parabola through the three lamps
             t = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
             value = values[0] * t * (t - 1) / 2 + values[1] * (1 - t) * (1 + t) + values[2] * t * (t + 1) / 2
-        return _against_flat_field(value, whole, blur, part.terms)
+        return _against_flat_field(value, whole, light.blur, grid.terms)
 
-    chosen = tuple(jnp.asarray(a)[part.near] for a in targets)
-    return in_batches(read, (*chosen, jnp.asarray(part.near_whole)), _READ)
+    return in_batches(read, tuple(jnp.asarray(a) for a in chosen), _READ)
 
 
 def _against_flat_field(values: jax.Array, whole: jax.Array, blur: Blur, terms: tuple[int, ...]) -> jax.Array:

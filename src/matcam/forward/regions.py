@@ -52,7 +52,7 @@ def lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array
     """Whether light may come from within `reach` px of (x, y); seldom true where none does, never the other way."""
     first, last = sample.rows(x, y, reach)
     # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
-    left, right = jnp.inf, -jnp.inf
+    left, right = jnp.full(first.shape, jnp.inf), jnp.full(first.shape, -jnp.inf)
     for v in (first, jnp.clip(0.0, first, last), last):
         low, high = sample.lit(v, lamp_angle)
         left = jnp.minimum(left, sample.surface(low, v).x)

@@ -17,11 +17,12 @@ from matcam.forward.panels import nodes_in_panels
 from matcam.forward.scene import Scene
 
 _ORDER_V = 9
+_ORDER_V_RIDGE = 7
 _ORDER_U = 10
-_RIDGE_PANELS = 5
-_RIDGE_CUTS = np.array([-3.0, -1.0, 0.0, 1.0, 3.0])
+_RIDGE_PANELS = 4
+_RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _ORDER_RIDGE = 6
-_LAYERS = np.array([1.0, 5.0])
+_LAYERS = np.array([3.0])
 
 
 def record_inside(scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array) -> jax.Array:
@@ -67,7 +68,7 @@ def record_in_window(
         at = y[:, None] + cuts.steps[1:-1]
         stepped, _ = sample.window(at, at, sample.across(x, jnp.zeros_like(x))[:, None])
         borders = jnp.sort(jnp.concatenate([borders, jnp.clip(stepped, first, last)], axis=-1), axis=-1)
-    v, v_weight = nodes_in_panels(borders, _ORDER_V)
+    v, v_weight = nodes_in_panels(borders, _ORDER_V_RIDGE if cuts.ridge else _ORDER_V)
     low, high = sample.lit(v, _beside_nodes(scene.lamp_angle, 1))
     low, high = (jnp.clip(sample.across(x[:, None] + side * cuts.reach, v), low, high) for side in (-1, 1))
     inner = [low[..., None], high[..., None], *_cuts_along_u(scene, x, v, (low, high), cuts)]
@@ -96,13 +97,15 @@ def _cuts_along_u(scene, x, v, ends, cuts: Cuts) -> list[jax.Array]:  # type: ig
 def _through_kernel(scene, blur, terms, x, y, u, v, weight):  # type: ignore[no-untyped-def]
     element = scene.sample.surface(u, v)
     lit = Scene(scene.material, scene.sample, _beside_nodes(scene.lamp_angle, 2))
-    light = jnp.concatenate([lit.sent(element), lit.flat_field(element)[..., None]], axis=-1) * weight[..., None]
+    light, flat = lit.sent(element), lit.flat_field(element)
     spread_x, spread_y = blur.spread(scene.sample, element.normal[2], lit.lamp_angle)
     total: jax.Array | float = 0.0
     for term in terms:
         along = blur.kernel(x[:, None, None] - element.x, term, spread_x)
         across = blur.kernel(y[:, None, None] - element.y, term, spread_y)
-        total += blur.weights[term] * jnp.sum(light * (along * across)[..., None], axis=(1, 2))
+        through = along * across * weight
+        seen = jnp.sum(light * through[..., None], axis=(1, 2)), jnp.sum(flat * through, axis=(1, 2))[:, None]
+        total += blur.weights[term] * jnp.concatenate(seen, axis=-1)
     return jnp.asarray(total)
 
 
