@@ -17,6 +17,7 @@ from matcam import (
     Rig,
     Schlick,
     Sphere,
+    picture,
     picture_values,
 )
 from matcam._jax import jax, jnp
@@ -240,3 +241,15 @@ def test_gradients(k):
     assert float(value) == pytest.approx(under_plan(NUMBERS), rel=1e-12)
     there, back, far, farther = (under_plan(NUMBERS + s * step * np.eye(4)[k]) for s in (1, -1, 2, -2))
     assert float(slope) == pytest.approx((8 * (there - back) - (far - farther)) / (12 * step), rel=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [0.002, 0.05])
+def test_a_picture_within_an_error_is_within_it(alpha):
+    rig, surface = Rig(Camera(GaussianOptics(0.5)), Sphere(RADIUS)), Microfacet(GGX(alpha), 1.0, SURFACE.diffuse)
+    exact = np.asarray(picture_values(surface, rig, LAMP, SHAPE))
+    for error in (1e-2, 1e-4):
+        rough = picture(surface, rig, LAMP, shape=SHAPE, error=error).values
+        missed = np.abs(rough - exact).max() / exact.max()
+        assert missed < error
+        assert missed > 0

@@ -10,10 +10,11 @@ from matcam import checks
 from matcam._jax import jax, jnp
 from matcam.camera.sensor import Seed
 from matcam.errors import ArgumentError
-from matcam.forward.blur import blur_of, kernel_error
+from matcam.forward.blur import Blur, blur_of, kernel_error
 from matcam.forward.kernel_scale import groups_of
 from matcam.forward.plan import Targets, planned
 from matcam.forward.recording import record
+from matcam.forward.tolerance import record_within
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.shape import Curved
@@ -25,6 +26,7 @@ def picture(
     lamp_angle: ArrayLike,
     *,
     shape: tuple[int, int] | None = None,
+    error: float | None = None,
     exposure: float | None = None,
     seed: Seed | None = None,
     time: float = 0.0,
@@ -34,6 +36,9 @@ def picture(
     lamp_angle: between lamp and camera, rad, [0, pi): 2 theta_d; the lamp stands towards +x (right). shape: (height,
     width); None: the rig's crop, or what holds the sample and its blur. Row 0 is on top, pixel centres lie on integers,
     the optical axis at ((width - 1) / 2, (height - 1) / 2).
+
+    error: None for a record as exact as is known (1e-4 of every value or 1e-7 of the peak); else the largest error that may
+    be made, as a share of the picture's peak, [1e-6, 0.1]: the more, the faster.
 
     exposure: None for radiance, 1/sr; a number, e- per unit of radiance, for a raw picture of the camera's sensor, DN, of
     `time` s, with the noise that `seed` stands for.
@@ -47,7 +52,12 @@ def picture(
         raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
     if exposure is not None and seed is None:
         raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
-    values = picture_values(material, rig, lamp_angle, shape)
+    if error is None:
+        values = picture_values(material, rig, lamp_angle, shape)
+    else:
+        error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
+        lamp, blur, x, y = _taken(material, rig, lamp_angle, shape)
+        values = record_within(error, material, rig.sample, blur, lamp, x, y)  # type: ignore[arg-type]
     quantity, unit = "radiance", "1/sr"
     if sensor is not None and exposure is not None and seed is not None:
         if sensor.cfa is not None and values.shape[-1] == 1:
@@ -77,19 +87,25 @@ def picture_values(
 ) -> jax.Array:
     """Radiance of `picture`, 1/sr, shape (height, width, channels): differentiable in the numbers of the material and
     the camera. ArgumentError inside jax.jit."""
-    _check(material, rig)
+    lamp, blur, columns, rows = _taken(material, rig, lamp_angle, shape)
     sample: Curved = rig.sample  # type: ignore[assignment]
+    x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(columns, rows))
+    targets = Targets(x, y, np.full(x.size, lamp), np.zeros(x.size, dtype=np.int32))
+    values = record(material, sample, blur, planned(sample, blur, np.array([lamp]), targets))
+    return values.reshape(rows.size, columns.size, -1)
+
+
+def _taken(
+    material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None
+) -> tuple[float, Blur, np.ndarray, np.ndarray]:
+    """The lamp's angle, the blur, and the places of columns and rows, px."""
+    _check(material, rig)
     behind = "rad (beyond pi the lamp is behind the sample)"
     lamp = checks.scalar("lamp_angle", checks.within("lamp_angle", lamp_angle, 0, np.pi, behind, open_high=True))
     blur = blur_of(rig)
-    reach = max(group.scale.reach for group in groups_of(blur, sample))
+    reach = max(group.scale.reach for group in groups_of(blur, rig.sample))  # type: ignore[arg-type]
     height, width = _shape(rig, shape, reach)
-    x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
-    x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(x, y))
-    lamps = np.full(x.size, float(lamp))
-    targets = Targets(x, y, lamps, np.zeros(x.size, dtype=np.int32))
-    values = record(material, sample, blur, planned(sample, blur, np.array([float(lamp)]), targets))
-    return values.reshape(height, width, -1)
+    return float(lamp), blur, np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
 
 
 def _shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:

@@ -96,10 +96,10 @@ def _part(sample: Curved, group: Group, lamp_angles: np.ndarray, targets: Target
         for squeezed in (False, True):
             chosen = np.flatnonzero(window & (turned > least) & (turned <= most) & (ridge == squeezed))
             if chosen.size:
-                chosen = _filled(chosen)
+                chosen = filled(chosen)
                 windows.append(Window(chosen, whole[chosen], squeezed, panels))
         least = most
-    near_list, inside_list = _filled(np.flatnonzero(near)), _filled(np.flatnonzero(inside))
+    near_list, inside_list = filled(np.flatnonzero(near)), filled(np.flatnonzero(inside))
     lists = [inside_list, *(window.chosen for window in windows), near_list]
     place = np.full(x.size, sum(map(len, lists)), dtype=np.int32)
     place[np.concatenate(lists)] = np.arange(sum(map(len, lists)))
@@ -135,8 +135,8 @@ def _lamps_around(lamp_angles: np.ndarray, targets: Targets, near: np.ndarray) -
     return lamp_angles[:, None] + widest[:, None] * np.array([-1.0, 0.0, 1.0])
 
 
-def _filled(chosen: np.ndarray) -> np.ndarray:
-    """With its last index repeated up to the next of 8 to 15 times a power of two: few lengths, few compilations."""
+def filled(chosen: np.ndarray) -> np.ndarray:
+    """Indices with their last repeated up to the next of 8 to 15 times a power of two: few lengths, few compilations."""
     if not chosen.size:
         return chosen
     unit = max(1, 2 ** (int(chosen.size - 1).bit_length() - 4))
