@@ -56,12 +56,12 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
     return path
 
 
-def save(figure: Figure, path: str | Path, *, force: bool = False) -> None:
-    """Write a figure; a format's own date is left out, so that the same data give the same file."""
+def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
+    """Write a figure; a format's own date is left out, so that the same data give the same file. dpi: of a PNG."""
     path = check_picture(path, force=force)
     metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
     with styled(), replacing(path, force=force) as temporary:
-        figure.savefig(temporary, dpi=144, metadata=metadata)
+        figure.savefig(temporary, dpi=dpi, metadata=metadata)
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:

@@ -1,0 +1,63 @@
+"""`matcam chart`: a page to photograph, and its description."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, Force
+
+
+def command(
+    kinds: Annotated[
+        list[str] | None,
+        typer.Argument(help="Panels: squares, bars, sines, lines, star, dots. Default: squares, bars, star, dots."),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Page to write (.pdf, .svg, .png); its description goes beside it.")
+    ] = Path("chart.pdf"),
+    page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper, lying.")] = "a4",
+    size: Annotated[
+        tuple[float, float] | None, typer.Option("--size", metavar="WIDTH HEIGHT", help="Page of another size, mm.")
+    ] = None,
+    pixels: Annotated[
+        float, typer.Option("--pixels", help="Pixels of your camera that the page's width will fill.")
+    ] = 3000.0,
+    dpi: Annotated[float, typer.Option("--dpi", help="Of a PNG.")] = 600.0,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Print a chart to photograph: slanted squares, gratings, Siemens star, dots; with a description for `calibrate`.
+
+    Example: `matcam chart squares star --pixels 4000 -o chart.pdf`
+    """
+    from matcam.atomic import check_output
+    from matcam.calibration.chart_file import description_path, write_chart
+    from matcam.calibration.chart_layout import design_chart
+    from matcam.figures.style import check_picture
+
+    description = description_path(output)
+    check_picture(output, force=force)
+    check_output(description, force=force)
+    chart = design_chart(kinds or ["squares", "bars", "star", "dots"], page=size or page, pixels_across=pixels)
+    with show.working(f"{output}: drawing the chart"):
+        from matcam.figures.chart import chart_figure, check_raster
+        from matcam.figures.style import save
+
+        if output.suffix.lower() == ".png":
+            check_raster(chart, dpi)
+        save(chart_figure(chart), output, force=force, dpi=dpi)
+        write_chart(description, chart, force=force)
+    counts: dict[str, Any] = {}
+    for element in chart.elements:
+        counts[type(element).__name__.lower()] = counts.get(type(element).__name__.lower(), 0) + 1
+    if json:
+        show.as_json({"files": [str(output), str(description)], "page_mm": chart.page, "elements": counts})
+        return
+    show.say(
+        ", ".join(f"{count} {kind}" for kind, count in counts.items()) + f" on {chart.page[0]:g} x {chart.page[1]:g} mm"
+    )
+    show.say(f"page: {output}, print in true size; description: {description}, to be given to `calibrate`")

@@ -1,0 +1,143 @@
+"""A chart as a page to print. What leaves the printer or screen should be sRGB: levels are encoded so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from matcam import checks
+from matcam.calibration.chart import Chart, Dots, Element, Fiducial, Grating, Star
+from matcam.errors import ArgumentError
+from matcam.figures.style import styled
+
+_STEPS = 24  # polygons per cycle of a sine
+_AROUND = 64  # corners of a circle
+_INCH = 25.4
+_MOST = 2e8  # pixels of a raster
+
+
+class Shape(NamedTuple):
+    """A polygon of one level."""
+
+    points: np.ndarray
+    """(n, 2) mm."""
+    level: float
+
+
+def chart_figure(chart: Chart) -> Figure:
+    """Page of a chart in its true size, with a ruler of 50 mm. Vector formats are the better ones to print."""
+    shapes = [shape for fiducial in chart.fiducials for shape in _fiducial(fiducial, chart.ink)]
+    shapes += [shape for element in chart.elements for shape in element_shapes(element)]
+    width, height = chart.page
+    with styled():
+        figure = Figure(figsize=(width / _INCH, height / _INCH), facecolor="white")
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.set(xlim=(0, width), ylim=(height, 0))
+        axes.axis("off")
+        axes.add_collection(
+            PolyCollection(
+                [shape.points for shape in shapes],
+                facecolors=[(_nearest_code(srgb(shape.level)),) * 3 for shape in shapes],
+                edgecolors="none",
+                linewidths=0,
+            ),
+            autolim=False,
+        )
+        # the ruler's ends and the words stand between the marks of the lower border
+        y, x = height - 0.045 * min(width, height), 0.14 * width
+        axes.plot([x, x, x, x + 50, x + 50, x + 50], [y - 1, y + 1, y, y, y - 1, y + 1], color="black", lw=0.5)
+        axes.text(x + 52, y, "50 mm", va="center", fontsize=6.5)
+        words = f"matcam chart, {width:g} x {height:g} mm: print in true size, photograph all of it"
+        axes.text(0.56 * width, y, words, va="center", fontsize=6.5)
+    return figure
+
+
+def check_raster(chart: Chart, dpi: float) -> None:
+    """Refuse a raster that would be too coarse to be a chart, or too large for memory."""
+    checks.within("dpi", dpi, 50, 10_000)
+    pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2
+    if pixels > _MOST:
+        raise ArgumentError(
+            f"{dpi:g} dpi make {pixels / 1e6:.0f} million pixels of this page: at most {_MOST / 1e6:.0f}"
+        )
+
+
+def element_shapes(element: Element) -> Iterator[Shape]:
+    """Polygons of an element, to be painted one after the other."""
+    if isinstance(element, Grating):
+        yield from _grating(element)
+    elif isinstance(element, Star):
+        yield from _star(element)
+    elif isinstance(element, Dots):
+        for centre in element.centres:
+            yield Shape(_circle(centre, element.radius), element.level)
+    else:
+        yield Shape(np.array(element.corners), element.level)
+
+
+def srgb(level: float) -> float:
+    """sRGB code, 0 to 1, of a linear level (IEC 61966-2-1)."""
+    return 12.92 * level if level <= 0.0031308 else 1.055 * level ** (1 / 2.4) - 0.055
+
+
+def _nearest_code(code: float) -> float:
+    """A code of 8 bits, which writers would otherwise round down."""
+    return min((round(255 * code) + 0.25) / 255, 1.0)
+
+
+def _circle(centre: tuple[float, float], radius: float) -> np.ndarray:
+    t = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    # corners a little outside, so that the polygon has the circle's area
+    radius *= np.sqrt(2 * np.pi / (_AROUND * np.sin(2 * np.pi / _AROUND)))
+    return np.array(centre) + radius * np.stack([np.cos(t), np.sin(t)], axis=-1)
+
+
+def _fiducial(fiducial: Fiducial, ink: float) -> Iterator[Shape]:
+    for ring in range(fiducial.rings, 0, -1):
+        yield Shape(_circle(fiducial.centre, (2 * ring + 1) * fiducial.radius), ink)
+        yield Shape(_circle(fiducial.centre, 2 * ring * fiducial.radius), 1.0)
+    yield Shape(_circle(fiducial.centre, fiducial.radius), ink)
+
+
+def _grating(grating: Grating) -> Iterator[Shape]:
+    across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
+    along = np.array([-np.sin(grating.angle), np.cos(grating.angle)]) * grating.size[1] / 2
+    half = grating.size[0] / 2
+
+    def strip(low: float, high: float) -> np.ndarray:
+        a, b = (np.array(grating.centre) + np.clip(u, -half, half) * across for u in (low, high))
+        return np.array([a - along, b - along, b + along, a + along])
+
+    if grating.profile == "sine":
+        for start, stop, level in _staircase(-half, half, grating, 2 * np.pi / grating.period):
+            yield Shape(strip(start, stop), level)
+        return
+    yield Shape(strip(-half, half), grating.dark)
+    shift, reach = grating.phase / (2 * np.pi), half / grating.period
+    for n in range(int(np.floor(shift - reach)) - 1, int(np.ceil(shift + reach)) + 2):
+        low, high = ((n - shift + side * grating.duty / 2) * grating.period for side in (-1, 1))
+        if low < half and high > -half:
+            yield Shape(strip(low, high), grating.bright)
+
+
+def _star(star: Star) -> Iterator[Shape]:
+    for start, stop, level in _staircase(0.0, 2 * np.pi, star, star.cycles):
+        t = np.array([start, stop])
+        rim = np.stack([np.cos(t), np.sin(t)], axis=-1)
+        yield Shape(np.array(star.centre) + np.concatenate([star.inner * rim, star.outer * rim[::-1]]), level)
+
+
+def _staircase(low: float, high: float, of: Grating | Star, per: float) -> Iterator[tuple[float, float, float]]:
+    """Steps of equal width whose first harmonic is exactly the sine that is meant; `per`: rad of phase per unit."""
+    mean, amplitude = (of.bright + of.dark) / 2, (of.bright - of.dark) / 2 / np.sinc(1 / _STEPS)
+    step = 2 * np.pi / _STEPS / per
+    count = round((high - low) / step)
+    for i in range(count):
+        start = low + i * step
+        # painted over by the next one: no paper shows through where they meet
+        stop = start + (2 if i + 1 < count else 1) * step
+        yield start, stop, float(np.clip(mean + amplitude * np.cos(per * (start + step / 2) + of.phase), 0, 1))

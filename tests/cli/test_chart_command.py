@@ -1,0 +1,54 @@
+"""`matcam chart`: pages in every format, their description, refusals."""
+
+import json
+
+import pytest
+
+from matcam.calibration.chart_file import read_chart
+from matcam.cli import main
+
+
+@pytest.fixture
+def chart(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments, code=0):
+        with pytest.raises(SystemExit) as exit_:
+            main(["chart", *map(str, arguments)])
+        streams = capsys.readouterr()
+        assert exit_.value.code == code, streams.err
+        return streams
+
+    return run
+
+
+@pytest.mark.parametrize(("suffix", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")])
+def test_page_and_description(chart, tmp_path, suffix, start):
+    page = tmp_path / f"page.{suffix}"
+    out = chart("squares", "star", "--pixels", 1500, "-o", page, "--dpi", 100, "--json").out
+    found = json.loads(out)
+    assert found["elements"]["star"] == 1
+    assert found["files"] == [str(page), str(tmp_path / "page.json")]
+    assert page.read_bytes().startswith(start)
+    assert len(read_chart(tmp_path / "page.json").elements) == sum(found["elements"].values())
+    assert "use --force" in chart("star", "-o", page, code=2).err
+    assert "true size" in chart("star", "-o", page, "--force", "--dpi", 100).out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("moon",), "kinds must be one of"),
+        (("-o", "chart.bmp"), "must end in"),
+        (("--page", "a9"), "'a9' is not one of"),
+        (("--size", 1, 1), "page must lie in"),
+        (("-o", "chart.png", "--dpi", 9000), "million pixels"),
+        (("-o", "chart.png", "--dpi", "nan"), "dpi must lie in"),
+        (("--pixels", 300), "more pixels_across"),
+    ],
+)
+def test_refusals_leave_nothing_behind(chart, tmp_path, arguments, words):
+    lines = chart(*arguments, code=2).err.strip().splitlines()
+    assert len(lines) == 1
+    assert words in lines[0]
+    assert not list(tmp_path.iterdir())
