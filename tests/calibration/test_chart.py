@@ -112,11 +112,11 @@ def test_page_shows_what_its_description_says(tmp_path):
     bars = Grating("bars", (52, 36), (16, 10), 0.3, 2.0, 0.4, 0.25, 1.0)
     square = Square(((70, 10), (80, 11), (79, 21), (69, 20)), 0.3)
     dots = Dots(((74, 40), (78, 40)), 0.8, 4.0, 0.05)
-    chart = Chart((90, 60), (), (star, sine, bars, square, dots), 0.05)
+    chart = Chart((91.44, 60.96), (), (star, sine, bars, square, dots), 0.05)
     save(chart_figure(chart), tmp_path / "page.png", dpi=dpi)
     level = _decoded(tmp_path / "page.png")
-    assert np.abs(np.array(level.shape) - np.array([60, 90]) / 25.4 * dpi).max() < 1
-    y, x = ((np.arange(n) + 0.5) * side / n for n, side in zip(level.shape, (60, 90), strict=True))
+    assert level.shape == (1440, 2160)
+    y, x = ((np.arange(n) + 0.5) * side / n for n, side in zip(level.shape, (60.96, 91.44), strict=True))
     x, y = np.meshgrid(x, y)
 
     def amplitude(part, phase):
