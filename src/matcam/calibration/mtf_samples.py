@@ -51,7 +51,11 @@ class MTFSamples:
         covariance = np.asarray(self.covariance, dtype=np.float64)
         if covariance.shape != (count, count) or not np.isfinite(covariance).all():
             raise ArgumentError(f"covariance must be ({count}, {count}) finite numbers, got shape {covariance.shape}")
-        if not (np.diag(covariance) > 0).all() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0):
+        variance = np.diag(covariance)
+        if (
+            not (variance > 0).all()
+            or (np.abs(covariance - covariance.T) > 1e-6 * np.sqrt(np.outer(variance, variance))).any()
+        ):
             raise ArgumentError("covariance must be symmetric, with positive variances")
         object.__setattr__(self, "covariance", covariance)
 
