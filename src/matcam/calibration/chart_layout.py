@@ -50,10 +50,10 @@ def design_chart(
     width, height = (float(checks.within("page", side, 50, 5000, "mm")) for side in size)
     pixel = width / float(checks.within("pixels_across", pixels_across, 300, 100_000))
     margin = max(0.045 * min(width, height), 14 * pixel)
-    radius = margin / 9
+    radius = margin / 6.5
     fiducials = tuple(_fiducials(width, height, margin, radius))
     strip = 0.06 * height
-    top, left = 1.6 * margin, 1.6 * margin
+    top, left = 1.8 * margin, 1.8 * margin
     room = (width - 2 * left, height - 2 * top - 1.4 * strip)
     elements: list[Element] = list(_patches(left, height - top - strip, room[0], strip))
     columns = max(range(1, len(kinds) + 1), key=lambda n: _fit(n, len(kinds), room))
@@ -80,11 +80,12 @@ def _fit(columns: int, count: int, room: Point) -> float:
 
 
 def _fiducials(width: float, height: float, margin: float, radius: float) -> Iterator[Fiducial]:
-    """All round the page; the one with two rings in the upper left corner."""
-    for y in (margin, height / 2, height - margin):
-        for x in (margin, width / 2, width - margin):
-            if (x, y) != (width / 2, height / 2):
-                yield Fiducial((x, y), radius, 2 if (x, y) == (margin, margin) else 1)
+    """All round the page; the one with two rings in the upper left corner, those between the corners so that neither a mirror
+    image nor any turn looks like the page seen from aside."""
+    near, far = (margin, margin), (width - margin, height - margin)
+    places = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
+    for place in [*places, (near[0], far[1]), (near[0], 0.5 * height)]:
+        yield Fiducial(place, radius, 2 if place == near else 1)
 
 
 def _patches(left: float, top: float, width: float, height: float) -> Iterator[Patch]:

@@ -51,8 +51,7 @@ def chart_figure(chart: Chart) -> Figure:
         y, x = height - 0.045 * min(width, height), 0.14 * width
         axes.plot([x, x, x, x + 50, x + 50, x + 50], [y - 1, y + 1, y, y, y - 1, y + 1], color="black", lw=0.5)
         axes.text(x + 52, y, "50 mm", va="center", fontsize=6.5)
-        words = f"matcam chart, {width:g} x {height:g} mm: print in true size, photograph all of it"
-        axes.text(0.56 * width, y, words, va="center", fontsize=6.5)
+        axes.text(0.66 * width, y, f"{width:g} x {height:g} mm: print in true size", va="center", fontsize=6.5)
     return figure
 
 
@@ -116,12 +115,13 @@ def _grating(grating: Grating) -> Iterator[Shape]:
         for start, stop, level in _staircase(-half, half, grating, 2 * np.pi / grating.period):
             yield Shape(strip(start, stop), level)
         return
-    yield Shape(strip(-half, half), grating.dark)
+    # dark bars on a bright ground: where that is the paper's own level, its border leaves no trace
+    yield Shape(strip(-half, half), grating.bright)
     shift, reach = grating.phase / (2 * np.pi), half / grating.period
     for n in range(int(np.floor(shift - reach)) - 1, int(np.ceil(shift + reach)) + 2):
-        low, high = ((n - shift + side * grating.duty / 2) * grating.period for side in (-1, 1))
+        low, high = ((n - shift + side) * grating.period for side in (grating.duty / 2, 1 - grating.duty / 2))
         if low < half and high > -half:
-            yield Shape(strip(low, high), grating.bright)
+            yield Shape(strip(low, high), grating.dark)
 
 
 def _star(star: Star) -> Iterator[Shape]:
