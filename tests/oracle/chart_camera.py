@@ -223,11 +223,16 @@ class ChartCamera:
             rows, columns = np.arange(self.height)[cell[0]], np.arange(self.width)[cell[1]]
             if not (rows.size and columns.size):
                 continue
+            sigma = self.sigma_of_dot(x.mean(), y.mean())
             along, across = (
-                (ndtr((g[:, None] - m + half) / self.sigma) - ndtr((g[:, None] - m - half) / self.sigma)) / (2 * half)
+                (ndtr((g[:, None] - m + half) / sigma) - ndtr((g[:, None] - m - half) / sigma)) / (2 * half)
                 for g, m in ((rows, y), (columns, x))
             )
             picture[cell[0], cell[1]] += (element["level"] - 1) * (along * weight) @ across.T
+
+    def sigma_of_dot(self, x, y):
+        """Blur of a dot at (x, y) px: to be replaced where the lens changes over the field, which only dots see."""
+        return self.sigma
 
     def _star(self, picture, star, fine):
         (cx, cy), inner, outer = star["centre_mm"], star["inner_mm"], star["outer_mm"]

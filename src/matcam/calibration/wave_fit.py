@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from matcam.calibration.residual_noise import noise_of
+
 Array = npt.NDArray[np.float64]
 
 Phase = Callable[[Array, Array, Array], Array]
@@ -111,7 +113,7 @@ def fit_wave(
             return None
         residual = value - level * (1 + wave)
         if moving and step > 2:
-            gain, read = _noise(residual, level * (1 + wave))
+            gain, read = noise_of(residual, level * (1 + wave))
             weight = 1 / (gain * np.maximum(level * (1 + wave), 0) + read)
         normal = (matrix.T * weight) @ matrix
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -166,15 +168,3 @@ def _powers(x: Array, y: Array, degree: int) -> Array:
     """Polynomials of the place, (n, terms), the constant first."""
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
     return np.stack([u**i * v**j for n in range(degree + 1) for i in range(n, -1, -1) for j in (n - i,)], axis=-1)
-
-
-def _noise(residual: Array, value: Array) -> tuple[float, float]:
-    """gain, read variance >= 0 that explain squared residuals as gain * value + read."""
-    square, level = residual**2, np.maximum(value, 0)
-    least = 1e-12 * float((value**2).mean()) + 1e-300
-    gain = float(
-        ((level - level.mean()) * (square - square.mean())).sum()
-        / max(float(((level - level.mean()) ** 2).sum()), least)
-    )
-    gain = min(max(gain, 0.0), float(square.mean() / max(float(level.mean()), least)))
-    return gain, max(float(square.mean() - gain * level.mean()), least)

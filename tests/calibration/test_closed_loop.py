@@ -1,0 +1,89 @@
+"""A chart drawn by the package, photographed by the oracle's camera, measured by every target: one camera, one answer."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam.calibration.chart import Dots, Grating, Square, Star
+from matcam.calibration.chart_file import read_chart, write_chart
+from matcam.calibration.chart_layout import design_chart
+from matcam.calibration.gratings import grating_mtf
+from matcam.calibration.grid import dot_grid
+from matcam.calibration.registration import register
+from matcam.calibration.star import star_mtf
+from tests.oracle.chart_camera import ChartCamera
+
+
+def measured(folder, kinds, pixels, camera, snr, seed, cfa=None):
+    """MTF samples by kind of target, from the photograph and the description's file alone; and the camera."""
+    path = folder / "chart.json"
+    write_chart(path, design_chart(kinds, pixels_across=pixels), force=True)
+    chart, document = read_chart(path), json.loads(path.read_text())
+    shot = ChartCamera(page=chart.page, **camera)
+    photograph = shot.photograph(shot.expected(document), snr, seed, cfa)
+    where = register(photograph, chart, mosaic=cfa is not None)
+    options = {} if cfa is None else {"cfa": cfa, "channel": "G"}
+    found = {}
+    for star in chart.of_kind(Star):
+        found["star"] = [star_mtf(photograph, star=star, projection=where, **options).samples]
+    if gratings := chart.of_kind(Grating):
+        found["gratings"] = [grating_mtf(photograph, grating=g, projection=where, **options).samples for g in gratings]
+    for dots in chart.of_kind(Dots):
+        grid = dot_grid(photograph, dots=dots, projection=where, half_width=shot.fill / 2, **options)
+        found["dots"] = list(grid.samples)
+        found["sigma"] = grid
+    return found, shot, chart
+
+
+def agree(samples, shot, tolerance=0.0):
+    """chi2 of samples against the camera, and their number."""
+    chi2 = count = 0
+    for s in samples:
+        error = s.mtf - shot.mtf(s.frequency, s.direction)
+        chi2 += error @ np.linalg.solve(s.covariance + tolerance**2 * np.eye(error.size), error)
+        count += error.size
+    return chi2, count
+
+
+POSE = {"tilt": (0.07, -0.05), "roll": 0.03, "distortion": 0.02, "vignetting": 0.3}
+
+
+@pytest.mark.parametrize(
+    ("size", "cfa"), [((800, 570), None), pytest.param((1600, 1140), "RGGB", marks=pytest.mark.slow)]
+)
+def test_all_targets_tell_of_one_camera(tmp_path, size, cfa):
+    camera = {"width": size[0], "height": size[1], "sigma": 0.5, "fill": 0.9, **POSE}
+    found, shot, chart = measured(tmp_path, ("squares", "bars", "star", "dots"), size[0], camera, 60, 3, cfa)
+    assert chart.of_kind(Square)
+    for kind in ("star", "gratings", "dots"):
+        # 0.001: what a grating's local frequency changes over its own length
+        chi2, count = agree(found[kind], shot, 0.001)
+        assert abs(chi2 / count - 1) < 4.5 * np.sqrt(2 / count), (kind, chi2, count)
+    assert found["sigma"].sigma.mean() == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sigma", "fill"), [(0.4, 1.0), (0.7, 0.6), (1.0, 0.8)])
+def test_figures_at_snr_60_by_averages(tmp_path, sigma, fill):
+    """Means over pictures: star 0.004, bars 0.005, dots 1 % of sigma."""
+    camera = {"width": 1200, "height": 860, "sigma": sigma, "fill": fill, **POSE}
+    errors, weights, sigmas = {"star": [], "gratings": []}, {}, []
+    for seed in range(6):
+        found, shot, _ = measured(tmp_path, ("bars", "star", "dots"), 1200, camera, 60, seed)
+        for kind, collected in errors.items():
+            both = [(s.mtf - shot.mtf(s.frequency, s.direction), s.mtf_std, s.frequency) for s in found[kind]]
+            collected.append(np.concatenate([b[0] for b in both]))
+            weights[kind] = [np.concatenate([b[i] for b in both]) for i in (1, 2)]
+        sigmas.append(found["sigma"].sigma.mean() / sigma - 1)
+    for kind, bound in (("star", 0.004), ("gratings", 0.005)):
+        count = min(map(len, errors[kind]))
+        mean = np.mean([e[:count] for e in errors[kind]], axis=0)
+        std, frequency = (w[:count] for w in weights[kind])
+        # where six pictures leave less noise than a third of the bound
+        told = (frequency <= 0.5) & (std / np.sqrt(6) < bound / 3)
+        print(kind, sigma, told.sum(), np.abs(mean[told]).max(), np.sqrt(np.mean(mean[told] ** 2)))
+        assert told.sum() >= 4
+        assert np.abs(mean[told]).max() < bound
+    print("dots", sigma, np.mean(sigmas), np.std(sigmas))
+    assert np.abs(sigmas).max() < 0.01
