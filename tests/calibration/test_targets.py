@@ -5,35 +5,30 @@ import json
 import numpy as np
 import pytest
 
-from matcam.calibration.chart import Dots, Grating, Square, Star
+from matcam.calibration.chart import Square
 from matcam.calibration.chart_file import read_chart, write_chart
 from matcam.calibration.chart_layout import design_chart
-from matcam.calibration.gratings import grating_mtf
-from matcam.calibration.grid import dot_grid
-from matcam.calibration.registration import register
-from matcam.calibration.star import star_mtf
+from matcam.calibration.targets import measure_targets
+from matcam.errors import FitError
 from tests.oracle.chart_camera import ChartCamera
 
 
 def measured(folder, kinds, pixels, camera, snr, seed, cfa=None):
-    """MTF samples by kind of target, from the photograph and the description's file alone; and the camera."""
+    """What all targets say, from the photograph and the description's file alone; and the camera."""
     path = folder / "chart.json"
     write_chart(path, design_chart(kinds, pixels_across=pixels), force=True)
     chart, document = read_chart(path), json.loads(path.read_text())
     shot = ChartCamera(page=chart.page, **camera)
     photograph = shot.photograph(shot.expected(document), snr, seed, cfa)
-    where = register(photograph, chart, mosaic=cfa is not None)
-    options = {} if cfa is None else {"cfa": cfa, "channel": "G"}
-    found = {}
-    for star in chart.of_kind(Star):
-        found["star"] = [star_mtf(photograph, star=star, projection=where, **options).samples]
-    if gratings := chart.of_kind(Grating):
-        found["gratings"] = [grating_mtf(photograph, grating=g, projection=where, **options).samples for g in gratings]
-    for dots in chart.of_kind(Dots):
-        grid = dot_grid(photograph, dots=dots, projection=where, half_width=shot.fill / 2, **options)
-        found["dots"] = list(grid.samples)
-        found["sigma"] = grid
+    channel = None if cfa is None else "G"
+    found = measure_targets(
+        photograph, chart, cfa=cfa, channel=channel, half_width=shot.fill / 2, source="p.tif", aperture=8.0
+    )
     return found, shot, chart
+
+
+def of_kind(found, kind):
+    return [s for s in found.samples if s.kind == kind]
 
 
 def agree(samples, shot, tolerance=0.0):
@@ -56,11 +51,13 @@ def test_all_targets_tell_of_one_camera(tmp_path, size, cfa):
     camera = {"width": size[0], "height": size[1], "sigma": 0.5, "fill": 0.9, **POSE}
     found, shot, chart = measured(tmp_path, ("squares", "bars", "star", "dots"), size[0], camera, 60, 3, cfa)
     assert chart.of_kind(Square)
-    for kind in ("star", "gratings", "dots"):
+    assert found.problems == ()
+    assert {s.aperture for s in found.samples} == {8.0}
+    for kind in ("star", "grating", "dots"):
         # 0.001: what a grating's local frequency changes over its own length
-        chi2, count = agree(found[kind], shot, 0.001)
+        chi2, count = agree(of_kind(found, kind), shot, 0.001)
         assert abs(chi2 / count - 1) < 4.5 * np.sqrt(2 / count), (kind, chi2, count)
-    assert found["sigma"].sigma.mean() == pytest.approx(0.5, rel=0.01)
+    assert found.grids[0].sigma.mean() == pytest.approx(0.5, rel=0.01)
 
 
 @pytest.mark.slow
@@ -68,15 +65,15 @@ def test_all_targets_tell_of_one_camera(tmp_path, size, cfa):
 def test_figures_at_snr_60_by_averages(tmp_path, sigma, fill):
     """Means over pictures: star 0.004, bars 0.005, dots 1 % of sigma."""
     camera = {"width": 1200, "height": 860, "sigma": sigma, "fill": fill, **POSE}
-    errors, weights, sigmas = {"star": [], "gratings": []}, {}, []
+    errors, weights, sigmas = {"star": [], "grating": []}, {}, []
     for seed in range(6):
         found, shot, _ = measured(tmp_path, ("bars", "star", "dots"), 1200, camera, 60, seed)
         for kind, collected in errors.items():
-            both = [(s.mtf - shot.mtf(s.frequency, s.direction), s.mtf_std, s.frequency) for s in found[kind]]
+            both = [(s.mtf - shot.mtf(s.frequency, s.direction), s.mtf_std, s.frequency) for s in of_kind(found, kind)]
             collected.append(np.concatenate([b[0] for b in both]))
             weights[kind] = [np.concatenate([b[i] for b in both]) for i in (1, 2)]
-        sigmas.append(found["sigma"].sigma.mean() / sigma - 1)
-    for kind, bound in (("star", 0.004), ("gratings", 0.005)):
+        sigmas.append(found.grids[0].sigma.mean() / sigma - 1)
+    for kind, bound in (("star", 0.004), ("grating", 0.005)):
         count = min(map(len, errors[kind]))
         mean = np.mean([e[:count] for e in errors[kind]], axis=0)
         std, frequency = (w[:count] for w in weights[kind])
@@ -87,3 +84,20 @@ def test_figures_at_snr_60_by_averages(tmp_path, sigma, fill):
         assert np.abs(mean[told]).max() < bound
     print("dots", sigma, np.mean(sigmas), np.std(sigmas))
     assert np.abs(sigmas).max() < 0.01
+
+
+def test_what_cannot_be_measured_is_listed(tmp_path):
+    camera = {"width": 800, "height": 570, "sigma": 0.5, "fill": 0.9}
+    path = tmp_path / "chart.json"
+    write_chart(path, design_chart(("star", "bars"), pixels_across=800))
+    chart, document = read_chart(path), json.loads(path.read_text())
+    hidden = [e for e in document["elements"] if e["kind"] != "star"]
+    shot = ChartCamera(page=chart.page, **camera)
+    photograph = shot.photograph(shot.expected({**document, "elements": hidden}), 60, 1)
+    found = measure_targets(photograph, chart, source="a.png")
+    assert len(found.problems) == 1
+    assert found.problems[0].startswith("a.png: star ")
+    assert len(found.samples) == sum(e["kind"] == "grating" for e in hidden)
+    with pytest.raises(FitError) as error:
+        measure_targets(photograph[:200, :200], chart)
+    assert "no chart of this description" in str(error.value)
