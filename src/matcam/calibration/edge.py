@@ -9,14 +9,13 @@ from numpy.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax
-from matcam.calibration import region, verdict
+from matcam.calibration import region, stack, verdict
 from matcam.calibration.edge_result import EdgeMTF, result_of
 from matcam.calibration.maximum_likelihood import Noise
-from matcam.calibration.measurement import Measurement, fit_lens, measure, measure_stack
+from matcam.calibration.measurement import fit_lens, measure
 from matcam.calibration.profiles import MODELS, LensModel, lens_model
 from matcam.errors import ArgumentError, FitError
 
-_AT_ONCE = 10  # edges of a stack that run side by side: they fit into the processor's cache
 _FULL = 0.5  # px: a pixel that is sensitive all over
 _UNKNOWN = Noise(np.float64(np.nan), np.float64(np.nan))
 
@@ -68,7 +67,8 @@ def edge_mtf(
     if problem := verdict.refusals(jax.tree.map(lambda a: a[None], found), rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem)
     corner = (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
-    return result_of(found, rows, corner, model, lens, half_width, ())
+    frame = rows.frame._replace(x=rows.frame.x + corner[0], y=rows.frame.y + corner[1])
+    return result_of(found, frame, model, lens, half_width, ())
 
 
 def edge_mtf_stack(
@@ -88,38 +88,22 @@ def edge_mtf_stack(
     number of the result has a leading axis of n; `result[i]` is one edge's. An edge that cannot be measured is NaN, and
     `result.problems[i]` says why. Raises ArgumentError.
     """
-    lens, noise, half = _checked(model, wavelength, pixel_pitch, half_width, gain, read_noise)
+    lens, noise, _ = _checked(model, wavelength, pixel_pitch, half_width, gain, read_noise)
     values = np.asarray(images)
     if values.dtype.kind not in "uif" or values.ndim != 3 or min(values.shape[1:]) < region.SMALLEST or not len(values):
         raise ArgumentError(
             f"images must be numbers of shape (n, height, width), n >= 1, sides >= {region.SMALLEST}, got {values.dtype} "
             f"{values.shape}"
         )
-    chunks: list[Measurement] = []
-    problems: list[str] = []
-    regions: list[region.Region] = []
-    for i in range(0, len(values), _AT_ONCE):
-        some = values[i : i + _AT_ONCE].astype(np.float64)
-        count = len(some)
-        rows = region.rows_of(some)
-        regions.append(rows)
-        if rows.transposed != regions[0].transposed:
+    regions = []
+    for i in range(0, len(values), stack.AT_ONCE):
+        some = values[i : i + stack.AT_ONCE].astype(np.float64)
+        regions.append((region.rows_of(some), region.flaws(some)))
+        if regions[-1][0].frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
                 f"images must hold edges that lie alike: those from number {i} on lie across the first ones"
             )
-        # always as many at once, so that one compiled program serves every stack; what fills the last one up is thrown away
-        full = np.concatenate([rows.value, np.repeat(rows.value[:1], _AT_ONCE - count, axis=0)])
-        found = measure_stack(full, rows.y, rows.start, noise, half, step=rows.step)
-        if model != "gaussian":
-            found = found._replace(parametric=jax.vmap(fit_lens, in_axes=(0, None, None))(found, half, lens))
-        # one after the other: programs that are queued on a processor compete for its threads
-        found = jax.tree.map(np.asarray, found)
-        chunks.append(jax.tree.map(lambda a: a[:count], found))  # noqa: B023
-        refusals = verdict.refusals(chunks[-1], rows, accept_sharpened=accept_sharpened)
-        problems += [flaw or refusal for flaw, refusal in zip(region.flaws(some), refusals, strict=True)]
-    found = jax.tree.map(lambda *a: np.concatenate(a), *chunks)
-    rows = regions[0]._replace(mirrored=np.concatenate([rows.mirrored for rows in regions]))
-    return result_of(found, rows, (0, 0), model, lens, half_width, tuple(problems))
+    return stack.measured(regions, model, lens, noise, half_width, accept_sharpened=accept_sharpened)
 
 
 def _checked(

@@ -15,7 +15,7 @@ from matcam.calibration import curves
 from matcam.calibration.curves import FREQUENCIES
 from matcam.calibration.free_core import GLARE
 from matcam.calibration.profiles import LensModel
-from matcam.calibration.region import Region
+from matcam.calibration.region import Frame
 from matcam.camera.camera import Camera
 from matcam.camera.pixel import BoxPixel
 from matcam.camera.uncertainty import Provenance, Uncertainty
@@ -220,14 +220,12 @@ _EDGE, _LINE = jax.jit(curves.edge_response), jax.jit(curves.line_response)
 
 
 def result_of(
-    found: Any, region: Region, corner: tuple[int, int], model: str, lens: LensModel, half_width: float,
-    problems: tuple[str, ...],
+    found: Any, frame: Frame, model: str, lens: LensModel, half_width: float, problems: tuple[str, ...]
 ) -> EdgeMTF:  # fmt: skip
     """Result of a `Measurement` (as NumPy arrays) of one edge; of a stack, with leading axes, if there are `problems`."""
     free, fit = found.free, found.parametric
     glare, slope, bend = free.even[..., GLARE], found.curve[..., 1], found.curve[..., 2]
-    length = np.ptp(region.y[: np.isfinite(region.value[0]).any(1).sum()])
-    mirror = np.where(region.mirrored, -1.0, 1.0) if problems else (-1.0 if region.mirrored[0] else 1.0)
+    frame = frame if problems else frame._replace(mirrored=frame.mirrored[0])
     bad = np.array([bool(p) for p in problems])
 
     def scalar(value: Any) -> Any:
@@ -236,14 +234,9 @@ def result_of(
     def curve(value: np.ndarray) -> np.ndarray:
         return np.where(bad.reshape(-1, *[1] * (value.ndim - 1)), np.nan, value) if problems else value
 
-    def turned(x: Any, y: Any) -> tuple[Any, Any]:
-        """A vector in the turned region, as it lies in the picture."""
-        return (y, mirror * x) if region.transposed else (mirror * x, y)
-
-    nx, ny = turned(1.0, -slope)
-    x, y = turned(found.curve[..., 0], 0.0)
-    gx, gy = turned(free.levels[..., 2], free.levels[..., 3])
-    height, width = (region.shape[1], region.shape[0]) if region.transposed else region.shape
+    nx, ny = frame.turned(1.0, -slope)
+    x, y = frame.turned(found.curve[..., 0], 0.0)
+    gx, gy = frame.turned(free.levels[..., 2], free.levels[..., 3])
     return EdgeMTF(
         frequency=FREQUENCIES,
         mtf=curve(found.mtf.value),
@@ -260,8 +253,8 @@ def result_of(
         angle=scalar(np.arctan2(ny, nx)),
         angle_std=scalar(np.sqrt(found.curve_covariance[..., 1, 1]) / (1 + slope**2)),
         # the curve x0(y) = ... + bend y^2 lies below its chord by bend (length / 2)^2, measured along x
-        bow=scalar(-bend * length**2 / 4 / np.hypot(1, slope)),
-        place=(scalar(corner[0] + (width - 1) / 2 + x), scalar(corner[1] + (height - 1) / 2 + y)),
+        bow=scalar(-bend * frame.length**2 / 4 / np.hypot(1, slope)),
+        place=(scalar(frame.x + x), scalar(frame.y + y)),
         dark=scalar(free.levels[..., 0]),
         bright=scalar(free.levels[..., 1]),
         light=(scalar(gx), scalar(gy)),

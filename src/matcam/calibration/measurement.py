@@ -119,9 +119,13 @@ def measure(
 def measure_stack(
     values: AnyArray, y: AnyArray, start: AnyArray, noise: Noise, half_width: AnyArray | np.float64, *, step: int
 ) -> Measurement:
-    """`measure` for a stack (n, rows, columns) of regions that share all else, side by side."""
+    """`measure` for a stack of regions, side by side: values (n, rows, columns), y and start (n, rows)."""
     half_width = jnp.asarray(half_width)
-    fits = jax.vmap(lambda value: _fits(Rows(value, y, start, step), noise, half_width))(jnp.asarray(values))
+
+    def fitted(value: jax.Array, y: jax.Array, start: jax.Array) -> _Fits:
+        return _fits(Rows(value, y, start, step), noise, half_width)
+
+    fits = jax.vmap(fitted)(*map(jnp.asarray, (values, y, start)))
     found = fits.glare.gain > glare.FOUND
 
     def some(fits: _Fits) -> free_fit.FreeCurve:

@@ -25,14 +25,28 @@ class Region(NamedTuple):
     """(n, rows, columns) linear; NaN where there is none."""
     y: np.ndarray
     start: np.ndarray
-    """(rows,) px from the region's centre: the row's place, and that of its first sample."""
+    """(rows,), or (n, rows), px from the region's centre: the row's place, and that of its first sample."""
     step: int
     """px between samples."""
-    shape: tuple[int, int]
-    """Rows and columns of the turned region, px."""
-    transposed: bool
+    frame: Frame
+
+
+class Frame(NamedTuple):
+    """How regions lie in the picture: numbers or (n,) of them."""
+
+    x: np.ndarray | float
+    y: np.ndarray | float
+    """px: the region's centre."""
+    transposed: np.ndarray | bool
     mirrored: np.ndarray
     """(n,) whether left and right were exchanged, after transposing."""
+    length: np.ndarray | float
+    """px from the first row to the last."""
+
+    def turned(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """A vector in the turned region, as it lies in the picture."""
+        x = np.where(self.mirrored, -1.0, 1.0) * x
+        return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
 
 def cut(
@@ -87,9 +101,8 @@ def rows_of(values: np.ndarray, *, mosaic: bool = False) -> Region:
     value = np.full((len(turned), padded(turned.shape[1]), padded(turned.shape[2])), np.nan)
     value[:, : turned.shape[1], : turned.shape[2]] = turned
     more = (0, value.shape[1] - turned.shape[1])
-    return Region(
-        value, np.pad(y, more), np.pad(first, more) - (width - 1) / 2, step, (height, width), transposed, mirrored
-    )
+    frame = Frame((values.shape[2] - 1) / 2, (values.shape[1] - 1) / 2, transposed, mirrored, float(np.ptp(y)))
+    return Region(value, np.pad(y, more), np.pad(first, more) - (width - 1) / 2, step, frame)
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:

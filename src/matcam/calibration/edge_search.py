@@ -1,0 +1,159 @@
+"""Straight edges, found in a picture without help: at any scale and rotation, under uneven light and mild distortion.
+
+Pixels whose gradients point alike and lie side by side are one edge; its place and direction are those of its pixels,
+weighted by gradient. Corners end an edge, because the gradient turns there; nothing has to be a square. An edge is kept
+where both its sides are even far enough to be measured. NumPy and SciPy, on the picture reduced to a few megapixels.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+_PIXELS = 2_000_000  # of the reduced picture, at most
+_SMOOTH = 1.0  # px of the reduced picture
+_SECTORS = 16  # of directions; each is looked for with its two neighbours
+_NOISE, _WEAK = 6.0, 0.06  # gradients count above so many times the median, and above this share of the strongest
+_SHORTEST = 12.0  # px of the reduced picture
+_SLENDER = 3.0  # length over width of a ribbon of pixels
+_CORNER = 2.5  # px of the reduced picture, which both ends lose
+_PROFILE = 40  # px of the reduced picture, to both sides
+_ALONG = 24  # places along an edge
+_UNEVEN, _SLOPE = 0.06, 0.002  # of the step: how far a side's mean may leave its level, and how fast
+_SPOT = 0.4  # of the step: by so much single places along a side may differ
+_ENOUGH = 4  # edges that make a finer search unnecessary
+
+
+class FoundEdges(NamedTuple):
+    """n edges: px of the picture, pixel centres on whole numbers, x right, y down. The longest and strongest come first."""
+
+    x: np.ndarray
+    y: np.ndarray
+    """(n,) their middles."""
+    angle: np.ndarray
+    """(n,) rad, of the normal towards the bright side, from x to y."""
+    length: np.ndarray
+    """(n,) px that are free of corners."""
+    clear: np.ndarray
+    """(n,) px to both sides that are free of anything else."""
+
+
+def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> FoundEdges:
+    """Edges in a picture of any monotone codes, (height, width) or (height, width, 3).
+
+    mosaic: of colour filters, whose pixels can only be compared in cells of 2 x 2.
+    """
+    least = 2 if mosaic else 1
+    factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / _PIXELS) / least)) * least, least)
+    while True:
+        found = _at_scale(picture, factor)
+        finer = factor // 2 // least * least
+        if found.x.size >= _ENOUGH or finer < least:
+            return found
+        factor = finer
+
+
+def _at_scale(picture: np.ndarray, factor: int) -> FoundEdges:
+    small = _reduced(picture, factor)
+    ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
+    x, y, angle, length = ribbons.T
+    clear, step = _clear(small, x, y, angle, length)
+    length = length - 2 * _CORNER
+    order = np.argsort(-step * length, kind="stable")
+    order = order[(clear > 0)[order]]
+    place = (column * factor + (factor - 1) / 2 for column in (x, y))
+    return FoundEdges(*(column[order] for column in (*place, angle, factor * length, factor * clear)))
+
+
+def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
+    """Means over squares of `factor` px, and over colours."""
+    height, width = (size // factor * factor for size in picture.shape[:2])
+    total = np.zeros((height // factor, width), np.float32)
+    for row in range(factor):
+        part = picture[row:height:factor, :width]
+        total += part if part.ndim == 2 else part.sum(-1, dtype=np.float32)
+    return total.reshape(height // factor, -1, factor).sum(-1)
+
+
+def _ribbons(small: np.ndarray) -> np.ndarray:
+    """(n, 4): x, y, angle of the normal, length, of connected pixels with like gradients."""
+    gx, gy = (ndimage.gaussian_filter(small, _SMOOTH, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
+    size = np.hypot(gx, gy)
+    floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
+    rows, columns = np.nonzero(size > floor)
+    gx, gy, size = gx[rows, columns], gy[rows, columns], size[rows, columns]
+    width = 2 * np.pi / _SECTORS
+    sector = np.floor((np.arctan2(gy, gx) + np.pi) / width).astype(int) % _SECTORS
+    found = []
+    for centre in range(_SECTORS):
+        near = (sector - centre + 1) % _SECTORS <= 2
+        mask = np.zeros(small.shape, np.uint8)
+        mask[rows[near], columns[near]] = 1
+        label, count = ndimage.label(mask, np.ones((3, 3)))
+        one = label[rows[near], columns[near]] - 1
+        ribbon, direction = _moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
+        # an edge is seen by three sectors, and belongs to the one that its mean direction lies in
+        mine = np.floor((direction + np.pi) / width).astype(int) % _SECTORS == centre
+        found.append(ribbon[mine])
+    ribbon = np.concatenate(found)
+    length, thickness = ribbon[:, 3], ribbon[:, 4]
+    return ribbon[(length >= _SHORTEST) & (length >= _SLENDER * thickness)][:, :4]
+
+
+def _moments(
+    one: np.ndarray, count: int, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(count, 5) x, y, normal's angle, length, width of components, and their mean directions. one: each pixel's component."""
+    total = lambda values: np.bincount(one, values, count)  # noqa: E731
+    weight = np.maximum(total(size), 1e-30)
+    mx, my = total(size * x) / weight, total(size * y) / weight
+    dx, dy = x - mx[one], y - my[one]
+    xx, xy, yy = (total(size * product) / weight for product in (dx * dx, dx * dy, dy * dy))
+    half, apart = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    direction = np.arctan2(total(gy), total(gx))
+    normal = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
+    normal = np.where(np.cos(normal - direction) < 0, normal + np.pi, normal)
+    # a uniform ribbon of length l has a variance of l^2 / 12
+    length, thickness = np.sqrt(12 * (half + apart)), np.sqrt(12 * np.maximum(half - apart, 0))
+    return np.stack([mx, my, np.angle(np.exp(1j * normal)), length, thickness], 1), direction
+
+
+def _clear(
+    small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far both sides keep their levels, px (0: not even beside the edge), and the step between them."""
+    if not x.size:
+        return np.zeros(0), np.zeros(0)
+    away = np.arange(-_PROFILE, _PROFILE + 1)
+    along = np.linspace(-0.5, 0.5, _ALONG) * np.maximum(length - 2 * _CORNER, 1)[:, None]
+    c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    at_x = x[:, None, None] + away[:, None] * c - along[:, None, :] * s
+    at_y = y[:, None, None] + away[:, None] * s + along[:, None, :] * c
+    inside = (at_x >= 0) & (at_x <= small.shape[1] - 1) & (at_y >= 0) & (at_y <= small.shape[0] - 1)
+    value = ndimage.map_coordinates(small, [at_y, at_x], order=1, mode="nearest")
+    profile, inside = value.mean(-1), inside.all(-1)
+    uneven = np.ptp(value[..., :-2] + value[..., 1:-1] + value[..., 2:], axis=-1) / 3
+    steepest = np.diff(profile[:, _PROFILE - 2 : _PROFILE + 3], axis=1).max(1)
+    sides = [
+        [column[:, part] for column in (profile, inside, uneven)]
+        for part in (slice(_PROFILE, None, -1), slice(_PROFILE, None))
+    ]
+    # a blurred edge of step h and std s has a steepest slope of h / (sqrt(2 pi) s); its levels begin at 2.5 s
+    rough = np.maximum(sides[1][0][:, 4:8].mean(1) - sides[0][0][:, 4:8].mean(1), 0)
+    start = np.clip(np.ceil(rough / np.maximum(steepest, 1e-30)), 2, 12).astype(int)
+    rows = np.arange(len(x))
+    clear = np.full(len(x), _PROFILE)
+    levels = []
+    for side, there, spots in sides:
+        level = (side[rows, start] + side[rows, start + 1] + side[rows, start + 2]) / 3
+        levels.append(level)
+        beyond = np.arange(_PROFILE + 1) - start[:, None] - 1
+        allowed = (_UNEVEN + _SLOPE * np.maximum(beyond, 0)) * rough[:, None]
+        fault = (np.abs(side - level[:, None]) > allowed) | (spots > _SPOT * rough[:, None])
+        fault = (fault & (beyond >= 0)) | ~there
+        first = np.where(fault.any(1), fault.argmax(1), _PROFILE + 1) - 1
+        clear = np.minimum(clear, first)
+    step = levels[1] - levels[0]
+    return np.where((clear > start + 2) & (step > 0), clear, 0), step

@@ -1,0 +1,106 @@
+"""Edges are found without help, each where it is, and strips along them say what rectangles round them say."""
+
+import numpy as np
+import pytest
+
+from matcam.calibration import region, stack, strips
+from matcam.calibration.edge import edge_mtf_stack
+from matcam.calibration.edge_search import find_edges
+from matcam.calibration.maximum_likelihood import Noise
+from matcam.calibration.profiles import Gaussian
+from tests.oracle import slanted_edge, slanted_squares
+
+EVERY = np.ones((2, 2), bool)
+UNKNOWN = Noise(np.float64(np.nan), np.float64(np.nan))
+
+
+def measured(picture, sites=EVERY, mosaic=False):
+    along = strips.strips_along(find_edges(picture, mosaic=mosaic), picture.shape)
+    regions = strips.regions_of(along, lambda y, x: picture[y, x].astype(float), sites, stack.AT_ONCE)
+    return stack.measured(
+        [(r, region.flaws(r.value)) for r in regions], "gaussian", Gaussian(), UNKNOWN, 0.5, accept_sharpened=False
+    )
+
+
+def matched(x, y, angle, sides):
+    """For each side of a square the edge that was found on it, and how far away: px along the normal, rad."""
+    away = np.hypot(x - sides[:, :1], y - sides[:, 1:2])
+    nearest = away.argmin(1)
+    c, s = np.cos(sides[:, 2]), np.sin(sides[:, 2])
+    off = (x[nearest] - sides[:, 0]) * c + (y[nearest] - sides[:, 1]) * s
+    turned = np.angle(np.exp(1j * (angle[nearest] - sides[:, 2])))
+    return nearest, off, turned
+
+
+SMALL, LARGE, HUGE = (300, 70, 36, 0.5), (900, 300, 170, 0.8), (2400, 800, 480, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("size", "pitch", "side", "sigma", "degrees"),
+    [(*scale, d) for scale in (SMALL, LARGE) for d in (5, 17, 31, 40, 95, -12)] + [(*HUGE, 5), (*HUGE, 40)],
+)
+def test_every_side_is_found_at_any_scale_and_rotation(size, pitch, side, sigma, degrees):
+    picture, sides = slanted_squares.field((size, size + 40), pitch, side, degrees, sigma, light=0.5)
+    noisy = picture + np.random.default_rng(1).normal(0, 1 / 60, picture.shape)
+    found = find_edges(noisy)
+    _, off, turned = matched(found.x, found.y, found.angle, sides)
+    assert len(sides) >= 4
+    assert np.max(np.abs(off)) < 0.6 * max(1, size / 1400)
+    assert np.max(np.abs(turned)) < np.radians(1.0)
+    assert found.x.size <= len(sides)
+
+
+def test_nothing_is_found_in_noise():
+    rng = np.random.default_rng(2)
+    assert find_edges(rng.normal(100, 5, (400, 500))).x.size == 0
+    assert find_edges(np.full((400, 500), 7, np.uint8)).x.size == 0
+    assert find_edges(rng.normal(100, 5, (10, 12))).x.size == 0
+
+
+@pytest.fixture(scope="module")
+def chart():
+    picture, sides = slanted_squares.field((420, 440), 140, 84, 5, 0.5, dark=0.25)
+    return np.random.default_rng(3).poisson(picture * 1e4).astype(float), sides
+
+
+def test_strips_say_where_edges_lie_and_what_they_are(chart):
+    picture, sides = chart
+    result = measured(picture)
+    assert not any(result.problems)
+    nearest, off, turned = matched(*result.place, result.angle, sides)
+    assert len(set(nearest)) == len(sides) == len(result)
+    assert np.max(np.abs(off)) < 0.05
+    assert np.max(np.abs(turned)) < 0.002
+    pulls = (result.mtf50 - slanted_edge.gaussian_half(0.5)) / result.mtf50_std
+    assert abs(pulls.mean()) < 4 / np.sqrt(pulls.size)
+    assert 0.6 < pulls.std() < 1.4
+    assert np.max(np.abs(result.bow)) < 0.1
+
+
+@pytest.mark.slow
+def test_a_strip_is_a_rectangle_that_leans(chart):
+    """The same edge in a rectangle, by the function for rectangles, has the same MTF to a part of its noise."""
+    picture, _ = chart
+    result = measured(picture)
+    x, y = result.place
+    upright = np.flatnonzero(np.abs(np.cos(result.angle)) > 0.9)[:3]
+    boxes = [(round(y[i]), round(x[i])) for i in upright]
+    cut = np.stack([picture[row - 30 : row + 30, column - 28 : column + 28] for row, column in boxes])
+    rectangles = edge_mtf_stack(cut)
+    assert np.all(np.abs(rectangles.mtf50 - result.mtf50[upright]) < 2 * result.mtf50_std[upright])
+    assert rectangles.angle == pytest.approx(result.angle[upright], abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "channel", ["R", pytest.param("G", marks=pytest.mark.slow), pytest.param("B", marks=pytest.mark.slow)]
+)
+def test_strips_of_a_mosaic_hold_one_colour(channel):
+    sigmas = {"R": 0.6, "G": 0.45, "B": 0.8}
+    planes = [slanted_squares.field((420, 440), 140, 84, 5, s, dark=0.25)[0] for s in sigmas.values()]
+    cfa = "GRBG"
+    picture = np.random.default_rng(4).poisson(slanted_squares.mosaic(planes, cfa) * 1e4).astype(float)
+    result = measured(picture, (np.array(list(cfa)) == channel).reshape(2, 2), mosaic=True)
+    assert not any(result.problems)
+    pulls = (result.mtf50 - slanted_edge.gaussian_half(sigmas[channel])) / result.mtf50_std
+    assert abs(pulls.mean()) < 4 / np.sqrt(pulls.size)
+    assert 0.6 < pulls.std() < 1.4
