@@ -14,6 +14,7 @@ from matcam.calibration.edge_result import EdgeMTF, result_of
 from matcam.calibration.maximum_likelihood import Noise
 from matcam.calibration.measurement import fit_lens, measure
 from matcam.calibration.profiles import MODELS, LensModel, lens_model
+from matcam.calibration.tone import Tone
 from matcam.errors import ArgumentError, FitError
 
 _FULL = 0.5  # px: a pixel that is sensitive all over
@@ -30,7 +31,7 @@ def edge_mtf(
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
+    tone: Tone = None,
     gain: float | None = None,
     read_noise: float | None = None,
     accept_sharpened: bool = False,
@@ -47,7 +48,7 @@ def edge_mtf(
     cfa: colours of the picture's first 2 x 2 px, row by row ("RGGB", ...): the image is a mosaic, and the sites of
     `channel` ("R", "G", "B") are samples as they are; nothing is demosaiced. channel with a colour image: "R", "G", "B"
     or "Y", their luminance (default).
-    tone: None: the image is linear; "srgb": undone; or a table of linear values by code.
+    tone: None: the image is linear; "srgb": undone; a gamma; or a table of linear values by code, one or three columns.
     gain, read_noise: a pixel's variance is gain * value + read_noise^2, in the linear image's units (counts of
     photo-electrons have gain 1); None: estimated.
     accept_sharpened: measure a sharpened picture all the same: lens and sharpening together.

@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from matcam.calibration.tone import Tone, linearised
 from matcam.errors import ArgumentError, FitError
 
 SMALLEST = 16
 """px: both sides of a region must have as many."""
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Of linear R, G, B (IEC 61966-2-1)."""
 _CLIPPED = 0.02  # share of samples at the brightest value of an integer type
 _FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
 _MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
@@ -49,9 +51,7 @@ class Frame(NamedTuple):
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
 
-def cut(
-    image: ArrayLike, roi: Sequence[int] | None, cfa: str | None, channel: str | None, tone: str | ArrayLike | None
-) -> np.ndarray:
+def cut(image: ArrayLike, roi: Sequence[int] | None, cfa: str | None, channel: str | None, tone: Tone) -> np.ndarray:
     """The region's linear values, (height, width), NaN where this colour has no site. ArgumentError for what cannot be."""
     picture = np.asarray(image)
     if (
@@ -65,7 +65,7 @@ def cut(
     x, y, width, height = _checked_roi(roi, picture.shape)
     part = picture[y : y + height, x : x + width]
     _refuse_clipped(part)
-    linear = _linear(part, tone)
+    linear = linearised(part, tone)
     if linear.ndim == 3:
         if cfa is not None:
             raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {picture.shape}")
@@ -176,26 +176,9 @@ def _refuse_clipped(part: np.ndarray) -> None:
             raise FitError(f"region is saturated: {share:.0%} of its samples are at {full}, the end of their range")
 
 
-def _linear(part: np.ndarray, tone: str | ArrayLike | None) -> np.ndarray:
-    if tone is None:
-        return part.astype(np.float64)
-    if isinstance(tone, str):
-        if tone != "srgb":
-            raise ArgumentError(f"tone must be None, 'srgb' or a table of linear values by code, got {tone!r}")
-        scale = np.iinfo(part.dtype).max if part.dtype.kind in "ui" else 1.0
-        code = part / scale
-        return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
-    table = np.asarray(tone, dtype=np.float64)
-    if table.ndim != 1 or part.dtype.kind not in "ui" or not np.all(np.isfinite(table)):
-        raise ArgumentError(f"tone as a table needs finite numbers and an image of whole numbers, got {part.dtype}")
-    if part.max() >= table.size:
-        raise ArgumentError(f"tone has {table.size} entries, the image has the code {part.max()}")
-    return table[part]
-
-
 def _of_colours(linear: np.ndarray, channel: str | None) -> np.ndarray:
     if channel in (None, "Y"):
-        return linear[..., :3] @ np.array(_LUMINANCE)
+        return linear[..., :3] @ np.array(LUMINANCE)
     if channel not in ("R", "G", "B"):
         raise ArgumentError(f"channel must be one of 'R', 'G', 'B', 'Y', got {channel!r}")
     return linear[..., "RGB".index(channel)]

@@ -1,18 +1,54 @@
-"""Photographs as arrays of their own codes: TIFF, PNG, JPEG, in 8 or 16 bits. Nothing is converted, scaled or rotated.
+"""Photographs as arrays of their own codes: TIFF, PNG, JPEG, in 8 or 16 bits, OpenEXR, camera raw. Nothing is converted,
+scaled, rotated or demosaiced.
 
-Decoders: tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits).
+Decoders: tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits); LibRaw for camera raw.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from matcam.errors import FileFormatError
+from matcam.files.exif import Exif, read_exif
+from matcam.files.exr import read_exr
+from matcam.files.picture_size import check_memory, jpeg_size, png_size
+from matcam.files.raw import SUFFIXES, read_raw
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_EXR = b"\x76\x2f\x31\x01"
 _LARGEST = 2 << 30  # bytes
+PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
+"""Suffixes of files that may be photographs."""
+
+
+class Photograph(NamedTuple):
+    """A picture as it lies in its file, and what the file says of it."""
+
+    values: np.ndarray
+    """(height, width) or (height, width, 3), in the file's own type."""
+    cfa: str | None
+    """The picture is a mosaic: colours of its first 2 x 2 px, row by row ("RGGB")."""
+    saturation: float
+    """Value of a full pixel; infinite if nobody knows."""
+    linear: bool
+    """The format holds linear values by its nature: camera raw, floats."""
+    exif: Exif
+
+
+def open_photograph(path: str | Path) -> Photograph:
+    """Read a picture of any of these formats. FileFormatError naming the file where it is missing, unknown, damaged, or
+    larger than memory allows."""
+    path = Path(path)
+    exif = read_exif(path)
+    if exif.dng or (path.suffix.lower() in SUFFIXES and path.is_file()):
+        mosaic = read_raw(path)
+        return Photograph(mosaic.values, mosaic.cfa, mosaic.saturation, True, exif)
+    values = _read_exr(path) if _start(path)[:4] == _EXR else read_photograph(path)
+    whole = values.dtype.kind in "ui"
+    return Photograph(values, None, float(np.iinfo(values.dtype).max) if whole else np.inf, not whole, exif)
 
 
 def read_photograph(path: str | Path) -> np.ndarray:
@@ -21,15 +57,7 @@ def read_photograph(path: str | Path) -> np.ndarray:
     FileFormatError naming the file where it is missing, of another format, or damaged.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            start = file.read(8)
-        if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+    start = _start(path)
     try:
         picture = _decoded(path, start)
     except FileFormatError:
@@ -47,19 +75,51 @@ def read_photograph(path: str | Path) -> np.ndarray:
     return picture
 
 
+def _read_exr(path: Path) -> np.ndarray:
+    picture = read_exr(path)
+    if picture.ndim == 3 and picture.shape[2] != 3:
+        raise FileFormatError(f"{path}: a picture of {picture.shape[2]} channels is neither grey nor red, green, blue")
+    return picture
+
+
+def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    """Height, width and channels; a page of colours apart begins with them."""
+    if len(shape) == 3 and shape[0] < shape[2]:
+        return shape[1], shape[2], shape[0]
+    return shape[0], shape[1], int(np.prod(shape[2:]))
+
+
+def _start(path: Path) -> bytes:
+    """The file's first bytes."""
+    try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: is a folder, not a picture")
+        if path.stat().st_size > _LARGEST:
+            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")
+        with path.open("rb") as file:
+            return file.read(26)
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+
+
 def _decoded(path: Path, start: bytes) -> np.ndarray:
     if start[:4] in _TIFF:
         import tifffile
 
         with tifffile.TiffFile(path) as file:
             page = file.pages[0].aspage()
+            check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize)
             picture = np.asarray(page.asarray())
             planar = page.planarconfig == 2 and picture.ndim == 3
         return np.moveaxis(picture, 0, -1) if planar else picture
     import imagecodecs
 
-    if start == _PNG:
+    if start[:8] == _PNG:
+        check_memory(path, *png_size(start))
         return np.asarray(imagecodecs.png_decode(path.read_bytes()))
     if start[:3] == _JPEG:
+        check_memory(path, *jpeg_size(path))
         return np.asarray(imagecodecs.jpeg8_decode(path.read_bytes()))
-    raise FileFormatError(f"{path}: neither TIFF, PNG nor JPEG")
+    raise FileFormatError(f"{path}: neither TIFF, PNG, JPEG, OpenEXR nor camera raw")

@@ -1,0 +1,95 @@
+"""Tone curves: from a picture's codes to light. MTFs exist for linear values only (MODEL 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.errors import ArgumentError
+from matcam.files.tone_curve import checked_curve, curve_through
+
+Tone = str | float | ArrayLike | None
+"""None or "linear"; "srgb" (IEC 61966-2-1); a gamma: light = (code / full) ** gamma; or linear values by code, (codes,) or
+(codes, 3)."""
+
+_GAMMAS = (0.2, 5.0)
+
+
+def linearised(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
+    """Linear float64 values of codes, (..., 3) or one plane. Full scale is the largest whole number of the codes' type, or 1.
+
+    channel: which column of a table of three is this plane's. ArgumentError for a tone curve that does not fit.
+    """
+    if tone is None or (isinstance(tone, str) and tone == "linear"):
+        return codes.astype(np.float64)
+    if isinstance(tone, str):
+        if tone != "srgb":
+            raise ArgumentError(
+                f"tone must be None, 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
+            )
+        code = _share(codes)
+        return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
+    if np.ndim(tone) == 0:
+        gamma = float(np.asarray(tone, dtype=np.float64))
+        if not _GAMMAS[0] <= gamma <= _GAMMAS[1]:
+            raise ArgumentError(f"tone as a gamma must lie in [{_GAMMAS[0]:g}, {_GAMMAS[1]:g}], got {gamma:g}")
+        return np.maximum(_share(codes), 0) ** gamma
+    table = checked_curve(np.asarray(tone, dtype=np.float64))
+    if codes.dtype.kind not in "ui":
+        raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
+    if codes.size and codes.max() >= len(table):
+        raise ArgumentError(f"tone has {len(table)} entries, the image has the code {codes.max()}")
+    if table.ndim == 1:
+        return table[codes]
+    if channel is not None:
+        return table[codes, channel]
+    if codes.ndim != 3:
+        raise ArgumentError("tone has three columns, the image one channel")
+    return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
+
+
+def _share(codes: np.ndarray) -> np.ndarray:
+    return codes / (np.iinfo(codes.dtype).max if codes.dtype.kind in "ui" else 1.0)
+
+
+def tone_from_patches(
+    image: ArrayLike, patches: Sequence[Sequence[int]], light: ArrayLike, channel: int | None = None
+) -> np.ndarray:
+    """Linear values by code, (codes,), measured from patches of known light (an OECF, ISO 14524).
+
+    image: whole numbers, (height, width) or (height, width, 3); of three channels the one asked for, or their mean. patches:
+    (x, y, width, height) px each, at least 3. light: (n,) linear, any unit. The curve passes through the patches' mean codes
+    without overshoot; above the brightest patch it goes on straight. Raises ArgumentError, also where brighter patches have
+    smaller codes: the curve is then not monotone.
+    """
+    codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
+    if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):
+        raise ArgumentError(
+            f"image must be whole numbers of shape (height, width[, 3]), got {codes.dtype} {codes.shape}"
+        )
+    if len(patches) < 3 or values.shape != (len(patches),):
+        raise ArgumentError(
+            f"a tone curve needs at least 3 patches with one light each, got {len(patches)}, {values.shape}"
+        )
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise ArgumentError("light of the patches must be finite and not negative")
+    means = []
+    for x, y, width, height in patches:
+        if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
+            raise ArgumentError(
+                f"patch {(x, y, width, height)} does not lie inside {codes.shape[1]} x {codes.shape[0]} px"
+            )
+        part = codes[y : y + height, x : x + width]
+        means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())
+    order = np.argsort(means)
+    code, value = np.array(means)[order], values[order]
+    if (np.diff(code) < 0.5).any():
+        first = int(np.argmax(np.diff(code) < 0.5))
+        raise ArgumentError(f"two patches have the same code, {code[first]:.1f}: each must have its own")
+    full = np.iinfo(codes.dtype).max
+    slope = (value[-1] - value[-2]) / (code[-1] - code[-2])
+    if code[-1] < full:
+        code, value = np.append(code, full), np.append(value, value[-1] + slope * (full - code[-1]))
+    return curve_through(code, value)

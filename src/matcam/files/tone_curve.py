@@ -1,0 +1,86 @@
+r"""Tone curves as text (OECF tables, ISO 14524): what light a code stands for.
+
+    one number a line           linear value of code 0, 1, 2, ...
+    three numbers a line        the same for red, green and blue
+    two numbers a line          code and linear value, codes increasing; values between are interpolated without overshoot
+
+Numbers stand apart by blanks, commas or semicolons; "#" begins a comment.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from matcam.errors import ArgumentError, FileFormatError
+
+_LARGEST = 4 << 20  # bytes: 65,536 lines of three numbers fit
+_DEEPEST = 65535
+
+
+def read_tone_curve(path: str | Path) -> np.ndarray:
+    """Linear values by code, (codes,) or (codes, 3). FileFormatError naming file and line where it is no tone curve, or
+    one that is not monotone."""
+    path = Path(path)
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a tone curve")
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+    rows = []
+    for number, line in enumerate(lines, 1):
+        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
+        if not words:
+            continue
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError:
+            raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} is not numbers") from None
+        if len(rows[-1]) != len(rows[0]) or len(words) > 3:
+            raise FileFormatError(
+                f"{path}: line {number} has {len(words)} numbers; one, two or three in every line are read"
+            )
+    values = np.array(rows)
+    try:
+        if values.ndim == 2 and values.shape[1] == 2:
+            return curve_through(values[:, 0], values[:, 1])
+        return checked_curve(values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values)
+    except ArgumentError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+
+
+def checked_curve(values: np.ndarray) -> np.ndarray:
+    """A table of linear values by code, if it is one: ArgumentError where it is too short, not finite or not monotone."""
+    if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
+        raise ArgumentError(
+            f"tone curve must be at least 2 linear values by code, one or three each, got shape {values.shape}"
+        )
+    if not np.isfinite(values).all():
+        raise ArgumentError("tone curve must be finite numbers")
+    falls = (np.diff(values, axis=0) < 0).reshape(len(values) - 1, -1).any(1)
+    if falls.any():
+        code = int(np.argmax(falls))
+        raise ArgumentError(f"tone curve is not monotone: it falls from code {code} to {code + 1}")
+    if (values[-1] <= values[0]).any():
+        raise ArgumentError("tone curve is flat: all codes stand for the same light")
+    return values
+
+
+def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The table (codes,) through points (code, linear value), continued straight to code 0; ArgumentError where codes do not
+    increase strictly within 0 to 65535, or values fall."""
+    from scipy.interpolate import PchipInterpolator
+
+    if codes.size < 2 or not (np.diff(codes) > 0).all() or codes[0] < 0 or codes[-1] > _DEEPEST:
+        raise ArgumentError(f"tone curve's codes must increase strictly, from 0 to {_DEEPEST} at most")
+    if not np.isfinite(values).all() or (np.diff(values) < 0).any():
+        bad = int(np.argmax(~(np.diff(values) >= 0)))
+        raise ArgumentError(f"tone curve is not monotone: it falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
+    at = np.arange(int(np.ceil(codes[-1])) + 1)
+    inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
+    slope = (values[1] - values[0]) / (codes[1] - codes[0])
+    return checked_curve(inside + np.minimum(at - codes[0], 0) * slope)
