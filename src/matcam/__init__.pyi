@@ -1,6 +1,8 @@
 from . import paper, rigs
+from .calibration.combine import Calibration, calibrate
 from .calibration.edge import edge_mtf, edge_mtf_stack
 from .calibration.edge_result import EdgeMTF
+from .calibration.mtf_samples import MTFSamples
 from .camera.bracketing import expose_bracket, merge_bracket
 from .camera.camera import Camera
 from .camera.defocus import DefocusOptics
@@ -48,6 +50,7 @@ __all__ = [
     "AnisotropicGGX",
     "Beckmann",
     "BoxPixel",
+    "Calibration",
     "Camera",
     "Conductor",
     "Constant",
@@ -60,6 +63,7 @@ __all__ = [
     "GaussianNDF",
     "GaussianOptics",
     "HaloOptics",
+    "MTFSamples",
     "MatcamError",
     "MeasuredOptics",
     "Microfacet",
@@ -72,6 +76,7 @@ __all__ = [
     "Tabulated",
     "Uncertainty",
     "WindowedGaussianPixel",
+    "calibrate",
     "edge_mtf",
     "edge_mtf_stack",
     "expose_bracket",

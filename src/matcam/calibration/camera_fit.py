@@ -1,0 +1,213 @@
+"""One colour's measurements as one camera: lens and pixel fitted together, judged, refused where they cannot be known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from matcam._jax import jax, jnp
+from matcam.calibration import agreement, joint_fit, lens_curve
+from matcam.calibration.curves import FREQUENCIES
+from matcam.calibration.evidence import EdgeTable, Evidence, LensAt
+from matcam.calibration.profiles import LensModel, lens_model
+from matcam.calibration.separable import KURTOSIS, Separable
+from matcam.camera.camera import Camera
+from matcam.camera.pixel import BoxPixel
+from matcam.camera.uncertainty import Provenance, Uncertainty
+from matcam.errors import ArgumentError, FitError
+
+_LARGEST_STD = 0.1  # relative, of lens and pixel where both are fitted
+_MISSED, _SIGNIFICANT = 0.005, 4.0  # of the MTF, standard deviations: the model does not explain the edges
+_SIGMA = 0.5  # px, where a fit starts that no edge has told of
+_WAVELENGTHS = (1e-9, 1e-3)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What kind of camera is wanted; fields as in `calibrate`."""
+
+    model: str
+    half_width: float | None
+    wavelength: float | Mapping[str, float] | None
+    pixel_pitch: float | None
+
+    def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
+        """The family to be fitted, by a picture's f-number. ArgumentError where something is missing for it."""
+        wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
+        both = wavelength is not None and self.pixel_pitch is not None
+        if self.model in ("diffraction", "defocus") and not both:
+            raise ArgumentError(f"wavelength and pixel_pitch must be given for the {self.model} model, m")
+        if wavelength is not None and not _WAVELENGTHS[0] <= wavelength <= _WAVELENGTHS[1]:
+            raise ArgumentError(f"wavelength must lie in [1e-09, 0.001] m (550 nm is 550e-9), got {wavelength:g}")
+        if self.pixel_pitch is not None and not 1e-8 <= self.pixel_pitch <= 1e-2:
+            raise ArgumentError(f"pixel_pitch must lie in [1e-08, 0.01] m (5 um is 5e-6), got {self.pixel_pitch:g}")
+        if self.half_width is not None:
+            name = "gaussian" if self.model == "measured" else self.model
+            lens = lens_model(name, wavelength, self.pixel_pitch)
+            return lambda _: lens
+        if both and any(number is None for number in f_numbers):
+            raise ArgumentError("diffraction is to be taken into account, but not every picture's f-number is known")
+        if not both:
+            return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
+        return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(self.pixel_pitch))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFit:
+    """The camera of one colour, and how well it is known."""
+
+    camera: Camera
+    names: tuple[str, ...]
+    """Of the fitted numbers."""
+    values: np.ndarray
+    """(k,)"""
+    covariance: np.ndarray
+    """(k, k); wider than the noise's where measurements scatter more than that."""
+    chi2: float
+    """Of all samples, under the noise."""
+    degrees: int
+    spread: float
+    """Relative standard deviation of the blur among the edges, beyond their noise."""
+    misfit: float
+    misfit_std: float
+    """Largest difference below Nyquist between the edges' mean MTF, free of a model, and this camera's; NaN without edges."""
+    edges: EdgeTable | None
+    frequency: np.ndarray
+    mtf: np.ndarray
+    mtf_std: np.ndarray
+    """(81,) the edges' mean, and its standard deviation; NaN without edges."""
+    model_mtf: np.ndarray
+    """(81,) this camera's, averaged in the same way; without edges, along the rows."""
+    measurements: dict[str, int]
+    """How many of each: picture and kind."""
+
+    @property
+    def std(self) -> np.ndarray:
+        """(k,) standard deviations."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def consistent(self) -> bool:
+        """False: the edges' mean MTF is not this camera's, by more than 0.005 and 4 standard deviations."""
+        return not (self.misfit > _MISSED and self.misfit > _SIGNIFICANT * self.misfit_std)
+
+    @property
+    def summary(self) -> str:
+        """One line."""
+        pairs = zip(self.names, self.values, self.std, strict=True)
+        numbers = ", ".join(f"{name} {value:.4g} ± {std:.2g}" for name, value, std in pairs)
+        count = 0 if self.edges is None else self.edges.x.size
+        fit = f"chi2 {self.chi2:.0f} of {self.degrees}" + (
+            "" if self.consistent else ", model does not explain the edges"
+        )
+        return f"{numbers}; {count} edges, {sum(self.measurements.values()) - count} other measurements; {fit}"
+
+    def with_provenance(self, **texts: str) -> CameraFit:
+        """The same with a camera that says where it comes from."""
+        c = self.camera
+        camera = Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=Provenance(**texts))
+        return replace(self, camera=camera)
+
+
+def camera_of(evidence: Evidence, channel: str, request: Request) -> CameraFit:
+    """Fit one camera to everything. FitError where measurements contradict each other, or do not determine what is asked."""
+    lens_at = request.lens_at(channel, evidence.f_numbers())
+    edges, values, table = evidence.edges(lens_at), evidence.values(lens_at), evidence.table()
+    f_number = evidence.f_numbers()[0]
+    lens = lens_at(f_number)
+    log_sigma = np.log(_SIGMA if table is None else np.median(table.sigma))
+    start = np.asarray(lens.start(jnp.asarray(log_sigma)))
+    separable = isinstance(lens, Separable)
+    prior = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
+    fitted = joint_fit.fit(edges, values, start, lens.longest, request.half_width or 0.5, prior)
+    groups = evidence.groups()
+    if problem := agreement.contradiction(fitted, groups):
+        raise FitError(f"contradictory measurements, channel {channel}: {problem}")
+    covariance = agreement.covariance(fitted, prior)
+    parameters = _within_the_pitch(fitted.parameters, covariance) if separable else fitted.parameters
+    numbers, errors = joint_fit.in_units(lens, parameters, covariance)
+    if separable:
+        _refuse_unseparated(numbers, errors, table)
+    half = float(numbers[1]) if separable else float(request.half_width or 0.5)
+    mean, std, expected = _mean_curve(table, edges, lens, parameters, half)
+    below = (FREQUENCIES > 0) & (FREQUENCIES <= 0.5)
+    worst = int(np.argmax(np.where(below, np.abs(mean - expected), -1)))
+    camera, names = _camera(request, lens, parameters, covariance, half, table, (mean, std))
+    count = len(names)
+    return CameraFit(
+        camera=camera,
+        names=names,
+        values=numbers[:count],
+        covariance=errors[:count, :count],
+        chi2=float(fitted.shares.chi2.sum()),
+        degrees=int(fitted.shares.degrees.sum()) - start.size,
+        spread=agreement.spread(table),
+        misfit=float(abs(mean - expected)[worst]),
+        misfit_std=float(std[worst]),
+        edges=table,
+        frequency=FREQUENCIES,
+        mtf=mean,
+        mtf_std=std,
+        model_mtf=expected,
+        measurements={name: groups.count(name) for name in dict.fromkeys(groups)},
+    )
+
+
+def _within_the_pitch(parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """The best camera whose pixel is no wider than the pitch: where the best one's is, everything else follows it back."""
+    over = parameters[1] - 0.5
+    return parameters - covariance[:, 1] / covariance[1, 1] * over if over > 0 else parameters
+
+
+def _refuse_unseparated(numbers: np.ndarray, covariance: np.ndarray, table: EdgeTable | None) -> None:
+    relative = np.sqrt(np.diag(covariance)) / np.abs(numbers)
+    names = ("the lens's sigma", "the pixel's half width")
+    worst = int(np.argmax(relative[:2]))
+    if relative[worst] > _LARGEST_STD:
+        count = 0 if table is None else table.x.size
+        raise FitError(
+            f"lens and pixel cannot be told apart: {count} edges know {names[worst]} to {relative[worst]:.0%} "
+            f"({numbers[worst]:.2f} px; at most {_LARGEST_STD:.0%} is accepted): give the fill (half_width, --half-width), "
+            "or more edges of a sharper lens at several known apertures"
+        )
+
+
+def _mean_curve(
+    table: EdgeTable | None, edges: Any, lens: LensModel, parameters: np.ndarray, half: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The edges' mean MTF, its standard deviation by their scatter, and the same mean of the camera's."""
+    f, theta = jnp.asarray(FREQUENCIES), jnp.asarray(parameters)
+    if table is None:
+        nothing = np.full(FREQUENCIES.size, np.nan)
+        return nothing, nothing, np.asarray(lens.mtf(theta, f, jnp.zeros(()), jnp.asarray(half)))
+    models = np.asarray(
+        jax.lax.map(lambda e: e[0].mtf(theta, f, e[1], jnp.asarray(half)), (edges.lens, jnp.asarray(edges.angle)))
+    )
+    weight = 1 / np.maximum(table.mtf_std, 1e-4) ** 2
+    weight = weight / weight.sum(0)
+    mean, expected = (weight * table.mtf).sum(0), (weight * np.abs(models)).sum(0)
+    count = table.x.size
+    # about the model, because edges see different pixels under different angles
+    apart = table.mtf - np.abs(models) - (mean - expected)
+    scatter = np.sqrt((weight**2 * apart**2).sum(0) * count / max(count - 1, 1))
+    stated = np.sqrt((weight**2 * table.mtf_std**2).sum(0))
+    return mean, np.maximum(scatter, stated) if count > 1 else stated, expected
+
+
+def _camera(
+    request: Request, lens: LensModel, parameters: np.ndarray, covariance: np.ndarray, half: float,
+    table: EdgeTable | None, curve: tuple[np.ndarray, np.ndarray],
+) -> tuple[Camera, tuple[str, ...]]:  # fmt: skip
+    """The camera with its uncertainty, and the names of the numbers that were fitted."""
+    if request.model == "measured":
+        if table is None:
+            raise FitError("a measured curve needs edges; there are none")
+        return lens_curve.measured_camera(lens, parameters, half, table, *curve), lens.names
+    if isinstance(lens, Separable):
+        return lens_curve.separated_camera(lens, parameters, covariance), lens.names[:2]
+    _, errors = joint_fit.in_units(lens, parameters, covariance)
+    uncertainty = Uncertainty(lens.names, (errors + errors.T) / 2)
+    return Camera(lens.optics(jnp.asarray(parameters)), BoxPixel(half), uncertainty=uncertainty), lens.names

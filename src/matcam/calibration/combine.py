@@ -1,0 +1,192 @@
+"""From photographs to a camera: every measurement of every picture in one fit per colour, judged and with its errors."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam import checks
+from matcam.calibration.camera_fit import CameraFit, Request, camera_of
+from matcam.calibration.edge_search import find_edges
+from matcam.calibration.evidence import Evidence
+from matcam.calibration.mtf_samples import MTFSamples
+from matcam.calibration.photograph_edges import measured_edges, remarks_on
+from matcam.calibration.planes import CHANNELS, assumed_tone, planes_of
+from matcam.calibration.tone import Tone
+from matcam.camera.camera import Camera
+from matcam.errors import ArgumentError, FitError, MatcamError
+from matcam.files.exif import Exif
+from matcam.files.photographs import Photograph, open_photograph
+
+MODELS = ("gaussian", "halo", "diffraction", "defocus", "measured")
+Picture = str | Path | ArrayLike | Photograph
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What `calibrate` found: a camera for every colour, and how it was found."""
+
+    channels: dict[str, CameraFit]
+    """By channel: "R", "G", "B", "Y" or "grey"."""
+    failed: dict[str, str]
+    """Pictures that could not be used, and why."""
+    remarks: tuple[str, ...]
+    """What was assumed, and what a photographer should know."""
+    pictures: tuple[str, ...]
+    """Those that were used."""
+
+    @property
+    def channel(self) -> str:
+        """The one that stands for all: green, luminance or grey, whichever there is; else the first."""
+        return next((c for c in ("G", "Y", "grey") if c in self.channels), next(iter(self.channels)))
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of `channel`."""
+        return self.channels[self.channel].camera
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """By channel."""
+        return {name: found.camera for name, found in self.channels.items()}
+
+
+def calibrate(
+    pictures: Sequence[Picture],
+    *,
+    samples: Sequence[MTFSamples] = (),
+    model: str = "gaussian",
+    half_width: float | None = 0.5,
+    wavelength: float | Mapping[str, float] | None = None,
+    pixel_pitch: float | None = None,
+    f_numbers: Sequence[float] | float | None = None,
+    tone: Tone = None,
+    channels: Sequence[str] | None = None,
+    accept_sharpened: bool = False,
+) -> Calibration:
+    """A camera from pictures of slanted edges, and from any other measurements of its MTF (MODEL 7).
+
+    pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
+    `Photograph`s. samples: measurements of gratings, stars, dots.
+    model: of the lens: "gaussian" (the paper's sigma_mtf), "halo" (Gaussian core and veiling glare), "diffraction", "defocus"
+    (diffraction and defocus), "measured" (the edges' own mean curve, divided by the pixel).
+    half_width: of the pixel's sensitive area, px; None: fitted together with a Gaussian core, and refused with the reason when
+    either is not known to 10 %. That takes many edges; with wavelength, pixel_pitch (m) and f-numbers diffraction is taken into
+    account. wavelength: m, one or by channel. f_numbers: one for each picture, or one for all; None: the files' own.
+    tone: of pictures that are not linear by nature: "linear", "srgb", a gamma or a table; None: 8-bit files are taken for
+    sRGB, others for linear, and `remarks` says so.
+    channels: of "R", "G", "B", "Y", "grey"; None: all there are.
+
+    One bad picture among many is left out, and listed in `failed`. Raises ArgumentError for bad arguments and for pictures of
+    different cameras, FitError where measurements contradict one another or do not determine what was asked, and the error of
+    the first bad picture if there is no good one.
+    """
+    checks.choice("model", model, MODELS)
+    if half_width is not None:
+        checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
+    elif model != "gaussian":
+        raise ArgumentError(f"half_width can be fitted with the gaussian model only, not with {model}")
+    for name in channels or ():
+        checks.choice("channel", name, CHANNELS)
+    if not len(pictures) and not len(samples):
+        raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
+    request = Request(model, half_width, wavelength, pixel_pitch)
+    evidence, failed, remarks, used = _gathered(
+        pictures, f_numbers, tone, channels, half_width or 0.5, accept_sharpened
+    )
+    for one in samples:
+        evidence.setdefault(one.channel, Evidence()).add_samples(one)
+    found = {}
+    for channel, of_channel in evidence.items():
+        fitted = camera_of(of_channel, channel, request)
+        source = f"{len(used)} pictures ({', '.join(used)}), channel {channel}: {fitted.summary}"
+        provenance = {"source": source, "created": datetime.datetime.now(datetime.UTC).date().isoformat()}
+        provenance |= {"software": f"matcam {metadata.version('matcam')}", "notes": "; ".join(remarks)}
+        found[channel] = fitted.with_provenance(**provenance)
+    return Calibration(found, failed, tuple(remarks), tuple(used))
+
+
+def _gathered(
+    pictures: Sequence[Picture], f_numbers: Any, tone: Tone, channels: Sequence[str] | None, half_width: float,
+    accept_sharpened: bool,
+) -> tuple[dict[str, Evidence], dict[str, str], list[str], list[str]]:  # fmt: skip
+    """Evidence by channel, failures, remarks, names of the pictures used."""
+    apertures = _f_numbers(f_numbers, len(pictures))
+    evidence: dict[str, Evidence] = {}
+    failed: dict[str, str] = {}
+    remarks: list[str] = []
+    cameras: dict[str, str] = {}
+    errors: list[MatcamError] = []
+    used = []
+    for number, picture in enumerate(pictures):
+        name = str(picture) if isinstance(picture, str | Path) else f"picture {number + 1}"
+        short = Path(name).name
+        try:
+            photograph = _opened(picture)
+            if photograph.exif.camera:
+                cameras.setdefault(photograph.exif.camera, short)
+            curve, assumed = (tone, "") if tone is not None or photograph.linear else assumed_tone(photograph)
+            edges = find_edges(photograph.values, mosaic=photograph.cfa is not None)
+            aperture = apertures[number] if apertures[number] is not None else photograph.exif.f_number
+            said = [assumed] if assumed else []
+            measured = []
+            for plane in planes_of(photograph, channels, curve):
+                result = measured_edges(plane, edges, half_width, accept_sharpened=accept_sharpened)
+                said += remarks_on(result, plane.channel)
+                measured.append((plane.channel, result))
+        except FitError as error:
+            errors.append(FitError(f"{short}: {error}"))
+            failed[name] = str(error)
+            continue
+        except ArgumentError:
+            raise
+        except MatcamError as error:
+            errors.append(error)
+            failed[name] = str(error).removeprefix(f"{name}: ")
+            continue
+        used.append(short)
+        remarks += [f"{short}: {remark}" for remark in said]
+        for channel, result in measured:
+            evidence.setdefault(channel, Evidence()).add_edges(result, short, aperture)
+    if len(cameras) > 1:
+        listed = ", ".join(f"{camera} ({file})" for camera, file in cameras.items())
+        raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
+    if errors and not used:
+        raise (
+            errors[0]
+            if len(errors) == 1
+            else FitError(f"none of {len(errors)} pictures can be used; the first: {errors[0]}")
+        )
+    return evidence, failed, remarks, used
+
+
+def _opened(picture: Any) -> Photograph:
+    if isinstance(picture, Photograph):
+        return picture
+    if isinstance(picture, str | Path):
+        return open_photograph(picture)
+    values = np.asarray(picture)
+    if values.dtype.kind not in "uif" or values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] != 3):
+        raise ArgumentError(
+            f"a picture must be numbers of shape (height, width[, 3]), got {values.dtype} {values.shape}"
+        )
+    full = float(np.iinfo(values.dtype).max) if values.dtype.kind in "ui" else np.inf
+    return Photograph(values, None, full, True, Exif())
+
+
+def _f_numbers(given: Any, count: int) -> list[float | None]:
+    if given is None:
+        return [None] * count
+    numbers = np.asarray(checks.within("f_numbers", given, 0.3, 200.0), dtype=float)
+    if numbers.ndim == 0:
+        return [float(numbers)] * count
+    if numbers.shape != (count,):
+        raise ArgumentError(f"f_numbers must be one, or one for each of the {count} pictures, got {numbers.size}")
+    return [float(n) for n in numbers]
