@@ -61,7 +61,7 @@ class CameraFit:
 
     camera: Camera
     names: tuple[str, ...]
-    """Of the fitted numbers."""
+    """Of the fitted numbers: as in the profile, or "gaussian.sigma_px", the best Gaussian's beside a measured curve."""
     values: np.ndarray
     """(k,)"""
     covariance: np.ndarray
@@ -133,9 +133,11 @@ def camera_of(evidence: Evidence, channel: str, request: Request) -> CameraFit:
         _refuse_unseparated(numbers, errors, table)
     half = float(numbers[1]) if separable else float(request.half_width or 0.5)
     mean, std, expected = _mean_curve(table, edges, lens, parameters, half)
+    camera, names = _camera(request, lens, parameters, covariance, half, table, (mean, std))
+    if request.model == "measured":
+        expected = lens_curve.mean_of(camera, table)
     below = (FREQUENCIES > 0) & (FREQUENCIES <= 0.5)
     worst = int(np.argmax(np.where(below, np.abs(mean - expected), -1)))
-    camera, names = _camera(request, lens, parameters, covariance, half, table, (mean, std))
     count = len(names)
     return CameraFit(
         camera=camera,
@@ -186,8 +188,7 @@ def _mean_curve(
     models = np.asarray(
         jax.lax.map(lambda e: e[0].mtf(theta, f, e[1], jnp.asarray(half)), (edges.lens, jnp.asarray(edges.angle)))
     )
-    weight = 1 / np.maximum(table.mtf_std, 1e-4) ** 2
-    weight = weight / weight.sum(0)
+    weight = lens_curve.weights(table)
     mean, expected = (weight * table.mtf).sum(0), (weight * np.abs(models)).sum(0)
     count = table.x.size
     # about the model, because edges see different pixels under different angles
@@ -205,7 +206,8 @@ def _camera(
     if request.model == "measured":
         if table is None:
             raise FitError("a measured curve needs edges; there are none")
-        return lens_curve.measured_camera(lens, parameters, half, table, *curve), lens.names
+        sigma = float(lens.numbers(jnp.asarray(parameters))[0])
+        return lens_curve.measured_camera(sigma, half, table, *curve), ("gaussian.sigma_px",)
     if isinstance(lens, Separable):
         return lens_curve.separated_camera(lens, parameters, covariance), lens.names[:2]
     _, errors = joint_fit.in_units(lens, parameters, covariance)

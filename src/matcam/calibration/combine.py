@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,9 @@ from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError, FitError, MatcamError
 from matcam.files.exif import Exif
 from matcam.files.photographs import Photograph, open_photograph
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 MODELS = ("gaussian", "halo", "diffraction", "defocus", "measured")
 Picture = str | Path | ArrayLike | Photograph
@@ -51,6 +54,25 @@ class Calibration:
     def camera(self) -> Camera:
         """The camera of `channel`."""
         return self.channels[self.channel].camera
+
+    def edges_dataset(self) -> xr.Dataset:
+        """Every measured edge of every channel, one after the other: place, direction, blur, MTF50, with units."""
+        import xarray as xr
+
+        tables = {name: fit.edges for name, fit in self.channels.items() if fit.edges is not None}
+        units = {"x": "px", "y": "px", "angle": "rad", "sigma": "px", "mtf50": "cycles/px"}
+        units |= {"sigma_std": "px", "mtf50_std": "cycles/px"}
+        columns: dict[str, Any] = {
+            name: (
+                "edge",
+                np.concatenate([getattr(t, name) for t in tables.values()] or [np.zeros(0)]),
+                {"units": unit},
+            )
+            for name, unit in units.items()
+        }
+        columns["channel"] = ("edge", [name for name, t in tables.items() for _ in range(t.x.size)])
+        columns["picture"] = ("edge", [str(s) for t in tables.values() for s in t.source])
+        return xr.Dataset(columns)
 
     @property
     def cameras(self) -> dict[str, Camera]:

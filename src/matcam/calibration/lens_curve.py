@@ -7,7 +7,6 @@ import numpy as np
 from matcam._jax import jax, jnp
 from matcam.calibration.curves import FREQUENCIES
 from matcam.calibration.evidence import EdgeTable
-from matcam.calibration.profiles import LensModel
 from matcam.calibration.separable import Separable
 from matcam.camera.camera import Camera
 from matcam.camera.diffraction import DiffractionOptics
@@ -23,14 +22,28 @@ _TAIL, _END = 24, 1e-6  # samples of the Gaussian by which it goes on, and where
 _SAMPLES = 65
 
 
-def measured_camera(
-    lens: LensModel, parameters: np.ndarray, half: float, table: EdgeTable, mean: np.ndarray, std: np.ndarray
-) -> Camera:
-    """The edges' mean MTF divided by the pixel's, as far as it is known; beyond, it goes on as the best Gaussian's does."""
-    c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
+def weights(table: EdgeTable) -> np.ndarray:
+    """(n, 81) of the edges in a mean MTF: by their variances, sum 1."""
     weight = 1 / np.maximum(table.mtf_std, 1e-4) ** 2
+    return weight / weight.sum(0)
+
+
+def mean_of(camera: Camera, table: EdgeTable | None) -> np.ndarray:
+    """(81,) a camera's MTF, averaged over the edges' directions as their own is; without edges, along the rows."""
+    f = jnp.asarray(FREQUENCIES)
+    if table is None:
+        return np.asarray(camera.mtf(f))
+    return (weights(table) * np.abs(camera.mtf(f, jnp.asarray(table.angle)[:, None]))).sum(0)
+
+
+def measured_camera(sigma: float, half: float, table: EdgeTable, mean: np.ndarray, std: np.ndarray) -> Camera:
+    """The edges' mean MTF divided by the pixel's, as far as it is known; beyond, it goes on as the best Gaussian's does.
+
+    sigma: px, of that Gaussian. mean, std: (81,) of the edges.
+    """
+    c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
     pixel = np.sinc(2 * half * FREQUENCIES * c) * np.sinc(2 * half * FREQUENCIES * s)
-    box = (weight * pixel).sum(0) / weight.sum(0)
+    box = (weights(table) * pixel).sum(0)
     known = (box > _PIXEL) & (std < _STD * box) & (mean > 3 * std)
     last = int(np.argmin(known)) - 1 if not known.all() else FREQUENCIES.size - 1
     if last < 8:
@@ -39,7 +52,6 @@ def measured_camera(
         )
     f, mtf, error = FREQUENCIES[: last + 1], (mean / box)[: last + 1], (std / box)[: last + 1]
     mtf = np.minimum(mtf / mtf[0], 1.0)
-    sigma = float(lens.numbers(jnp.asarray(parameters))[0])
     rate = 2 * (np.pi * sigma) ** 2
     end = np.sqrt(f[-1] ** 2 + max(np.log(mtf[-1] / _END), 0.1) / rate)
     beyond = np.linspace(f[-1], end, _TAIL + 1)[1:]

@@ -89,11 +89,11 @@ def _direction(result: EdgeMTF, good: np.ndarray) -> str:
     weight = 1 / (4 * sigma**2 * result.parametric.covariance[good, 0, 0])
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
     normal = design.T @ (weight[:, None] * design)
-    if np.linalg.cond(normal) > 1e6:
-        return ""
-    found = np.linalg.solve(normal, design.T @ (weight * sigma**2))
+    # squares have two directions only, which leave one combination of the harmonics open: that is taken for 0
+    inverse = np.linalg.pinv(normal, rcond=1e-3, hermitian=True)
+    found = inverse @ (design.T @ (weight * sigma**2))
     left = weight * (sigma**2 - design @ found) ** 2
-    covariance = np.linalg.inv(normal) * max(1.0, left.sum() / max(good.sum() - 3, 1))
+    covariance = inverse * max(1.0, left.sum() / max(good.sum() - 3, 1))
     size = float(np.hypot(found[1], found[2]))
     std = float(np.sqrt(found[1:] @ covariance[1:, 1:] @ found[1:]) / max(size, 1e-30))
     if size < _DIRECTIONAL * found[0] or size < _SIGNIFICANT * std:

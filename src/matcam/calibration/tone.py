@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.errors import ArgumentError
-from matcam.files.tone_curve import checked_curve, curve_through
+from matcam.errors import ArgumentError, FileFormatError
+from matcam.files.photographs import read_photograph
+from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
 
 Tone = str | float | ArrayLike | None
 """None or "linear"; "srgb" (IEC 61966-2-1); a gamma: light = (code / full) ** gamma; or linear values by code, (codes,) or
@@ -93,3 +95,21 @@ def tone_from_patches(
     if code[-1] < full:
         code, value = np.append(code, full), np.append(value, value[-1] + slope * (full - code[-1]))
     return curve_through(code, value)
+
+
+def measured_tone(picture: str | Path, patches: str | Path) -> np.ndarray:
+    """`tone_from_patches` of a file, for each of its channels. patches: a file of lines "x y width height light"; "#" begins a
+    comment. FileFormatError naming the file and the line, or why there is no curve."""
+    rows = read_numbers(patches, 5)
+    image = read_photograph(picture)
+    if not np.isfinite(rows).all() or (rows[:, :4] % 1 != 0).any():
+        raise FileFormatError(
+            f"{patches}: x, y, width and height of a patch must be whole numbers of px, its light a number"
+        )
+    places = rows[:, :4].astype(int).tolist()
+    try:
+        if image.ndim == 2:
+            return tone_from_patches(image, places, rows[:, 4])
+        return np.stack([tone_from_patches(image, places, rows[:, 4], channel) for channel in range(3)], axis=1)
+    except ArgumentError as error:
+        raise FileFormatError(f"{patches}: {error}") from None

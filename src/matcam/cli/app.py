@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from matcam.cli import chart, data, demo, edge, figures, fresnel, inspect, predict, simulate
+from matcam.cli import calibrate, chart, data, demo, edge, figures, fresnel, inspect, predict, simulate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -39,6 +39,7 @@ app.command("predict")(predict.command)
 app.command("fresnel")(fresnel.command)
 app.command("simulate")(simulate.command)
 app.command("edge")(edge.command)
+app.command("calibrate")(calibrate.command)
 app.command("chart")(chart.command)
 app.command("inspect")(inspect.command)
 app.command("figures")(figures.command)

@@ -37,6 +37,11 @@ def say(text: str, *, quiet: bool = False) -> None:
         print(text)
 
 
+def remark(text: str) -> None:
+    """Print a line on standard error: what was left out, what went wrong without ending the work."""
+    print(f"matcam: {text}", file=sys.stderr)
+
+
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
     """Show on standard error that something is going on, if somebody is watching."""

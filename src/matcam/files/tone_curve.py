@@ -22,6 +22,18 @@ _DEEPEST = 65535
 def read_tone_curve(path: str | Path) -> np.ndarray:
     """Linear values by code, (codes,) or (codes, 3). FileFormatError naming file and line where it is no tone curve, or
     one that is not monotone."""
+    values = read_numbers(path)
+    try:
+        if values.ndim == 2 and values.shape[1] == 2:
+            return curve_through(values[:, 0], values[:, 1])
+        return checked_curve(values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values)
+    except ArgumentError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+
+
+def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
+    """Lines of numbers as (lines, columns), comments and empty lines left out. columns: as many in every line; None: one to
+    three, everywhere alike. FileFormatError naming file and line."""
     path = Path(path)
     try:
         if path.stat().st_size > _LARGEST:
@@ -40,17 +52,10 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
             rows.append([float(word) for word in words])
         except ValueError:
             raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} is not numbers") from None
-        if len(rows[-1]) != len(rows[0]) or len(words) > 3:
-            raise FileFormatError(
-                f"{path}: line {number} has {len(words)} numbers; one, two or three in every line are read"
-            )
-    values = np.array(rows)
-    try:
-        if values.ndim == 2 and values.shape[1] == 2:
-            return curve_through(values[:, 0], values[:, 1])
-        return checked_curve(values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values)
-    except ArgumentError as error:
-        raise FileFormatError(f"{path}: {error}") from None
+        if len(words) != (columns or len(rows[0])) or (columns is None and len(words) > 3):
+            wanted = columns or "one, two or three"
+            raise FileFormatError(f"{path}: line {number} has {len(words)} numbers; {wanted} in every line are read")
+    return np.array(rows) if rows else np.zeros((0, columns or 1))
 
 
 def checked_curve(values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,212 @@
+"""`matcam calibrate`: a camera profile from photographs of charts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, Force
+
+_SOME_FAILED = 1
+
+
+def command(
+    pictures: Annotated[
+        list[Path],
+        typer.Argument(help="Photographs of slanted edges, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Camera profile to write (JSON).")] = Path(
+        "camera.json"
+    ),
+    model: Annotated[
+        Literal["gaussian", "halo", "diffraction", "defocus", "measured"], typer.Option("--model", help="Lens.")
+    ] = "gaussian",
+    half_width: Annotated[
+        float, typer.Option("--half-width", metavar="PX", help="Half the side of a pixel's sensitive area, px.")
+    ] = 0.5,
+    fit_pixel: Annotated[
+        bool, typer.Option("--fit-pixel", help="Fit the half width, too; refused where it cannot be known to 10 %.")
+    ] = False,
+    wavelength: Annotated[
+        float | None, typer.Option("--wavelength", metavar="NM", help="nm, where diffraction is taken into account.")
+    ] = None,
+    pitch: Annotated[
+        float | None, typer.Option("--pitch", metavar="UM", help="Of the pixels, um, where diffraction is.")
+    ] = None,
+    f_number: Annotated[
+        list[float] | None, typer.Option("--f-number", help="One, or one for each picture. Default: the files' own.")
+    ] = None,
+    tone: Annotated[
+        str | None,
+        typer.Option("--tone", metavar="CURVE", help="linear, srgb, gamma:2.2, or a file of linear values by code."),
+    ] = None,
+    tone_patches: Annotated[
+        Path | None,
+        typer.Option("--tone-patches", help="File of lines x y width height light: patches of the first picture."),
+    ] = None,
+    channel: Annotated[
+        list[str] | None, typer.Option("--channel", help="R, G, B, Y (luminance) or grey. Default: all there are.")
+    ] = None,
+    accept_sharpened: Annotated[
+        bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
+    ] = False,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Page to write (.png, .pdf, .svg). Default: beside the profile.")
+    ] = None,
+    force: Force = False,
+    json: AsJson = False,
+) -> int:
+    """From photographs of a chart to a camera profile: edges are found and measured without help.
+
+    Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
+    """
+    from matcam.atomic import check_output
+    from matcam.figures.style import check_picture
+
+    files = _files(pictures)
+    figure = figure or output.with_suffix(".png")
+    table = output.with_name(f"{output.stem}-edges.csv")
+    check_output(output, force=force, inputs=files)
+    check_output(table, force=force, inputs=files)
+    check_picture(figure, force=force, inputs=files)
+    with show.working(f"measuring {len(files)} pictures"):
+        from matcam._jax import use_compilation_cache
+
+        use_compilation_cache()
+        from matcam.calibration.combine import calibrate
+
+        found = calibrate(
+            files,
+            model=model,
+            half_width=None if fit_pixel else half_width,
+            wavelength=None if wavelength is None else wavelength * 1e-9,
+            pixel_pitch=None if pitch is None else pitch * 1e-6,
+            f_numbers=None if f_number is None else (f_number if len(f_number) > 1 else f_number[0]),
+            tone=_tone(tone, tone_patches, files),
+            channels=channel,
+            accept_sharpened=accept_sharpened,
+        )
+        written = _write(found, output, figure, table, files, force)
+    if json:
+        show.as_json(_document(found, written))
+    else:
+        _print(found, written)
+    for name, why in found.failed.items():
+        show.remark(f"left out: {name}: {why}")
+    return _SOME_FAILED if found.failed else 0
+
+
+def _files(given: list[Path]) -> list[Path]:
+    """The pictures; of folders all that are in them."""
+    from matcam.errors import FileFormatError
+    from matcam.files.photographs import PICTURES
+
+    files: list[Path] = []
+    for path in given:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
+        if not inside:
+            raise FileFormatError(f"{path}: no pictures in this folder ({', '.join(PICTURES[:6])}, camera raw)")
+        files += inside
+    return files
+
+
+def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
+    from matcam.errors import ArgumentError
+
+    if patches is not None:
+        if tone is not None:
+            raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
+        from matcam.calibration.tone import measured_tone
+
+        return measured_tone(files[0], patches)
+    if tone is None or tone in ("linear", "srgb"):
+        return tone
+    if tone.startswith("gamma:"):
+        try:
+            return float(tone.removeprefix("gamma:"))
+        except ValueError:
+            raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:") from None
+    if not Path(tone).is_file():
+        raise ArgumentError(f"--tone must be linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
+    from matcam.files.tone_curve import read_tone_curve
+
+    return read_tone_curve(tone)
+
+
+def _write(found: Any, output: Path, figure: Path, table: Path, files: list[Path], force: bool) -> list[Path]:
+    from matcam.atomic import check_output
+    from matcam.figures.calibration import calibration_figure
+    from matcam.figures.style import save
+    from matcam.files.columns import write_columns
+    from matcam.files.photographs import open_photograph
+
+    profiles = {output: found.camera}
+    if len(found.channels) > 1:
+        profiles |= {output.with_name(f"{output.stem}-{name}.json"): camera for name, camera in found.cameras.items()}
+    for path in profiles:
+        check_output(path, force=force, inputs=files)
+    used = next(file for file in files if str(file) not in found.failed)
+    picture = open_photograph(used).values
+    for path, camera in profiles.items():
+        camera.save(path, force=force)
+    write_columns(table, found.edges_dataset(), force=force)
+    save(calibration_figure(found, picture, _verdict(found)), figure, force=force)
+    return [*profiles, table, figure]
+
+
+def _verdict(found: Any) -> list[str]:
+    """The result in a few lines."""
+    lines = []
+    for name, fit in found.channels.items():
+        numbers = ", ".join(
+            f"{label} = {value:.4g} ± {std:.2g}"
+            for label, value, std in zip(fit.names, fit.values, fit.std, strict=True)
+        )
+        count = 0 if fit.edges is None else fit.edges.x.size
+        how = "explains the edges" if fit.consistent else "does NOT explain the edges (try --model measured or halo)"
+        lines.append(f"{name}: {numbers}  ({count} edges, whose blur varies by {fit.spread:.1%})")
+        if fit.edges is not None:
+            lines.append(f"   the camera {how}: off by {fit.misfit:.4f} ± {fit.misfit_std:.4f} at most, below Nyquist")
+    return lines
+
+
+def _print(found: Any, written: list[Path]) -> None:
+    for line in _verdict(found):
+        show.say(line)
+    for remark in found.remarks:
+        show.say(f"note: {remark}")
+    show.say("written: " + ", ".join(map(str, written)))
+
+
+def _document(found: Any, written: list[Path]) -> dict[str, Any]:
+    return {
+        "channel": found.channel,
+        "channels": {
+            name: {
+                "parameters": dict(zip(fit.names, fit.values, strict=True)),
+                "covariance": fit.covariance,
+                "chi2": fit.chi2,
+                "degrees": fit.degrees,
+                "consistent": fit.consistent,
+                "misfit": fit.misfit,
+                "misfit_std": fit.misfit_std,
+                "spread": fit.spread,
+                "measurements": fit.measurements,
+                "frequency_cycles_per_px": fit.frequency,
+                "mtf": fit.mtf,
+                "mtf_std": fit.mtf_std,
+                "camera_mtf": fit.model_mtf,
+            }
+            for name, fit in found.channels.items()
+        },
+        "pictures": list(found.pictures),
+        "failed": found.failed,
+        "remarks": list(found.remarks),
+        "files": [str(path) for path in written],
+    }

@@ -1,0 +1,114 @@
+"""A calibration on one page: edges in the picture, their mean MTF and the camera's, what is left, the blur over the field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from matcam.calibration.camera_fit import CameraFit
+from matcam.calibration.combine import Calibration
+from matcam.figures.style import BLACK, BLUE, GREEN, GREY, VERMILION, styled
+
+_COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
+_MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
+_LARGEST = 900  # px of the picture as it is drawn
+
+
+def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Sequence[str]) -> Figure:
+    """Figure of a result of `calibrate`. picture: the first one, any codes; None: there is none. lines: the verdict."""
+    with styled():
+        figure = Figure(figsize=(10.5, 7.6), layout="constrained")
+        axes = figure.subplot_mosaic(
+            [["picture", "mtf"], ["left", "field"], ["words", "words"]],
+            height_ratios=(1.15, 1, 0.12 + 0.075 * len(lines)),
+        )
+        channel = found.channels[found.channel]
+        _draw_picture(axes["picture"], channel, picture, found.channel)
+        _draw_mtf(axes["mtf"], found)
+        _draw_left(axes["left"], found)
+        _draw_field(axes["field"], found, picture)
+        axes["words"].axis("off")
+        axes["words"].text(
+            0, 1, "\n".join(lines), va="top", fontsize=8.5, family="monospace", transform=axes["words"].transAxes
+        )
+    return figure
+
+
+def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channel: str) -> None:
+    axes.set_title(f"Edges of {fit.edges.source[0] if fit.edges is not None else 'no picture'}, {channel}", loc="left")
+    axes.grid(False)
+    if picture is None or fit.edges is None:
+        axes.axis("off")
+        return
+    height, width = picture.shape[:2]
+    step = max(1, int(np.ceil(max(height, width) / _LARGEST)))
+    shown = picture[::step, ::step].astype(float)
+    shown = shown if shown.ndim == 2 else shown.mean(-1)
+    low, high = np.quantile(shown, (0.005, 0.995))
+    axes.imshow(
+        shown, cmap="gray", vmin=low, vmax=max(high, low + 1e-12), extent=(-0.5, width - 0.5, height - 0.5, -0.5)
+    )
+    edges = fit.edges
+    here = edges.source == edges.source[0]
+    dots = axes.scatter(
+        edges.x[here], edges.y[here], c=edges.mtf50[here], s=18, cmap="cividis", lw=0.4, edgecolor="white"
+    )
+    axes.figure.colorbar(dots, ax=axes, label="MTF50 [cycles/px]", shrink=0.85)
+    axes.set(xlabel="x [px]", ylabel="y [px]")
+
+
+def _draw_mtf(axes: Axes, found: Calibration) -> None:
+    axes.axhline(0, color=BLACK, lw=0.6)
+    axes.axvline(0.5, color=GREY, lw=0.8)
+    axes.annotate("Nyquist", (0.5, 0.6), xytext=(3, 0), textcoords="offset points", fontsize=8, color=GREY)
+    for name, fit in found.channels.items():
+        colour = _COLOURS[name]
+        if np.isfinite(fit.mtf).all():
+            axes.fill_between(
+                fit.frequency, fit.mtf - 2 * fit.mtf_std, fit.mtf + 2 * fit.mtf_std, color=colour, alpha=0.25, lw=0
+            )
+            axes.plot(fit.frequency, fit.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
+        axes.plot(fit.frequency, fit.model_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
+    axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
+    axes.legend(loc="upper right", fontsize=8.5)
+    axes.set_title("MTF, and 2 standard deviations", loc="left")
+
+
+def _draw_left(axes: Axes, found: Calibration) -> None:
+    axes.axhline(0, color=BLACK, lw=0.6)
+    for name, fit in found.channels.items():
+        left = fit.mtf - fit.model_mtf
+        axes.plot(fit.frequency, left, color=_COLOURS[name], lw=1.2, label=name)
+        axes.fill_between(
+            fit.frequency, left - 2 * fit.mtf_std, left + 2 * fit.mtf_std, color=_COLOURS[name], alpha=0.2, lw=0
+        )
+    axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges less camera [-]")
+    if len(found.channels) > 1:
+        axes.legend(loc="upper right", fontsize=8.5, ncols=3)
+    axes.set_title("What the camera does not explain", loc="left")
+
+
+def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> None:
+    for name, fit in found.channels.items():
+        edges = fit.edges
+        if edges is None:
+            continue
+        if picture is None:
+            middle = (edges.x.mean(), edges.y.mean())
+        else:
+            middle = ((picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2)
+        radius = np.hypot(edges.x - middle[0], edges.y - middle[1])
+        # edges whose normals point to the middle show the radial blur, the others the tangential one
+        along = np.abs(np.cos(edges.angle - np.arctan2(edges.y - middle[1], edges.x - middle[0])))
+        for radial, fill in ((True, _COLOURS[name]), (False, "white")):
+            which = (along > np.sqrt(0.5)) == radial
+            axes.errorbar(
+                radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
+                color=_COLOURS[name], mfc=fill, label=f"{name}, {'radial' if radial else 'tangential'}",
+            )  # fmt: skip
+    axes.set(xlabel="distance from the picture's middle [px]", ylabel="blur as Gaussian sigma [px]")
+    axes.legend(loc="best", fontsize=8, ncols=2, frameon=True, framealpha=0.85, edgecolor="none")
+    axes.set_title("Blur over the field", loc="left")
