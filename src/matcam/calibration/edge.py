@@ -61,7 +61,7 @@ def edge_mtf(
     if problem := region.flaws(values)[0]:
         raise FitError(problem)
     rows = region.rows_of(values, mosaic=cfa is not None)
-    found = measure(rows.value[0], rows.y, rows.start, noise, half, step=rows.step)
+    found = measure(rows.value[0], rows.y, rows.start, noise, half, step=rows.step, turns=rows.turns)
     if model != "gaussian":
         found = found._replace(parametric=fit_lens(found, half, lens))
     found = jax.tree.map(np.asarray, found)

@@ -288,7 +288,9 @@ def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarra
     """Of a quadratic form of normal numbers with this mean and variance, as a scaled chi-square (Satterthwaite 1946)."""
     from scipy.special import chdtrc  # needed here only
 
-    return chdtrc(2 * mean**2 / variance, np.maximum(found, 0.0) * 2 * mean / variance)
+    known = (variance > 0) & (mean > 0)  # not where there was nothing to be fitted
+    mean, variance = np.where(known, mean, 1.0), np.where(known, variance, 1.0)
+    return np.where(known, chdtrc(2 * mean**2 / variance, np.maximum(found, 0.0) * 2 * mean / variance), np.nan)
 
 
 def _picked(value: Any, index: int) -> Any:

@@ -28,7 +28,7 @@ from matcam.calibration.maximum_likelihood import (
 from matcam.calibration.profiles import Gaussian, LensModel
 
 _START = -0.5  # ln px: sigma 0.6
-_TURNS, _STEPS, _MODEL_STEPS = 2, 3, 12
+_STEPS, _MODEL_STEPS = 3, 12
 _LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
 _LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
 _EXPECTED = 1.4  # chi2 per degree of freedom of some 200 cells: 4 sigma
@@ -103,27 +103,41 @@ class _Turn(NamedTuple):
     moved: CurveStep
 
 
-@partial(jax.jit, static_argnames="step")
+@partial(jax.jit, static_argnames=("step", "turns"))
 def measure(
-    value: AnyArray, y: AnyArray, start: AnyArray, noise: Noise, half_width: AnyArray | np.float64, *, step: int
+    value: AnyArray,
+    y: AnyArray,
+    start: AnyArray,
+    noise: Noise,
+    half_width: AnyArray | np.float64,
+    *,
+    step: int,
+    turns: int,
 ) -> Measurement:
     """Both estimates for the edge in one `Rows`, the parametric one Gaussian. Noise that is NaN is estimated from the
-    picture."""
-    fits = _fits(Rows(value, y, start, step), noise, jnp.asarray(half_width))
+    picture. turns: of profile and curve, each fitted while the other is held."""
+    fits = _fits(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
     found = fits.glare.gain > glare.FOUND
     curve = jax.lax.cond(found, glare.with_glare, lambda fit, _: free_fit.without_glare(fit), fits.free, fits.glare)
     return _report(fits, curve, jnp.asarray(half_width))
 
 
-@partial(jax.jit, static_argnames="step")
+@partial(jax.jit, static_argnames=("step", "turns"))
 def measure_stack(
-    values: AnyArray, y: AnyArray, start: AnyArray, noise: Noise, half_width: AnyArray | np.float64, *, step: int
+    values: AnyArray,
+    y: AnyArray,
+    start: AnyArray,
+    noise: Noise,
+    half_width: AnyArray | np.float64,
+    *,
+    step: int,
+    turns: int,
 ) -> Measurement:
     """`measure` for a stack of regions, side by side: values (n, rows, columns), y and start (n, rows)."""
     half_width = jnp.asarray(half_width)
 
     def fitted(value: jax.Array, y: jax.Array, start: jax.Array) -> _Fits:
-        return _fits(Rows(value, y, start, step), noise, half_width)
+        return _fits(Rows(value, y, start, step), noise, half_width, turns)
 
     fits = jax.vmap(fitted)(*map(jnp.asarray, (values, y, start)))
     found = fits.glare.gain > glare.FOUND
@@ -150,7 +164,7 @@ def fit_lens(found: Measurement, half_width: AnyArray | np.float64, lens: LensMo
     return _parametric(found.cells, fitted, tested, found.noise, structure, lens, found.angle, half_width, found.excess)
 
 
-def _fits(rows: Rows, noise: Noise, half_width: jax.Array) -> _Fits:
+def _fits(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Fits:
     start, crossing = geometry.first_curve(rows)
     aligned = geometry.align(rows, start)
     dark, bright = geometry.sides(aligned, rows.step)
@@ -172,7 +186,7 @@ def _fits(rows: Rows, noise: Noise, half_width: jax.Array) -> _Fits:
         return (moved.curve, centred), _Turn(curve, cells, state, now, moved)
 
     first = State(jnp.stack([dark.mean(), bright.mean(), *jnp.zeros(3)]), jnp.array([_START]))
-    _, turns = jax.lax.scan(turn, (start, first), None, length=_TURNS)
+    _, turns = jax.lax.scan(turn, (start, first), None, length=rounds)
     curve, cells, state, at, moved = jax.tree.map(lambda a: a[-1], turns)
     shape = Shape(jnp.exp(state.profile[0]), jnp.arctan(curve[1]), half_width, jnp.ones(()))
     free, structure = free_fit.solve(cells, state, at, noise, shape, at)

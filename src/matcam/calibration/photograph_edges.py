@@ -9,10 +9,10 @@ import numpy as np
 from matcam.calibration import region, stack
 from matcam.calibration.edge_result import EdgeMTF
 from matcam.calibration.edge_search import FoundEdges
+from matcam.calibration.light import evened
 from matcam.calibration.maximum_likelihood import Noise
 from matcam.calibration.planes import Plane
 from matcam.calibration.profiles import Gaussian
-from matcam.calibration.region import Region
 from matcam.calibration.strips import regions_of, strips_along
 from matcam.errors import FitError
 
@@ -33,25 +33,22 @@ def measured_edges(plane: Plane, edges: FoundEdges, half_width: float, *, accept
         )
     unknown = Noise(np.float64(np.nan), np.float64(np.nan))
 
-    def looked_at() -> list[tuple[Region, list[str]]]:
-        full: list[np.ndarray] = []
+    full: list[np.ndarray] = []
 
-        def read(y: np.ndarray, x: np.ndarray) -> np.ndarray:
-            value, saturated = plane.values(y, x)
-            full.append(saturated.mean((1, 2)))
-            return value
+    def read(y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        value, saturated = plane.values(y, x)
+        full.append(saturated.mean((1, 2)))
+        return value
 
-        regions = []
-        for rows in regions_of(strips, read, plane.sites, stack.AT_ONCE):
-            shares = full.pop()
-            flaws = [
-                f"saturated: {share:.0%} of its samples" if share > _SATURATED else flaw
-                for share, flaw in zip(shares, region.flaws(rows.value), strict=True)
-            ]
-            regions.append((rows, flaws))
-        return regions
-
-    result = stack.measured(looked_at(), "gaussian", Gaussian(), unknown, half_width, accept_sharpened=accept_sharpened)
+    regions = list(regions_of(strips, read, plane.sites, stack.AT_ONCE))
+    looked_at = []
+    for rows, even, shares in zip(regions, evened(regions), full, strict=True):
+        flaws = [
+            f"saturated: {share:.0%} of its samples" if share > _SATURATED else flaw
+            for share, flaw in zip(shares, region.flaws(rows.value), strict=True)
+        ]
+        looked_at.append((even, flaws))
+    result = stack.measured(looked_at, "gaussian", Gaussian(), unknown, half_width, accept_sharpened=accept_sharpened)
     reasons = Counter(problem for problem in result.problems if problem)
     if len(reasons) and sum(reasons.values()) == len(result):
         kinds = Counter(problem.split(":")[0] for problem in result.problems)

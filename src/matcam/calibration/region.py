@@ -17,6 +17,8 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Of linear R, G, B (IEC 61966-2-1)."""
 _CLIPPED = 0.02  # share of samples at the brightest value of an integer type
 _FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
+FEW_TURNS, MANY_TURNS = 2, 8
+_ENOUGH_CYCLES = 4.0
 _MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
@@ -31,6 +33,8 @@ class Region(NamedTuple):
     step: int
     """px between samples."""
     frame: Frame
+    turns: int
+    """How often the fits of the edge's profile and of its place take turns: see `turns_for`."""
 
 
 class Frame(NamedTuple):
@@ -102,7 +106,13 @@ def rows_of(values: np.ndarray, *, mosaic: bool = False) -> Region:
     value[:, : turned.shape[1], : turned.shape[2]] = turned
     more = (0, value.shape[1] - turned.shape[1])
     frame = Frame((values.shape[2] - 1) / 2, (values.shape[1] - 1) / 2, transposed, mirrored, float(np.ptp(y)))
-    return Region(value, np.pad(y, more), np.pad(first, more) - (width - 1) / 2, step, frame)
+    start = np.pad(first, more) - (width - 1) / 2
+    return Region(value, np.pad(y, more), start, step, frame, MANY_TURNS if mosaic else FEW_TURNS)
+
+
+def turns_for(cycles: float) -> int:
+    """By how often an edge's rows see every phase: profile and place come apart slowly where that is less than a few times."""
+    return FEW_TURNS if cycles >= _ENOUGH_CYCLES else MANY_TURNS
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:

@@ -32,7 +32,7 @@ def measured(
         # always as many at once, so that one compiled program serves every stack; what fills the last one up is thrown away
         y, start = (np.broadcast_to(a, (count, a.shape[-1])) for a in (rows.y, rows.start))
         value, y, start = (_filled(a) for a in (rows.value, y, start))
-        found = measure_stack(value, y, start, noise, half, step=rows.step)
+        found = measure_stack(value, y, start, noise, half, step=rows.step, turns=rows.turns)
         if model != "gaussian":
             found = found._replace(parametric=jax.vmap(fit_lens, in_axes=(0, None, None))(found, half, lens))
         # one after the other: programs that are queued on a processor compete for its threads

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.calibration.edge_search import FoundEdges
-from matcam.calibration.region import Frame, Region
+from matcam.calibration.region import Frame, Region, turns_for
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -108,8 +108,9 @@ def _region(
     middle = first + (strips.rows - 1) / 2
     start = np.where(mirrored[:, None], strips.u[:, None] - left - step * last, left - strips.u[:, None])
     x, y = (np.where(strips.transposed, *pair) for pair in ((middle, strips.u), (strips.u, middle)))
+    turns = turns_for(float((strips.rows * np.abs(strips.tilt)).min()) / step)
     frame = Frame(x, y, strips.transposed, mirrored, (strips.rows - 1).astype(float))
-    return Region(value, v - middle[:, None], start.astype(float), step, frame)
+    return Region(value, v - middle[:, None], start.astype(float), step, frame, turns)
 
 
 def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
