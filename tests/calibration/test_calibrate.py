@@ -1,0 +1,243 @@
+"""From pictures to a camera: models, lens and pixel apart, what is said of pictures, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, uniform_filter1d
+
+from matcam import Camera, MTFSamples, calibrate
+from matcam.calibration import planes
+from matcam.errors import ArgumentError, FitError
+from matcam.files.exif import Exif
+from matcam.files.photographs import Photograph
+from tests.oracle import slanted_edge, slanted_squares
+
+F = np.linspace(0.02, 0.5, 25)
+
+
+def chart(sigma, half_width=0.5, seed=1, snr=60, **more):
+    """36 edges."""
+    picture, _ = slanted_squares.field((420, 440), 140, 84, 5, sigma, half_width, **({"dark": 0.25} | more))
+    return np.random.default_rng(seed).poisson(picture * snr**2).astype(float)
+
+
+def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
+    found = calibrate([chart(0.5, 0.4)], half_width=0.4)
+    fit = found.channels["grey"]
+    assert found.channel == "grey"
+    assert fit.names == ("optics.sigma_px",)
+    assert abs(fit.values[0] - 0.5) < 4 * fit.std[0] < 0.02
+    assert fit.consistent
+    assert fit.spread < 0.02
+    assert 0.9 < fit.chi2 / fit.degrees < 1.1
+    assert fit.edges.x.size == fit.measurements["picture 1 (edges)"] == 36
+    found.camera.save(tmp_path / "camera.json")
+    loaded = Camera.load(tmp_path / "camera.json")
+    assert loaded.uncertainty.std()["optics.sigma_px"] == pytest.approx(fit.std[0])
+    assert loaded.pixel.half_width == 0.4
+    assert "36 edges" in loaded.provenance.source
+    assert found.edges_dataset().sizes["edge"] == 36
+
+
+def test_other_models():
+    picture = chart(0.5)
+    measured = calibrate([picture], model="measured").camera
+    truth = slanted_edge.gaussian_mtf(F, 0.5, 0)
+    assert np.max(np.abs(np.asarray(measured.mtf(F)) - truth)) < 0.006
+    std = measured.uncertainty.std()
+    assert 1e-4 < std["optics.mtf[16]"] < 0.01
+    core, halo = (slanted_squares.field((420, 440), 140, 84, 5, s, dark=0.25)[0] for s in (0.5, 12.0))
+    counts = np.random.default_rng(2).poisson((0.9 * core + 0.1 * halo) * 3600).astype(float)
+    fit = calibrate([counts], model="halo").channels["grey"]
+    assert np.all(np.abs(fit.values - [0.5, 0.1, 12.0]) < 5 * fit.std)
+    assert fit.values[1] == pytest.approx(0.1, abs=0.01)
+    gaussian = calibrate([counts]).channels["grey"]
+    assert not gaussian.consistent
+    assert gaussian.misfit > 5 * fit.misfit
+
+
+def samples_of(sigma, half_width, seed, count=12, std=0.003, **more):
+    rng = np.random.default_rng(seed)
+    made = []
+    for number in range(count):
+        direction = np.full(F.size, number * np.pi / count)
+        box = np.sinc(2 * half_width * F * np.cos(direction)) * np.sinc(2 * half_width * F * np.sin(direction))
+        mtf = np.exp(-2 * (np.pi * sigma * F) ** 2) * box + rng.normal(0, std, F.size)
+        made.append(
+            MTFSamples(
+                "star", (9.0, 9.0), F, direction, mtf, np.eye(F.size) * std**2, **({"source": "star.png"} | more)
+            )
+        )
+    return made
+
+
+def test_values_of_other_targets_alone_and_with_edges():
+    alone = calibrate([], samples=samples_of(0.6, 0.45, 1), half_width=0.45).channels["grey"]
+    assert abs(alone.values[0] - 0.6) < 4 * alone.std[0] < 0.01
+    assert alone.edges is None
+    assert np.isnan(alone.misfit)
+    both = calibrate([chart(0.6, 0.45)], samples=samples_of(0.6, 0.45, 2), half_width=0.45).channels["grey"]
+    assert abs(both.values[0] - 0.6) < 4 * both.std[0]
+    assert both.std[0] < alone.std[0]
+    assert set(both.measurements.values()) == {36, 12}
+    pulls = []
+    for seed in range(200):
+        fit = calibrate([], samples=samples_of(0.6, 0.45, seed, 2), half_width=0.45).channels["grey"]
+        pulls.append((fit.values[0] - 0.6) / fit.std[0])
+    assert np.std(pulls) == pytest.approx(1, abs=0.2)  # 4 standard errors
+    assert abs(np.mean(pulls)) < 0.3
+
+
+# ---------------------------------------------------------------- lens and pixel apart
+
+PITCH, WAVELENGTH = 4.73e-6, 550e-9
+LENS = {"half_width": None, "wavelength": WAVELENGTH, "pixel_pitch": PITCH}
+
+
+def at_aperture(f_number, sigma, half_width, seed):
+    """100 edges at SNR 100."""
+    response = slanted_squares.diffracted(PITCH / (WAVELENGTH * f_number), sigma, 5, half_width)
+    picture, sides = slanted_squares.field((790, 800), 140, 84, 5, sigma, half_width, dark=0.25, response=response)
+    assert len(sides) == 100
+    return np.random.default_rng(seed).poisson(picture * 1e4).astype(float)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("half_width", [0.5, 0.45, 0.4])
+def test_four_apertures_tell_lens_and_pixel_apart(half_width):
+    f_numbers = (2.8, 4.0, 5.6, 8.0)
+    pictures = [at_aperture(n, 0.5, half_width, int(10 * n)) for n in f_numbers]
+    fit = calibrate(pictures, f_numbers=f_numbers, **LENS).channels["grey"]
+    print("found", fit.values, "std", fit.std, "edges", fit.edges.x.size)
+    assert fit.names == ("optics.sigma_px", "pixel.half_width_px")
+    assert fit.values == pytest.approx([0.5, half_width], rel=0.03)
+    assert fit.consistent
+    # the profile holds this aperture's lens: core and diffraction in one curve
+    truth = np.exp(-2 * (np.pi * 0.5 * F) ** 2) * slanted_edge.airy_mtf(F, PITCH / (WAVELENGTH * 2.8), 0)
+    truth = truth / slanted_edge.box_mtf(F, 0) * slanted_edge.box_mtf(F, 0, half_width)
+    assert np.max(np.abs(np.asarray(fit.camera.mtf(F)) - truth)) < 0.005
+
+
+@pytest.mark.slow
+def test_one_aperture_at_a_wide_blur_is_refused():
+    with pytest.raises(
+        FitError, match=r"lens and pixel cannot be told apart: 100 edges know the pixel's half width to \d+%"
+    ):
+        calibrate([at_aperture(5.6, 0.8, 0.4, 1)], f_numbers=5.6, **LENS)
+
+
+def test_few_edges_do_not_tell_lens_and_pixel_apart():
+    with pytest.raises(
+        FitError, match="cannot be told apart: 36 edges know the pixel's half width to .* give the fill"
+    ):
+        calibrate([chart(0.8, 0.4)], half_width=None)
+    many = samples_of(0.4, 0.4, 3, 24, std=1e-4)
+    fit = calibrate([], samples=many, half_width=None).channels["grey"]
+    assert np.all(np.abs(fit.values - 0.4) < 3 * fit.std)
+    assert fit.values == pytest.approx([0.4, 0.4], rel=0.02)
+
+
+# ---------------------------------------------------------------- what is said of pictures
+
+
+def remarks(picture, **options):
+    return " ".join(calibrate([picture], **options).remarks)
+
+
+def test_what_a_photographer_should_know():
+    even = chart(0.5)
+    assert remarks(even) == ""
+    moved = (
+        np.random.default_rng(1).poisson(uniform_filter1d(chart(0.5, snr=1000) / 1e6, 3, axis=1) * 3600).astype(float)
+    )
+    assert (
+        "px along 5 degrees" in remarks(moved)
+        or "px along 0 degrees" in remarks(moved)
+        or "the camera moved" in remarks(moved)
+    )
+    assert "contrast is only 7%" in remarks(chart(0.5, snr=300, dark=0.87))
+    codes = np.clip(even / 3000 * 255, 0, 255)
+    codes[:, :250] = np.clip(even[:, :250] / 4300 * 255, 0, 255)
+    assert "edges are saturated, and left out" in remarks(codes.astype(np.uint8), tone="linear")
+    half = even.copy()
+    half[:200] += 1.0 * (even - gaussian_filter(even, 1.0))[:200]
+    assert "overshoot as sharpened ones do" in remarks(half)
+
+
+def test_what_was_assumed_of_the_tone_curve(tmp_path):
+    from imagecodecs import png_encode
+
+    light = chart(0.5) / 4500
+    codes = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    (tmp_path / "a.png").write_bytes(png_encode(np.rint(codes).clip(0, 255).astype(np.uint8)))
+    found = calibrate([tmp_path / "a.png"])
+    assert found.remarks == ("a.png: 8 bits and no tone curve stated: sRGB assumed (--tone)",)
+    assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
+    assert calibrate([tmp_path / "a.png"], tone="srgb").remarks == ()
+    (tmp_path / "b.png").write_bytes(png_encode((60000 * light).clip(0, 65535).astype(np.uint16)))
+    assert "16 bits and no tone curve stated: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0]
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def taken(values, camera):
+    return Photograph(values, None, np.inf, True, Exif(camera))
+
+
+def test_contradictions_and_mixed_cameras():
+    sharp, soft = chart(0.5), chart(0.8, seed=2)
+    with pytest.raises(FitError, match=r"contradictory measurements, channel grey: picture [12] \(edges\) sees a blur"):
+        calibrate([sharp, soft])
+    with pytest.raises(
+        FitError, match=r"contradictory .* star.png \(star\) sees a blur \+\d+% against .* picture 1 \(edges\)"
+    ):
+        calibrate([sharp], samples=samples_of(0.9, 0.5, 1))
+    with pytest.raises(ArgumentError, match=r"different cameras: One \(picture 1\), Two \(picture 2\)"):
+        calibrate([taken(sharp, "One"), taken(sharp, "Two")])
+
+
+def test_bad_pictures_among_good_ones():
+    good, empty = chart(0.5), np.random.default_rng(1).normal(100, 3, (420, 440))
+    found = calibrate([good, empty])
+    assert found.pictures == ("picture 1",)
+    assert "no slanted edge was found" in found.failed["picture 2"]
+    with pytest.raises(FitError, match="picture 1: no slanted edge was found"):
+        calibrate([empty])
+    with pytest.raises(FitError, match="none of 2 pictures can be used; the first: picture 1: no slanted edge"):
+        calibrate([empty, empty])
+    with pytest.raises(FitError, match="none of its 36 edges can be measured; .* picture is sharpened"):
+        calibrate([good + 1.5 * (good - gaussian_filter(good, 1.0))])
+
+
+def test_bad_arguments():
+    picture = np.zeros((50, 50))
+    for options, words in (
+        ({"model": "airy"}, "model must be one of"),
+        ({"half_width": 0.7}, "half_width must lie in"),
+        ({"half_width": None, "model": "halo"}, "with the gaussian model only"),
+        ({"channels": ["X"]}, "channel must be one of"),
+        ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 pictures"),
+        ({"f_numbers": 0.0}, "f_numbers must lie in"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            calibrate([picture], **options)
+    with pytest.raises(ArgumentError, match="nothing to calibrate from"):
+        calibrate([])
+    with pytest.raises(ArgumentError, match="a picture must be numbers of shape"):
+        calibrate([np.zeros((4, 5, 2))])
+    star = samples_of(0.5, 0.5, 1)
+    for options, words in (
+        ({"model": "diffraction"}, "wavelength and pixel_pitch must be given"),
+        ({"half_width": None, "wavelength": 5e-7, "pixel_pitch": 5e-6}, "not every picture's f-number is known"),
+        ({"model": "defocus", "wavelength": 550.0, "pixel_pitch": 5e-6}, "wavelength must lie in"),
+        ({"model": "defocus", "wavelength": 5e-7, "pixel_pitch": 5.0}, "pixel_pitch must lie in"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            calibrate([], samples=star, **options)
+    with pytest.raises(FitError, match="a measured curve needs edges"):
+        calibrate([], samples=star, model="measured")
+    mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
+    with pytest.raises(ArgumentError, match="camera raw is linear"):
+        planes.planes_of(mosaic, None, "srgb")
+    with pytest.raises(ArgumentError, match="channel 'Y' is not in this picture; it has R, G, B"):
+        planes.planes_of(mosaic, ["Y"], None)

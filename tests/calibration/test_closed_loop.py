@@ -1,0 +1,67 @@
+"""The closed loop: a chart that the package draws, photographed by a camera that shares nothing with it, and calibrated."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam import calibrate
+from matcam.calibration.chart_file import write_chart
+from matcam.calibration.chart_layout import design_chart
+from matcam.files.exif import Exif
+from matcam.files.photographs import Photograph
+from tests.oracle.chart_camera import ChartCamera
+
+WIDTH, HEIGHT = 560, 420
+
+
+@pytest.fixture(scope="module")
+def chart(tmp_path_factory):
+    """Six squares: 24 edges, of which refusals leave some 20 in red and blue."""
+    path = tmp_path_factory.mktemp("chart") / "chart.json"
+    write_chart(path, design_chart(("squares",), page=(300.0, 225.0), pixels_across=WIDTH))
+    return json.loads(path.read_text())
+
+
+def photographs(chart, count, cfa, snr=60):
+    """Pictures by as many cameras, each in another pose: (photograph, sigma, half width)."""
+    rng = np.random.default_rng(1)
+    for seed in range(count):
+        sigma, fill = rng.uniform(0.4, 1.0), rng.uniform(0.6, 1.0)
+        camera = ChartCamera(
+            WIDTH, HEIGHT, tuple(chart["page_mm"]), filled=0.93, tilt=tuple(rng.uniform(-0.12, 0.12, 2)),
+            roll=rng.uniform(-0.06, 0.06), distortion=0.02, vignetting=0.3, sigma=sigma, fill=fill,
+        )  # fmt: skip
+        picture = camera.photograph(camera.expected(chart), snr, seed, cfa)
+        yield Photograph(picture, cfa, np.inf, True, Exif()), sigma, fill / 2
+
+
+def errors(chart, count, cfa):
+    """Relative errors of sigma and pulls, (pictures, channels), and the fewest edges."""
+    relative, pulls, edges = [], [], []
+    for photograph, sigma, half_width in photographs(chart, count, cfa):
+        found = calibrate([photograph], half_width=half_width).channels
+        value, std = (np.array([getattr(fit, name)[0] for fit in found.values()]) for name in ("values", "std"))
+        relative.append(value / sigma - 1)
+        pulls.append((value - sigma) / std)
+        edges.append([fit.edges.x.size for fit in found.values()])
+    return np.array(relative), np.array(pulls), np.array(edges)
+
+
+def test_sigma_of_a_grey_camera(chart):
+    relative, pulls, edges = errors(chart, 6, None)
+    assert edges.min() >= 24
+    assert np.sqrt((relative**2).mean()) < 0.01
+    assert np.abs(pulls).max() < 4
+    assert np.sqrt((pulls**2).mean()) < 1.7  # of 6: 0.3 % chance
+
+
+@pytest.mark.slow
+def test_sigma_of_a_bayer_camera_at_length(chart):
+    relative, pulls, edges = errors(chart, 200, "RGGB")
+    inside = (np.abs(pulls) < 2).mean(0)
+    print(
+        "edges", np.median(edges, 0), "rms", np.sqrt((relative**2).mean(0)), "bias", relative.mean(0), "inside", inside
+    )
+    assert np.sqrt((relative**2).mean(0)).max() <= 0.02
+    assert inside.mean() >= 0.93
