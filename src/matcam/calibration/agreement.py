@@ -61,7 +61,8 @@ def contradiction(fit: JointFit, groups: Sequence[str]) -> str:
     difference, clear = found[worst]
     if abs(difference) < _LARGE or abs(difference) < _CLEAR * clear:
         return ""
-    others = ", ".join(name for i, name in enumerate(names) if i != worst)
+    rest = [name for i, name in enumerate(names) if i != worst]
+    others = ", ".join(rest[:2]) + (f" and {len(rest) - 2} others" if len(rest) > 2 else "")
     return f"{names[worst]} sees a blur {difference:+.0%} against that of {others}"
 
 

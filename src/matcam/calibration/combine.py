@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 
 from matcam import checks
 from matcam.calibration.camera_fit import CameraFit, Request, camera_of
-from matcam.calibration.edge_search import find_edges
+from matcam.calibration.chart import Chart
+from matcam.calibration.chart_file import read_chart
 from matcam.calibration.evidence import Evidence
 from matcam.calibration.mtf_samples import MTFSamples
-from matcam.calibration.photograph_edges import measured_edges, remarks_on
-from matcam.calibration.planes import CHANNELS, assumed_tone, planes_of
+from matcam.calibration.picture_plan import Plan
+from matcam.calibration.planes import CHANNELS
 from matcam.calibration.tone import Tone
 from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError, FitError, MatcamError
@@ -84,6 +85,7 @@ def calibrate(
     pictures: Sequence[Picture],
     *,
     samples: Sequence[MTFSamples] = (),
+    chart: Chart | str | Path | None = None,
     model: str = "gaussian",
     half_width: float | None = 0.5,
     wavelength: float | Mapping[str, float] | None = None,
@@ -96,7 +98,8 @@ def calibrate(
     """A camera from pictures of slanted edges, and from any other measurements of its MTF (MODEL 7).
 
     pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
-    `Photograph`s. samples: measurements of gratings, stars, dots.
+    `Photograph`s. samples: measurements of gratings, stars, dots. chart: what the pictures show, or its file (`matcam chart`
+    writes it): its gratings, stars and dots are then measured, too.
     model: of the lens: "gaussian" (the paper's sigma_mtf), "halo" (Gaussian core and veiling glare), "diffraction", "defocus"
     (diffraction and defocus), "measured" (the edges' own mean curve, divided by the pixel).
     half_width: of the pixel's sensitive area, px; None: fitted together with a Gaussian core, and refused with the reason when
@@ -120,9 +123,9 @@ def calibrate(
     if not len(pictures) and not len(samples):
         raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
     request = Request(model, half_width, wavelength, pixel_pitch)
-    evidence, failed, remarks, used = _gathered(
-        pictures, f_numbers, tone, channels, half_width or 0.5, accept_sharpened
-    )
+    described = read_chart(chart) if isinstance(chart, str | Path) else chart
+    plan = Plan(tone, channels, half_width or 0.5, accept_sharpened, described)
+    evidence, failed, remarks, used = _gathered(pictures, f_numbers, plan)
     for one in samples:
         evidence.setdefault(one.channel, Evidence()).add_samples(one)
     found = {}
@@ -136,9 +139,8 @@ def calibrate(
 
 
 def _gathered(
-    pictures: Sequence[Picture], f_numbers: Any, tone: Tone, channels: Sequence[str] | None, half_width: float,
-    accept_sharpened: bool,
-) -> tuple[dict[str, Evidence], dict[str, str], list[str], list[str]]:  # fmt: skip
+    pictures: Sequence[Picture], f_numbers: Any, plan: Plan
+) -> tuple[dict[str, Evidence], dict[str, str], list[str], list[str]]:
     """Evidence by channel, failures, remarks, names of the pictures used."""
     apertures = _f_numbers(f_numbers, len(pictures))
     evidence: dict[str, Evidence] = {}
@@ -154,29 +156,24 @@ def _gathered(
             photograph = _opened(picture)
             if photograph.exif.camera:
                 cameras.setdefault(photograph.exif.camera, short)
-            curve, assumed = (tone, "") if tone is not None or photograph.linear else assumed_tone(photograph)
-            edges = find_edges(photograph.values, mosaic=photograph.cfa is not None)
             aperture = apertures[number] if apertures[number] is not None else photograph.exif.f_number
-            said = [assumed] if assumed else []
-            measured = []
-            for plane in planes_of(photograph, channels, curve):
-                result = measured_edges(plane, edges, half_width, accept_sharpened=accept_sharpened)
-                said += remarks_on(result, plane.channel)
-                measured.append((plane.channel, result))
+            measured = plan.measured(photograph, short, aperture)
         except FitError as error:
             errors.append(FitError(f"{short}: {error}"))
             failed[name] = str(error)
-            continue
         except ArgumentError:
             raise
         except MatcamError as error:
             errors.append(error)
             failed[name] = str(error).removeprefix(f"{name}: ")
-            continue
-        used.append(short)
-        remarks += [f"{short}: {remark}" for remark in said]
-        for channel, result in measured:
-            evidence.setdefault(channel, Evidence()).add_edges(result, short, aperture)
+        else:
+            used.append(short)
+            remarks += [f"{short}: {remark}" for remark in measured.remarks]
+            for channel, result in measured.edges.items():
+                evidence.setdefault(channel, Evidence()).add_edges(result, short, aperture)
+            for channel, samples in measured.samples.items():
+                for one in samples:
+                    evidence.setdefault(channel, Evidence()).add_samples(one)
     if len(cameras) > 1:
         listed = ", ".join(f"{camera} ({file})" for camera, file in cameras.items())
         raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")

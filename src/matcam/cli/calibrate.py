@@ -50,6 +50,12 @@ def command(
     channel: Annotated[
         list[str] | None, typer.Option("--channel", help="R, G, B, Y (luminance) or grey. Default: all there are.")
     ] = None,
+    chart: Annotated[
+        Path | None,
+        typer.Option(
+            "--chart", help="Description of the chart, which matcam chart has written: measures all its targets."
+        ),
+    ] = None,
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
     ] = False,
@@ -87,6 +93,7 @@ def command(
             f_numbers=None if f_number is None else (f_number if len(f_number) > 1 else f_number[0]),
             tone=_tone(tone, tone_patches, files),
             channels=channel,
+            chart=chart,
             accept_sharpened=accept_sharpened,
         )
         written = _write(found, output, figure, table, files, force)
