@@ -15,9 +15,11 @@ from .camera.pixel import BoxPixel, WindowedGaussianPixel
 from .camera.sensor import Sensor
 from .camera.uncertainty import Provenance, Uncertainty
 from .errors import MatcamError
+from .exchange.parameterisation import adaptive_grid
 from .files.exr import read_exr, write_exr
 from .files.float_tiff import read_float_tiff, write_float_tiff
 from .files.merl import read_merl, write_merl
+from .files.rgl import read_rgl, write_rgl
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .forward.image import picture, picture_values
 from .forward.lobe_table import lobe_table, with_pixel_noise
@@ -27,6 +29,7 @@ from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
 from .inverse.fresnel_term import fresnel
 from .inverse.tabulated import tabulated_fresnel
+from .material.adaptive import Adaptive
 from .material.anisotropic import AnisotropicBeckmann, AnisotropicGGX
 from .material.beckmann import Beckmann
 from .material.epd import EPD
@@ -46,6 +49,7 @@ __all__ = [
     "EPD",
     "GGX",
     "SGD",
+    "Adaptive",
     "AnisotropicBeckmann",
     "AnisotropicGGX",
     "Beckmann",
@@ -77,6 +81,7 @@ __all__ = [
     "Uncertainty",
     "WindowedGaussianPixel",
     "calibrate",
+    "adaptive_grid",
     "edge_mtf",
     "edge_mtf_stack",
     "expose_bracket",
@@ -98,6 +103,7 @@ __all__ = [
     "read_exr",
     "read_float_tiff",
     "read_merl",
+    "read_rgl",
     "read_sidecar",
     "rigs",
     "sidecar_path",
@@ -108,5 +114,6 @@ __all__ = [
     "write_exr",
     "write_float_tiff",
     "write_merl",
+    "write_rgl",
     "write_sidecar",
 ]

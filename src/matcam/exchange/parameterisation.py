@@ -1,0 +1,202 @@
+"""Any isotropic material in RGL's adaptive parameterisation (Dupuy & Jakob 2018), so that renderers can sample it.
+
+What the format divides by is chosen so that what is left is smooth:
+
+- `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o, that is of D F G and of all else there is; even
+  in sqrt(theta_h) with twice the density of a MERL table, so that its points are among the nodes and its kinks are met.
+- `sigma`: the projected area of facets so distributed, by the closed integral over azimuth.
+- `vndf`: visible normals D max(0, i . m) / sigma, half and half with normals ~ sqrt(D) cos theta_m, which spread
+  logarithmically over the tail: visible normals alone would leave it a few per cent of the square.
+- `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it runs on linearly in cos theta_o, so that the
+  cells at the horizon are right on this side of it (it may go below zero, as it does in RGL's own files).
+- `luminance`: what is left for samples to be distributed as BRDF cos theta_o.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam._jax import jnp
+from matcam.errors import ArgumentError
+from matcam.material.adaptive import Adaptive
+from matcam.material.material import Material
+from matcam.material.microfacet import Microfacet
+from matcam.material.ndf import NDF
+from matcam.material.warp import Warp
+from matcam.shading import shading
+from matcam.table import CHANNELS
+
+_HALF_PI = np.pi / 2
+
+
+def _light_angles(below: int, beyond: int) -> np.ndarray:
+    """Angles to 82 degrees and some beyond it, to 89, spaced as cos theta: `sigma` leaves a factor 1 / cos theta where a
+    lobe has no mirror, and between them it errs by h^2 (1 + 2 tan^2 theta) / 8."""
+    log_tan = lambda degrees: np.log(np.tan(np.pi / 4 + np.radians(degrees) / 2))  # noqa: E731  the integral of 1 / cos
+    effort = np.concatenate([np.linspace(0, log_tan(82), below), np.linspace(log_tan(82), log_tan(89), beyond + 1)[1:]])
+    return 2 * np.arctan(np.exp(effort)) - _HALF_PI
+
+
+LIGHT_ANGLES = _light_angles(36, 8)
+"""Angles of the light that are tabulated, rad."""
+_THETA_NODES, _AZIMUTH_NODES, _SQUARE = 181, 65, 192
+_VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
+_FAINTEST = 1e-9  # of the peak of D: nothing is divided by less
+
+
+def adaptive_grid(material: Material, *, description: str = "", square: int = _SQUARE) -> xr.Dataset:
+    """Fields of an RGL file (see `read_rgl`) that stand for an isotropic material with one or three channels.
+
+    square: nodes of the tabulated square along each side, an even number from 8 to 512. Values that are missing are
+    interpolated along theta_h, and continued where there is nothing beyond them: the format has no missing values. Attribute
+    `missing_share` says how many they were of all that lie above the horizon. How close the result comes to the material is
+    for `resampling_error` to say.
+    """
+    if not isinstance(material, Material):
+        raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
+    if isinstance(material, Microfacet) and not isinstance(material.ndf, NDF):
+        raise ArgumentError(f"only isotropic materials are resampled, and {material.ndf!r} is not")
+    if isinstance(material, Adaptive) and material.mirrored:
+        raise ArgumentError("only isotropic materials are resampled, and this RGL file is anisotropic")
+    if type(square) is not int or square % 2 or not 8 <= square <= 512:
+        raise ArgumentError(f"square must be an even number from 8 to 512, got {square!r}")
+    u = np.linspace(0, 1, _nodes(material))
+    facets = _facets(material, u)
+    area = _projected_area(u, facets, u**2 * _HALF_PI)
+    seen_area = np.interp(np.sqrt(LIGHT_ANGLES / _HALF_PI), u, area)
+    visible = _visible(u, facets)
+    warp = Warp(visible)
+    grid = np.linspace(0, 1, square)
+    place_u, place_v, held_density = warp.placed(grid, grid[: square // 2])  # the other half mirrors it
+    theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
+    outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
+    held = np.interp(place_u, u, facets)
+    values = _continued(outgoing * (4 * seen_area[:, None, None] / held)[..., None], cos_o)
+    # of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the warp
+    light = LIGHT_ANGLES[:, None, None]
+    cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
+    solid = held * np.maximum(cos, 0) * _jacobian(place_u)
+    density = np.maximum(values.mean(axis=-1), 0) * solid / np.where(held_density > 0, held_density, 1.0)
+    whole = lambda half, axis: np.concatenate([half, np.flip(half, axis)], axis).astype(np.float32)  # noqa: E731
+    note = (description or "made by matcam").encode()
+    return xr.Dataset(
+        {
+            "description": ("description_0", np.frombuffer(note, dtype=np.uint8)),
+            "sigma": (("sigma_phi", "sigma_theta"), np.tile(area, (2, 1)).astype(np.float32)),
+            "ndf": (("ndf_phi", "ndf_theta"), np.tile(facets, (2, 1)).astype(np.float32)),
+            "vndf": (("phi_i", "theta_i", "vndf_phi", "vndf_theta"), visible[None].astype(np.float32)),
+            "luminance": (("phi_i", "theta_i", "row", "column"), whole(density, 1)[None]),
+            "rgb": (("phi_i", "theta_i", "channel", "row", "column"), whole(np.moveaxis(values, -1, 1), 2)[None]),
+            "jacobian": ("jacobian_0", np.ones(1, dtype=np.uint8)),
+        },
+        coords={"phi_i": np.zeros(1, dtype=np.float32), "theta_i": LIGHT_ANGLES.astype(np.float32)},
+        attrs={"missing_share": missing},
+    )
+
+
+def _nodes(material: Material) -> int:
+    """A multiple of a MERL table's steps, with at least ten to the lobe's width."""
+    finest = np.sqrt(float(material.finest) / _HALF_PI)
+    return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
+
+
+def _facets(material: Material, u: np.ndarray) -> np.ndarray:
+    """D at the nodes, (n,), with the integral of D cos over the hemisphere 1."""
+    theta_h = (u**2 * _HALF_PI)[:, None, None]
+    theta_d = np.radians(np.arange(2.5, 80, 5))[:, None]
+    phi_d = np.radians(np.arange(0, 180, 30.0))
+    cos_mean = np.cos(theta_h) * np.cos(theta_d)
+    cos_half = np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
+    weight = np.maximum(cos_mean**2 - cos_half**2, 0)
+    brdf = np.asarray(material.brdf(theta_h, theta_d, phi_d))
+    brdf = brdf.mean(axis=-1) if brdf.ndim == 4 else brdf
+    known = np.isfinite(brdf) & (weight > 1e-4)
+    total = np.sum(np.where(known, weight, 0), axis=(1, 2))
+    light = np.sum(np.where(known, weight**2 * brdf, 0), axis=(1, 2))
+    if not np.any(light > 0):
+        raise ArgumentError("the material reflects nothing: there is nothing to sample")
+    mean = np.where(total > 0, light / np.where(total > 0, total, 1), np.nan)
+    held = np.interp(u, u[total > 0], mean[total > 0])
+    held = np.maximum(held, _FAINTEST * held.max())
+    fine = _between(u)
+    theta = fine**2 * _HALF_PI
+    return held / np.trapezoid(
+        np.interp(fine, u, held) * 2 * np.pi * np.cos(theta) * np.sin(theta) * np.pi * fine, fine
+    )
+
+
+def _between(u: np.ndarray) -> np.ndarray:
+    return np.linspace(0, 1, 8 * (u.size - 1) + 1)
+
+
+def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> np.ndarray:
+    """Integral of D max(0, m . o) over the hemisphere of m. Over azimuth that of max(0, a + b cos phi) is closed."""
+    fine = _between(u)
+    theta = fine**2 * _HALF_PI
+    a, b = np.cos(theta) * np.cos(theta_o)[:, None], np.sin(theta) * np.sin(theta_o)[:, None]
+    edge = np.arccos(np.clip(-a / np.maximum(b, 1e-300), -1, 1))
+    across = 2 * (a * edge + b * np.sin(edge))
+    return np.trapezoid(across * np.interp(fine, u, facets) * np.sin(theta) * np.pi * fine, fine)
+
+
+def _jacobian(u: np.ndarray) -> np.ndarray:
+    """Solid angle per area of the unit square."""
+    return 2 * np.pi**2 * u * np.sin(u**2 * _HALF_PI)
+
+
+def _visible(u: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Density of half vectors per area of the unit square, (T, azimuths, nodes): azimuths as of visible normals and evenly,
+    half and half; in each, angles as of visible normals, and for the sake of resolution ~ sqrt(D) cos and evenly."""
+    theta = u**2 * _HALF_PI
+    phi = np.linspace(-np.pi, np.pi, _AZIMUTH_NODES)[:, None]
+    light = LIGHT_ANGLES[:, None, None]
+    cos = np.cos(light) * np.cos(theta) + np.sin(light) * np.sin(theta) * np.cos(phi)
+    seen = facets * np.maximum(cos, 0) * _jacobian(u)
+    along = np.trapezoid(seen, u)[..., None]
+    azimuths = along / np.trapezoid(along[..., 0], phi[:, 0])[:, None, None] + 1 / (2 * np.pi)
+    logarithmic = np.sqrt(facets) * np.cos(theta) * _jacobian(u)
+    spread = _VISIBLE_SHARE * seen / along + _LOGARITHMIC_SHARE * logarithmic / np.trapezoid(logarithmic, u)
+    return azimuths * (spread + _EVEN_SHARE * 2 * u)
+
+
+def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """BRDF cos_o for the light at LIGHT_ANGLES and half vectors (T, rows, columns), with channels behind; NaN below the
+    horizon and where missing. Also cos_o, and the missing share of what is above."""
+    light = np.broadcast_to(LIGHT_ANGLES[:, None, None], theta_m.shape)
+    i = np.sin(light), np.zeros(light.shape), np.cos(light)
+    m = np.sin(theta_m) * np.cos(phi_m), np.sin(theta_m) * np.sin(phi_m), np.cos(theta_m)
+    twice = 2 * (i[0] * m[0] + i[2] * m[2])
+    o = tuple(twice * m_k - i_k for m_k, i_k in zip(m, i, strict=True))
+    normal, tangent = (jnp.asarray(v) for v in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
+    seen = shading(tuple(normal), tuple(tangent), *(tuple(map(jnp.asarray, v)) for v in (i, o)))  # type: ignore[arg-type]
+    reflected = np.asarray(material.reflected(seen))
+    reflected = reflected if reflected.ndim == 4 else reflected[..., None]
+    if reflected.shape[-1] not in (1, len(CHANNELS)):
+        raise ArgumentError(f"an RGL file holds {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
+    above = (o[2] > 0) & (twice > 0)
+    outgoing = np.broadcast_to(reflected / np.cos(light)[..., None], (*light.shape, len(CHANNELS)))
+    missing = float(np.isnan(outgoing[above]).mean()) if above.any() else 0.0
+    return np.where(above[..., None], outgoing, np.nan), o[2], missing
+
+
+def _continued(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
+    """Without gaps: inside, linear along each row; beyond the last value of a row, linear in cos_o, held below -0.2."""
+    columns = np.arange(values.shape[2])
+    result = np.empty_like(values)
+    for place in np.ndindex(values.shape[0], values.shape[1]):
+        row, cos = values[place], cos_o[place]
+        for channel in range(values.shape[-1]):
+            known = np.flatnonzero(np.isfinite(row[:, channel]))
+            if not known.size:
+                result[(*place, slice(None), channel)] = np.nan
+                continue
+            filled = np.interp(columns, known, row[known, channel])
+            if known.size > 1 and known[-1] < columns[-1]:
+                a, b = known[-2:]
+                slope = (row[b, channel] - row[a, channel]) / min(cos[b] - cos[a], -1e-6)
+                # towards the horizon the BRDF times the cosine may fall, never rise
+                filled[b + 1 :] += max(slope, 0) * (np.maximum(cos[b + 1 :], -0.2) - cos[b])
+            result[(*place, slice(None), channel)] = filled
+    empty = ~np.isfinite(result)
+    return np.where(empty, 0.0, result) if empty.any() else result

@@ -1,0 +1,202 @@
+r"""RGL's tensor files (.bsdf; Dupuy & Jakob 2018), bytes <-> Dataset of their fields. All little-endian.
+
+    byte  0  "tensor_file\0"
+         12  uint8, uint8       version 1, 0
+         14  uint32             number of fields
+         18  fields, each: uint16 length, name; uint16 dimensions; uint8 type (1 u8, 2 i8, 3 u16, 4 i16, 5 u32, 6 i32,
+             7 u64, 8 i64, 9 f16, 10 f32, 11 f64); uint64 offset; uint64 shape[dimensions]
+          -  their values, row-major, each on a multiple of 8 bytes
+
+Fields of a BRDF, with P azimuths and T angles of the light, rows along azimuth and columns along theta:
+
+    phi_i [P], theta_i [T]        f32  rad, ascending; an isotropic material has P <= 2
+    ndf [., .], sigma [., .]      f32  normal distribution; projected area of the facets seen from a direction
+    vndf [P, T, ., .]             f32  density whose inversion takes facet normals to the unit square
+    luminance [P, T, N, N]        f32  density of samples on that square
+    rgb [P, T, 3, N, N]           f32  on that square; or spectra [P, T, W, N, N] and wavelengths [W], nm
+    jacobian [1]                  u8   whether rgb or spectra times ndf / (4 sigma) is the BRDF times cos theta_o, or they alone
+    description                   u8   text
+
+Directions on a unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, u along the columns. Other fields ("version", "valid")
+are kept as they are. What the fields mean together: `material/adaptive.py`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from matcam.atomic import replacing
+from matcam.errors import ArgumentError, FileFormatError
+
+_MAGIC, _VERSION = b"tensor_file\0", b"\1\0"
+_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
+_CODES = {np.dtype(name): code for code, name in _TYPES.items()}
+_ALIGNED, _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 8, 64, 8, 64
+
+_LIGHT = ("phi_i", "theta_i")
+_DIMS = {
+    "phi_i": ("phi_i",),
+    "theta_i": ("theta_i",),
+    "ndf": ("ndf_phi", "ndf_theta"),
+    "sigma": ("sigma_phi", "sigma_theta"),
+    "vndf": (*_LIGHT, "vndf_phi", "vndf_theta"),
+    "luminance": (*_LIGHT, "row", "column"),
+    "rgb": (*_LIGHT, "channel", "row", "column"),
+    "spectra": (*_LIGHT, "wavelengths", "row", "column"),
+    "wavelengths": ("wavelengths",),
+}
+_REQUIRED = ("phi_i", "theta_i", "ndf", "sigma", "vndf", "luminance", "jacobian")
+_ORDER = (
+    "version",
+    "description",
+    *_LIGHT,
+    "sigma",
+    "ndf",
+    "vndf",
+    "luminance",
+    "wavelengths",
+    "spectra",
+    "rgb",
+    "jacobian",
+)
+
+
+def read_rgl(path: str | Path) -> xr.Dataset:
+    """Read a .bsdf file: its fields, in the file's own types, as variables of a Dataset.
+
+    FileFormatError naming the file and the byte or field where it is no tensor file, is truncated, or its fields do not
+    make a BRDF. No more memory is asked for than the file has bytes.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: is a folder, not an RGL file")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+    fields = _fields(path, content)
+    try:
+        return _checked(fields).assign_attrs(source=path.name)
+    except ArgumentError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+
+
+def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> None:
+    """Write such a Dataset. ArgumentError for fields that do not make a BRDF, OutputError where it cannot go."""
+    if not isinstance(fields, xr.Dataset):
+        raise ArgumentError(f"an RGL file is made of a Dataset (see read_rgl, adaptive), got {type(fields).__name__}")
+    names = sorted(map(str, fields.variables), key=lambda n: _ORDER.index(n) if n in _ORDER else len(_ORDER))
+    arrays = {name: np.ascontiguousarray(fields[name].values) for name in names}
+    unknown = [name for name, array in arrays.items() if array.dtype not in _CODES]
+    if unknown:
+        raise ArgumentError(
+            f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored; whole numbers and floats can"
+        )
+    _checked(arrays)
+    at = len(_MAGIC) + len(_VERSION) + 4 + sum(13 + len(n.encode()) + 8 * a.ndim for n, a in arrays.items())
+    head = [_MAGIC, _VERSION, struct.pack("<I", len(arrays))]
+    for name, array in arrays.items():
+        at = _next_aligned(at)
+        head += [struct.pack("<H", len(name.encode())), name.encode()]
+        head.append(struct.pack(f"<HBQ{array.ndim}Q", array.ndim, _CODES[array.dtype], at, *array.shape))
+        at += array.nbytes
+    with replacing(path, force=force) as temporary, temporary.open("wb") as file:
+        file.write(b"".join(head))
+        for array in arrays.values():
+            file.write(bytes(_next_aligned(file.tell()) - file.tell()))
+            file.write(array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
+
+
+def _next_aligned(at: int) -> int:
+    return -(-at // _ALIGNED) * _ALIGNED
+
+
+def _fields(path: Path, content: bytes) -> dict[str, np.ndarray]:
+    """All fields as views of `content`, each within it, together no longer than it."""
+    start = len(_MAGIC) + len(_VERSION)
+    if content[:start] != _MAGIC + _VERSION:
+        raise FileFormatError(f"{path}: not an RGL file: it starts with {content[:start]!r}, not {_MAGIC + _VERSION!r}")
+    found: dict[str, np.ndarray] = {}
+    left = len(content)
+    try:
+        (count,) = struct.unpack_from("<I", content, start)
+        if count > _MOST_FIELDS:
+            raise FileFormatError(f"{path}: byte {start} says {count} fields: damaged, or no BRDF")
+        at = start + 4
+        for _ in range(count):
+            (length,) = struct.unpack_from("<H", content, at)
+            name = content[at + 2 : at + 2 + length].decode()
+            if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
+                raise FileFormatError(f"{path}: byte {at} does not hold the name of another field")
+            at += 2 + length
+            dimensions, code, offset = struct.unpack_from("<HBQ", content, at)
+            if dimensions > _MOST_DIMENSIONS or code not in _TYPES:
+                raise FileFormatError(f"{path}: field {name}: {dimensions} dimensions of type {code} are not known")
+            shape = struct.unpack_from(f"<{dimensions}Q", content, at + 11)
+            at += 11 + 8 * dimensions
+            dtype, values = np.dtype(_TYPES[code]), math.prod(shape)
+            left -= values * dtype.itemsize
+            if left < 0 or offset + values * dtype.itemsize > len(content):
+                raise FileFormatError(
+                    f"{path}: truncated or damaged: field {name} is {' x '.join(map(str, shape))} values at byte {offset}, "
+                    f"the file has {len(content)} bytes"
+                )
+            found[name] = np.frombuffer(content, dtype, values, offset).reshape(shape)
+    except (struct.error, UnicodeDecodeError):
+        raise FileFormatError(f"{path}: damaged list of fields") from None
+    return found
+
+
+def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
+    """The fields labelled; ArgumentError, naming the field, where they do not make a BRDF."""
+    colour = "spectra" if "wavelengths" in fields else "rgb"
+    missing = [name for name in (*_REQUIRED, colour) if name not in fields]
+    if missing:
+        raise ArgumentError(f"field {missing[0]} is missing: no BRDF in RGL's form")
+    for name, dims in _DIMS.items():
+        if name in fields:
+            array = fields[name]
+            if array.dtype != np.float32 or array.ndim != len(dims) or 0 in array.shape:
+                raise ArgumentError(f"field {name} must be float32 {dims}, got {array.dtype} of shape {array.shape}")
+            if not np.all(np.isfinite(array)):
+                raise ArgumentError(f"field {name} holds {array[~np.isfinite(array)].flat[0]}, not a number")
+    if fields["jacobian"].dtype != np.uint8 or fields["jacobian"].shape != (1,):
+        raise ArgumentError("field jacobian must be one uint8")
+    labelled = {
+        name: (_DIMS.get(name, tuple(f"{name}_{i}" for i in range(array.ndim))), array)
+        for name, array in fields.items()
+    }
+    try:
+        data = xr.Dataset(labelled)
+    except ValueError as error:
+        raise ArgumentError(f"shapes of the fields do not fit together: {str(error).splitlines()[0]:.150}") from None
+    _check_numbers(data, colour)
+    return data
+
+
+def _check_numbers(data: xr.Dataset, colour: str) -> None:
+    for name in (*_LIGHT, *(["wavelengths"] if colour == "spectra" else [])):
+        if np.any(np.diff(data[name].values) <= 0):
+            raise ArgumentError(f"field {name} must ascend")
+    for name in ("phi_i", "theta_i"):
+        if np.abs(data[name].values).max() > 6.3:
+            raise ArgumentError(f"field {name} must hold angles in rad, got {np.abs(data[name].values).max():g}")
+    for name in ("ndf", "sigma", "vndf", "luminance"):
+        if min(data[name].shape[-2:]) < 2:
+            raise ArgumentError(f"field {name} must have at least 2 x 2 values, got {data[name].shape[-2:]}")
+        if data[name].values.min() < 0:
+            raise ArgumentError(f"field {name} must not be negative, got {data[name].values.min():g}")
+    for name in ("vndf", "luminance"):
+        if not np.all(np.max(data[name].values, axis=(2, 3)) > 0):
+            raise ArgumentError(f"field {name} must hold something above 0 for every direction of the light")
+    if data.sizes["row"] != data.sizes["column"]:
+        raise ArgumentError(f"field luminance must be square, got {data.sizes['row']} x {data.sizes['column']}")
+    if colour == "rgb" and data.sizes["channel"] != 3:
+        raise ArgumentError(f"field rgb must have 3 channels, got {data.sizes['channel']}")

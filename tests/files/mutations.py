@@ -1,0 +1,56 @@
+"""Damaged files: what a reader has to survive."""
+
+import time
+import tracemalloc
+
+import numpy as np
+
+from matcam.errors import MatcamError
+
+
+def mutated(content, count, seed, header):
+    """`count` damaged copies of `content`: bytes of the first `header` changed, the length changed, 64 places behind the
+    header changed, in turn. Every third change puts in a value that is likely to hurt."""
+    random = np.random.default_rng(seed)
+    nasty = [b"\0" * 8, b"\xff" * 8, b"\xff\xff\xff\x7f", b"\0\0\x80\x7f", b"\0\0\xc0\xff", b"\x01", b"\x80"]
+    for k in range(count):
+        data = bytearray(content)
+        if k % 3 == 1:
+            if random.random() < 0.5:
+                yield bytes(data[: random.integers(0, len(data))])
+            else:
+                yield bytes(data) + random.bytes(int(random.integers(1, 5000)))
+            continue
+        low, high, places = (0, header, random.integers(1, 9)) if k % 3 == 0 else (header, len(data), 64)
+        for at in random.integers(low, max(high, low + 1), places):
+            change = nasty[random.integers(len(nasty))] if random.random() < 1 / 3 else random.bytes(1)
+            data[at : at + len(change)] = change
+        yield bytes(data[: len(content)])
+
+
+def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20):
+    """How many were refused, how many read. Anything but an error of the family or a result, more than `seconds`, or more
+    memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here."""
+    refused = accepted = 0
+    tracemalloc.start()
+    for k, content in enumerate(contents):
+        path.write_bytes(content)
+        tracemalloc.reset_peak()
+        before, start = tracemalloc.get_traced_memory()[0], time.perf_counter()
+        message = _refusal(read, path)
+        took = time.perf_counter() - start
+        used = tracemalloc.get_traced_memory()[1] - before
+        refused, accepted = refused + (message is not None), accepted + (message is None)
+        assert "\n" not in (message or ""), (k, message)
+        assert took < seconds, (k, took)
+        assert used < times_the_file * len(content) + spare, (k, used, len(content))
+    tracemalloc.stop()
+    return refused, accepted
+
+
+def _refusal(read, path):
+    try:
+        read(path)
+    except MatcamError as error:
+        return str(error)
+    return None
