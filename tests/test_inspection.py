@@ -1,9 +1,26 @@
 import numpy as np
 import pytest
+import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, Uncertainty
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    Conductor,
+    GaussianOptics,
+    Microfacet,
+    Uncertainty,
+    albedo,
+    fresnel_conductor,
+    read_merl,
+    write_exr,
+    write_netcdf,
+)
+from matcam.cli import _run
 from matcam.errors import FileFormatError
-from matcam.inspection import identify, inspect_camera, inspect_table
+from matcam.exchange.contents import read_contents
+from matcam.files.recognition import identify
+from matcam.inspection import inspect_camera, inspect_contents, inspect_table
 from matcam.table import brdf_table
 from tests.oracle import merl_lobe
 
@@ -53,12 +70,61 @@ def test_files_are_known_by_their_content(tmp_path, stand_in):
     assert identify(tmp_path / "a.dat") == "camera profile"
     (tmp_path / "b.txt").write_text("hello")
     for path, words in (
-        (tmp_path / "b.txt", "neither"),
+        (tmp_path / "b.txt", "none of what"),
         (tmp_path / "c", "no such file"),
         (tmp_path, "cannot be read"),
     ):
         with pytest.raises(FileFormatError, match=words):
             identify(path)
+
+
+def test_the_camera_shows_in_a_blurred_table_and_not_in_another(blurred, stand_in):
+    found = inspect_table(blurred)["camera"]
+    assert found["visible"]
+    assert found["kernel_rad"] == pytest.approx(np.sqrt(0.25 + 1 / 12) / 256, rel=0.1)
+    assert found["widening"] > 2
+    # chrome's stand-in has the same lobe at every angle by construction
+    assert inspect_table(read_merl(stand_in("chrome")))["camera"]["visible"] is False
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["vch_golden_yellow", *(pytest.param(m, marks=pytest.mark.slow) for m in ("cc_ibiza_sunset", "satin_rosaline"))],
+)
+def test_a_goniophotometer_shows_no_camera(real_data, name):
+    found = inspect_contents(read_contents(real_data / "rgl" / f"{name}_rgb.bsdf"))
+    assert found["camera"]["visible"] is False
+    assert found["own_grid"]["isotropic"]
+    assert found["own_grid"]["light_directions"] == {"phi_i": 1, "theta_i": 8}
+    assert all(0 < row["G"] < 1.05 for row in found["albedo"])
+
+
+def test_albedo_is_energy():
+    angles = [0.0, 0.5, 1.2]
+    lambert = Microfacet(GGX(0.3), 0.0, [0.2, 0.5, 1.0])
+    np.testing.assert_allclose(albedo(lambert, angles), np.tile([0.2, 0.5, 1.0], (3, 1)), rtol=2e-5)
+    # facets far smaller than anything else send back all that they mirror
+    sharp = albedo(Microfacet(GGX(1e-3), Conductor(0.2, 3.0)), angles)[:, 0]
+    np.testing.assert_allclose(sharp, fresnel_conductor(angles, 0.2, 3.0), rtol=1e-4)
+    table = brdf_table(np.full((90, 90, 180, 3), 0.3 / np.pi), "centre")
+    assert inspect_table(table)["albedo"][3] == pytest.approx(
+        {"theta_o_deg": 45, "R": 0.3, "G": 0.3, "B": 0.3}, rel=1e-3
+    )
+
+
+def test_other_contents(tmp_path):
+    (tmp_path / "a.csv").write_text("theta_h_deg,theta_d_deg,phi_d_deg,G_per_sr\n1,2,3,4\n5,6,7,\n")
+    found = inspect_contents(read_contents(tmp_path / "a.csv"))
+    assert (found["holds"], found["samples"], found["missing_share"]) == ("scattered samples", 2, 0.5)
+    np.testing.assert_allclose(found["angles_deg"]["theta_d"], [2, 6])
+    write_exr(tmp_path / "a.exr", np.array([[1.0, np.nan], [3.0, 4.0]]))
+    found = inspect_contents(read_contents(tmp_path / "a.exr"))
+    assert (found["shape"], found["missing_share"], found["range"]) == ([2, 2], 0.25, [1.0, 4.0])
+    write_netcdf(tmp_path / "a.nc", xr.Dataset({"a": ("x", [1.0], {"units": "m"})}, attrs={"b": 1}))
+    found = inspect_contents(read_contents(tmp_path / "a.nc"))
+    assert found["variables"]["a"] == {"shape": {"x": 1}, "units": "m"}
+    for name in ("a.csv", "a.exr", "a.nc"):
+        assert _run(["inspect", str(tmp_path / name)]) == 0
 
 
 def test_report_of_a_camera(tmp_path):

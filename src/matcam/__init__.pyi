@@ -15,12 +15,18 @@ from .camera.pixel import BoxPixel, WindowedGaussianPixel
 from .camera.sensor import Sensor
 from .camera.uncertainty import Provenance, Uncertainty
 from .errors import MatcamError
+from .exchange.conversion import convert
 from .exchange.parameterisation import adaptive_grid
+from .exchange.receiver import metadata, receiver
+from .exchange.renderers import mitsuba_material, pbrt_material
 from .files.exr import read_exr, write_exr
 from .files.float_tiff import read_float_tiff, write_float_tiff
 from .files.merl import read_merl, write_merl
+from .files.netcdf import read_netcdf, write_netcdf
 from .files.rgl import read_rgl, write_rgl
+from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
+from .files.zarr_store import read_zarr, write_zarr
 from .forward.image import picture, picture_values
 from .forward.lobe_table import lobe_table, with_pixel_noise
 from .forward.measurement import measure, measured_values
@@ -30,6 +36,7 @@ from .forward.texture import texture_contrast, textured_picture
 from .inverse.fresnel_term import fresnel
 from .inverse.tabulated import tabulated_fresnel
 from .material.adaptive import Adaptive
+from .material.albedo import albedo
 from .material.anisotropic import AnisotropicBeckmann, AnisotropicGGX
 from .material.beckmann import Beckmann
 from .material.epd import EPD
@@ -44,6 +51,7 @@ from .rigs import Rig
 from .sample.cylinder import Cylinder
 from .sample.flat import Flat
 from .sample.sphere import Sphere
+from .trace import camera_trace, lobe_widths
 
 __all__ = [
     "EPD",
@@ -82,6 +90,9 @@ __all__ = [
     "WindowedGaussianPixel",
     "calibrate",
     "adaptive_grid",
+    "albedo",
+    "camera_trace",
+    "convert",
     "edge_mtf",
     "edge_mtf_stack",
     "expose_bracket",
@@ -89,22 +100,30 @@ __all__ = [
     "fresnel_conductor",
     "highlight_stamps",
     "lobe_table",
+    "lobe_widths",
     "loss_angle",
     "measure",
     "measured_values",
     "merge_bracket",
+    "metadata",
     "metal",
     "metal_sources",
     "metals",
+    "mitsuba_material",
     "paper",
+    "pbrt_material",
     "peak_response",
     "picture",
     "picture_values",
     "read_exr",
     "read_float_tiff",
     "read_merl",
+    "read_netcdf",
     "read_rgl",
+    "read_samples",
     "read_sidecar",
+    "read_zarr",
+    "receiver",
     "rigs",
     "sidecar_path",
     "tabulated_fresnel",
@@ -114,6 +133,9 @@ __all__ = [
     "write_exr",
     "write_float_tiff",
     "write_merl",
+    "write_netcdf",
     "write_rgl",
+    "write_samples",
     "write_sidecar",
+    "write_zarr",
 ]

@@ -71,6 +71,30 @@ def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike)
     return jnp.abs(jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
 
 
+def half_and_difference(
+    theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """(theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad. phi_d in
+    [0, 2 pi); it is that of the light where the half vector is the normal."""
+    theta_i, phi_i, theta_o, phi_o = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
+
+    def vector(theta: jax.Array, phi: jax.Array) -> jax.Array:
+        return jnp.stack([jnp.sin(theta) * jnp.cos(phi), jnp.sin(theta) * jnp.sin(phi), jnp.cos(theta)])
+
+    i, o = vector(theta_i, phi_i), vector(theta_o, phi_o)
+    half = i + o
+    theta_d = jnp.arctan2(jnp.linalg.norm(i - o, axis=0), jnp.linalg.norm(half, axis=0))
+    across = jnp.hypot(half[0], half[1])
+    theta_h = jnp.arctan2(across, half[2])
+    c, s = (
+        jnp.where(across > 0, a / jnp.where(across > 0, across, 1.0), at) for a, at in ((half[0], 1.0), (half[1], 0.0))
+    )
+    # the light, turned so that the half vector's azimuth is 0, then tilted so that it is the pole
+    x, y = c * i[0] + s * i[1], c * i[1] - s * i[0]
+    phi_d = jnp.arctan2(y, x * jnp.cos(theta_h) - i[2] * jnp.sin(theta_h))
+    return theta_h, theta_d, jnp.mod(phi_d, 2 * jnp.pi)
+
+
 def below_horizon(sampling: Sampling) -> np.ndarray:
     """Which cells of a MERL table, by their sampling points, have a direction at or below the horizon; bool (90, 90, 180)."""
     theta_h, theta_d, phi_d = merl_grid(sampling)

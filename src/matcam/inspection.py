@@ -1,51 +1,60 @@
-"""What a file is and what can be seen in it without any model."""
+"""What can be seen in a file without any model."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from matcam import rigs
 from matcam.angles import GRID_SHAPE, Sampling, below_horizon
 from matcam.camera.camera import Camera
-from matcam.errors import FileFormatError
+from matcam.errors import ArgumentError
+from matcam.exchange.contents import Contents
+from matcam.forward.measurement import measure
+from matcam.material.adaptive import Adaptive
+from matcam.material.albedo import albedo
+from matcam.material.tabulated import Tabulated
+from matcam.sample.flat import Flat
 from matcam.table import sampling_of
+from matcam.trace import camera_trace, lobe_widths
 
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
-"""theta_d, degrees, at which lobe widths are reported."""
+"""Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
 
 
-def identify(path: str | Path) -> Literal["merl", "camera profile"]:
-    """Format of a file, by its content. FileFormatError for anything that matcam does not read."""
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(512)
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
-    if head[:12] == np.array(GRID_SHAPE, dtype="<i4").tobytes() or path.suffix == ".binary":
-        return "merl"
-    if head.lstrip().startswith(b"{"):
-        return "camera profile"
-    raise FileFormatError(f"{path}: neither a MERL file (it starts with {GRID_SHAPE}) nor a camera profile (JSON)")
+def inspect_contents(held: Contents) -> dict[str, Any]:
+    """What is in a file of any format that holds measurements (see `read_contents`), as plain numbers (JSON): `holds`, and
+    what there is to say of a table, RGL's fields (their own grid, and all that is said of a table after resampling), samples,
+    another result or a picture."""
+    if held.table is not None:
+        return {"holds": held.kind, **inspect_table(held.table)}
+    if held.fields is not None:
+        return {"holds": held.kind, **_of_fields(held.fields)}
+    if held.samples is not None:
+        return {"holds": held.kind, **_of_samples(held.samples)}
+    if held.result is not None:
+        return {"holds": held.kind, **_of_result(held.result)}
+    assert held.picture is not None
+    return {"holds": held.kind, **_of_picture(held.picture)}
 
 
 def inspect_table(table: xr.DataArray) -> dict[str, Any]:
-    """Grid, missing share, reciprocity and lobe widths of a BRDF table, as plain numbers (JSON).
+    """Grid, missing share, reciprocity, albedo, lobe widths and the trace of a camera in a BRDF table, as plain numbers (JSON).
 
     reciprocity_rms: rms over cells of the relative difference between phi_d and pi - phi_d, which reciprocity and the
-    mirror symmetry of an isotropic material make equal. lobe: half width at half maximum in theta_h, degrees, in the
-    plane of light and view and across it, mean over channels; None where there is no lobe.
+    mirror symmetry of an isotropic material make equal. albedo: of light from theta_o, per channel, what is missing counted as
+    0 (see `albedo`). lobe: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
+    over channels; None where there is no lobe. camera: see `camera_trace`.
     """
     sampling = sampling_of(table)
     values = table.values
     missing = np.isnan(values)
     below = below_horizon(sampling)
+    widths = lobe_widths(table)
     return {
         "grid": dict(zip(("theta_h", "theta_d", "phi_d"), GRID_SHAPE, strict=True)),
         "channels": [str(c) for c in table["channel"].values],
@@ -55,14 +64,16 @@ def inspect_table(table: xr.DataArray) -> dict[str, Any]:
         "valid_below_horizon_share": float((~missing[below]).mean()),
         "range_per_sr": [float(np.nanmin(values)), float(np.nanmax(values))],
         "reciprocity_rms": _reciprocity(values, sampling),
+        "albedo": _albedo(Tabulated(table), [str(c) for c in table["channel"].values]),
         "lobe": [
             {
                 "theta_d_deg": angle,
-                "in_plane_hwhm_deg": _half_width(table, angle, in_plane=True),
-                "across_hwhm_deg": _half_width(table, angle, in_plane=False),
+                "in_plane_hwhm_deg": _degrees(widths.in_plane[min(angle, GRID_SHAPE[1] - 1)]),
+                "across_hwhm_deg": _degrees(widths.across[min(angle, GRID_SHAPE[1] - 1)]),
             }
             for angle in REPORTED_ANGLES
         ],
+        "camera": camera_trace(table),
     }
 
 
@@ -76,21 +87,66 @@ def _reciprocity(values: np.ndarray, sampling: Sampling) -> float:
     return float(np.sqrt(np.mean(((first[compared] - second[compared]) / mean[compared]) ** 2)))
 
 
-def _half_width(table: xr.DataArray, angle: float, *, in_plane: bool) -> float | None:
-    slice_ = table.isel(theta_d=int(np.clip(angle, 0, GRID_SHAPE[1] - 1))).values
-    along = np.abs(np.cos(table["phi_d"].values))
-    chosen = slice_[:, along > 0.95] if in_plane else slice_[:, along < 0.3]
-    present = np.isfinite(chosen)
-    count = present.sum(axis=(1, 2))
-    profile = np.where(count > 0, np.where(present, chosen, 0).sum(axis=(1, 2)) / np.maximum(count, 1), np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        relative = profile / profile[0]
-    below = np.flatnonzero(relative < 0.5)
-    if not below.size or not below[0]:
-        return None
-    i = int(below[0])
-    theta_h = table["theta_h"].values
-    return float(np.degrees(np.interp(-0.5, -relative[i - 1 : i + 1], theta_h[i - 1 : i + 1])))
+def _degrees(angle: float) -> float | None:
+    return float(np.degrees(angle)) if np.isfinite(angle) else None
+
+
+def _albedo(material: Tabulated | Adaptive, channels: list[str]) -> list[dict[str, Any]]:
+    found = albedo(material, np.radians(REPORTED_ANGLES))
+    return [
+        {"theta_o_deg": angle, **{c: float(value) for c, value in zip(channels, values, strict=True)}}
+        for angle, values in zip(REPORTED_ANGLES, found, strict=True)
+    ]
+
+
+def _of_fields(fields: xr.Dataset) -> dict[str, Any]:
+    material = Adaptive(fields)
+    colour = "spectra" if "spectra" in fields else "rgb"
+    own = {
+        "description": bytes(fields["description"].values).decode(errors="replace") if "description" in fields else "",
+        "light_directions": {"phi_i": int(fields.sizes["phi_i"]), "theta_i": int(fields.sizes["theta_i"])},
+        "square": [int(fields.sizes["row"]), int(fields.sizes["column"])],
+        "isotropic": material.mirrored == 0,
+        "negative_share": float((fields[colour].values < 0).mean()),
+    }
+    if material.mirrored or colour == "spectra":
+        channels = [f"{w:g} nm" for w in fields["wavelengths"].values] if colour == "spectra" else ["R", "G", "B"]
+        return {"own_grid": own, "albedo": _albedo(material, channels)}
+    table = measure(material, rigs.Rig(rigs.merl().camera, Flat()))
+    return {"own_grid": own, "resampled": "to the MERL grid", **inspect_table(table)}
+
+
+def _of_samples(samples: xr.DataArray) -> dict[str, Any]:
+    spans = {
+        name: np.degrees([samples[name].min(), samples[name].max()]).tolist()
+        for name in ("theta_h", "theta_d", "phi_d")
+    }
+    return {
+        "samples": int(samples.sizes["sample"]),
+        "channels": [str(c) for c in samples["channel"].values],
+        "missing_share": float(np.isnan(samples.values).mean()),
+        "range_per_sr": [float(samples.min()), float(samples.max())],
+        "angles_deg": spans,
+    }
+
+
+def _of_result(data: xr.Dataset) -> dict[str, Any]:
+    variables = {
+        str(name): {"shape": dict(zip(map(str, v.dims), v.shape, strict=True)), "units": str(v.attrs.get("units", ""))}
+        for name, v in data.variables.items()
+    }
+    return {"variables": variables, "attributes": {str(k): str(v)[:200] for k, v in data.attrs.items()}}
+
+
+def _of_picture(picture: np.ndarray) -> dict[str, Any]:
+    missing = np.isnan(picture)
+    if missing.all():
+        raise ArgumentError("every value of the picture is missing")
+    return {
+        "shape": list(picture.shape),
+        "missing_share": float(missing.mean()),
+        "range": [float(np.nanmin(picture)), float(np.nanmax(picture))],
+    }
 
 
 def inspect_camera(path: str | Path) -> dict[str, Any]:

@@ -56,7 +56,9 @@ def test_help_answers_without_loading_anything_heavy(environment):
     assert result.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize("command", ["predict", "fresnel", "edge", "inspect", "figures", "demo", ("data", "merl")])
+@pytest.mark.parametrize(
+    "command", ["predict", "fresnel", "edge", "inspect", "convert", "figures", "demo", ("data", "merl")]
+)
 def test_every_command_has_help_with_an_example(matcam, command):
     words = command if isinstance(command, tuple) else (command,)
     text = " ".join(matcam(*words, "--help").stdout.split())

@@ -32,6 +32,9 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
     """How many were refused, how many read. Anything but an error of the family or a result, more than `seconds`, or more
     memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here."""
     refused = accepted = 0
+    contents = list(contents)
+    path.write_bytes(contents[0])
+    _refusal(read, path)  # what is imported on the way belongs to nobody's file
     tracemalloc.start()
     for k, content in enumerate(contents):
         path.write_bytes(content)

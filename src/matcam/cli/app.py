@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from matcam.cli import calibrate, chart, data, demo, edge, figures, fresnel, inspect, predict, simulate
+from matcam.cli import convert, data, demo, edge, figures, fresnel, inspect, predict, simulate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -42,6 +43,7 @@ app.command("edge")(edge.command)
 app.command("calibrate")(calibrate.command)
 app.command("chart")(chart.command)
 app.command("inspect")(inspect.command)
+app.command("convert")(convert.command)
 app.command("figures")(figures.command)
 app.command("demo")(demo.command)
 app.add_typer(data.app, name="data", help="Fetch published measurements.")

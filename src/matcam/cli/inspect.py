@@ -12,45 +12,101 @@ from matcam.cli.options import AsJson, Sampling
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="MERL file or camera profile.")],
+    file: Annotated[
+        Path, typer.Argument(help="MERL, RGL, CSV, NetCDF, Zarr, OpenEXR, TIFF; camera profile, picture sidecar.")
+    ],
     sampling: Sampling = "centre",
     json: AsJson = False,
 ) -> None:
-    """Format, grid, missing share, reciprocity and lobe width against theta_d of a table; the numbers of a camera profile.
+    """Format, grid, missing share, reciprocity, albedo and lobe width against angle of a BRDF, whether a camera shows in it;
+    what any other result, picture or camera profile holds.
 
     Example: `matcam inspect chrome.binary`
     """
-    from matcam.inspection import identify
+    from matcam.files.recognition import identify
 
     kind = identify(file)
-    report = {"file": str(file), "format": kind, **(_table(file, sampling) if kind == "merl" else _profile(file))}
+    report = {"file": str(file), "format": kind, **_report(file, kind, sampling)}
     if json:
         show.as_json(report)
-    elif kind == "merl":
-        _print_table(report)
-    else:
+    elif kind == "camera profile":
         _print_profile(report)
+    elif "albedo" in report:
+        _print_brdf(report)
+    else:
+        _print_rest(report)
 
 
-def _table(file: Path, sampling: Any) -> dict[str, Any]:
-    from matcam.files.merl import read_merl
-    from matcam.inspection import inspect_table
+def _report(file: Path, kind: str, sampling: Any) -> dict[str, Any]:
+    if kind == "camera profile":
+        from matcam.inspection import inspect_camera
 
-    return inspect_table(read_merl(file, sampling=sampling))
+        return inspect_camera(file)
+    if kind == "picture sidecar":
+        from matcam.files.sidecar import read_sidecar
+
+        return read_sidecar(file)
+    from matcam._jax import use_compilation_cache
+    from matcam.exchange.contents import read_contents
+    from matcam.inspection import inspect_contents
+
+    use_compilation_cache()
+    with show.working("looking into it"):
+        return inspect_contents(read_contents(file, sampling))
 
 
-def _profile(file: Path) -> dict[str, Any]:
-    from matcam.inspection import inspect_camera
+def _print_brdf(report: dict[str, Any]) -> None:
+    show.say(f"{report['file']}: {report['holds']} ({report['format']})")
+    if "own_grid" in report:
+        own = report["own_grid"]
+        show.say(own["description"])
+        light = own["light_directions"]
+        show.say(
+            f"{light['phi_i']} x {light['theta_i']} directions of light, {own['square'][0]} x {own['square'][1]} values each, "
+            f"{'isotropic' if own['isotropic'] else 'anisotropic'}; below zero: {own['negative_share']:.2%}"
+        )
+    if "grid" in report:
+        _print_table(report)
+    channels = [name for name in report["albedo"][0] if name != "theta_o_deg"][:12]
+    rows = [[f"{row['theta_o_deg']}°", *(f"{row[c]:.4f}" for c in channels)] for row in report["albedo"]]
+    show.table(["theta_o", *channels], rows, "Albedo: share of the light sent back in all")
+    if "camera" in report:
+        _print_trace(report["camera"])
 
-    return inspect_camera(file)
+
+def _print_trace(trace: dict[str, Any]) -> None:
+    if trace["visible"] is None:
+        show.say("camera: too few angles show a lobe to tell")
+    elif trace["visible"]:
+        show.say(
+            f"camera: visible. In the plane of light and view lobes widen {trace['widening']:.2f} times more than across it, "
+            f"as by a kernel of {trace['kernel_rad']:.2g} rad / cos theta_d; without it their width is "
+            f"{trace['lobe_rad']:.2g} rad"
+        )
+    else:
+        show.say(
+            f"camera: not visible; in the plane of light and view lobes widen {trace['widening']:.2f} times as across it"
+        )
+
+
+def _print_rest(report: dict[str, Any]) -> None:
+    show.say(f"{report['file']}: {report.get('holds', report['format'])} ({report['format']})")
+    for name, value in report.items():
+        if name in ("file", "format", "holds"):
+            continue
+        if isinstance(value, dict):
+            show.table([name, ""], [[str(key), str(item)] for key, item in value.items()])
+        else:
+            show.say(f"{name}: {value}")
 
 
 def _print_table(report: dict[str, Any]) -> None:
     grid = " x ".join(f"{n} {name}" for name, n in report["grid"].items())
     low, high = report["range_per_sr"]
     show.say(
-        f"{report['file']}: MERL table, {grid}, channels {' '.join(report['channels'])}, "
-        f"read as sampled at each cell's {report['sampling']}"
+        f"{'resampled to the MERL grid' if 'resampled' in report else 'MERL table'}, {grid}, "
+        f"channels {' '.join(report['channels'])}, "
+        f"sampled at each cell's {report['sampling']}"
     )
     show.say(
         f"missing: {report['missing_share']:.1%} of all values, "

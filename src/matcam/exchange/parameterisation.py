@@ -40,12 +40,14 @@ def _light_angles(below: int, beyond: int) -> np.ndarray:
 
 LIGHT_ANGLES = _light_angles(36, 8)
 """Angles of the light that are tabulated, rad."""
-_THETA_NODES, _AZIMUTH_NODES, _SQUARE = 181, 65, 192
+_THETA_NODES, _AZIMUTH_NODES = 181, 65
+SQUARE = 192
+"""Nodes of the tabulated square along each side; the file is 36 MB."""
 _VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
 _FAINTEST = 1e-9  # of the peak of D: nothing is divided by less
 
 
-def adaptive_grid(material: Material, *, description: str = "", square: int = _SQUARE) -> xr.Dataset:
+def adaptive_grid(material: Material, *, description: str = "", square: int = SQUARE) -> xr.Dataset:
     """Fields of an RGL file (see `read_rgl`) that stand for an isotropic material with one or three channels.
 
     square: nodes of the tabulated square along each side, an even number from 8 to 512. Values that are missing are

@@ -99,7 +99,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
         raise ArgumentError(
             f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored; whole numbers and floats can"
         )
-    _checked(arrays)
+    check_fields(fields)
     at = len(_MAGIC) + len(_VERSION) + 4 + sum(13 + len(n.encode()) + 8 * a.ndim for n, a in arrays.items())
     head = [_MAGIC, _VERSION, struct.pack("<I", len(arrays))]
     for name, array in arrays.items():
@@ -112,6 +112,11 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
         for array in arrays.values():
             file.write(bytes(_next_aligned(file.tell()) - file.tell()))
             file.write(array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
+
+
+def check_fields(fields: xr.Dataset) -> xr.Dataset:
+    """`fields` with the file's names of dimensions, if they make a BRDF; ArgumentError naming the field otherwise."""
+    return _checked({str(name): field.values for name, field in fields.variables.items()})
 
 
 def _next_aligned(at: int) -> int:

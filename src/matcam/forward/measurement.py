@@ -51,12 +51,12 @@ def measured_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray
 
 
 def _of_flat(material: Material, rig: Rig) -> jax.Array:
-    """A flat sample, tilted so that each cell is seen: no blur of a uniform light changes it. Centre and edge only."""
+    """A flat sample, tilted so that each cell is seen, both ways: no blur of even light changes it. Centre and edge only."""
     if rig.cell_value == "mean":
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
     sampling = sampling_of(rig.cell_value)
     theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
-    values = material.brdf(theta_h, theta_d, phi_d)
+    values = (material.brdf(theta_h, theta_d, phi_d) + material.brdf(theta_h, theta_d, phi_d + np.pi)) / 2
     values = values if values.ndim == 4 else values[..., None]
     return jnp.where(below_horizon(sampling)[..., None], jnp.nan, values)
 

@@ -1,0 +1,84 @@
+"""`matcam convert`: the same data in another format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Radius, Sampling, rig_of
+
+
+def command(
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="MERL, RGL, CSV, NetCDF, Zarr, OpenEXR or float TIFF file.")
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="Ends in .binary, .bsdf, .csv, .nc, .zarr.zip, .exr, .tif: that is its format."
+        ),
+    ],
+    sampling: Sampling = "centre",
+    square: Annotated[int, typer.Option("--square", help="Resolution of a .bsdf that is made; 36 MB at 192.")] = 192,
+    metadata: Annotated[
+        Path | None,
+        typer.Option(
+            "--metadata", metavar="JSON", help="Also write how it was measured: the rig, its receiver's solid angle."
+        ),
+    ] = None,
+    camera: CameraProfile = None,
+    radius: Radius = None,
+    lamp: LampRadius = 0.0,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """The same data in another format. What has to be resampled says so, and by how much it errs.
+
+    Example: `matcam convert chrome.binary chrome.bsdf`
+    """
+    from matcam._jax import use_compilation_cache
+    from matcam.atomic import check_output
+    from matcam.errors import OutputError
+    from matcam.exchange.conversion import convert
+    from matcam.exchange.receiver import metadata as about
+    from matcam.json_file import write_json
+
+    use_compilation_cache()
+    if metadata:
+        check_output(metadata, force=force, inputs=[source, *([camera] if camera else [])])
+        if metadata.absolute() == target.absolute():
+            raise OutputError(f"output {metadata} is asked for twice")
+        document = about(rig_of(camera, radius, lamp), table=target.name)
+    with show.working("converting"):
+        report = convert(source, target, sampling=sampling, square=square, force=force)
+    if metadata:
+        write_json(metadata, document, force=force)
+        report |= {"metadata": str(metadata), "receiver_sr": document["receiver"]["solid_angle_sr"]}
+    if json:
+        show.as_json(report)
+    else:
+        _print(report)
+
+
+def _print(report: dict[str, Any]) -> None:
+    show.say(f"{report['input']}: {report['holds']} ({report['format']}) -> {report['output']}")
+    if not report["resampled"]:
+        show.say("every value is kept")
+    else:
+        show.say(f"resampled {report['resampled']}")
+        error = report["error"]
+        show.say(
+            f"it differs by {error['median']:.2%} (median), {error['p99']:.2%} (99 % of pairs), {error['largest']:.2%} "
+            "(largest) at random pairs of directions up to 80°"
+        )
+        if report["missing_share"]:
+            show.say(
+                f"missing values, which the format does not have, were interpolated: {report['missing_share']:.2%}"
+            )
+    if "sidecar" in report:
+        show.say(f"sidecar: {report['sidecar']}")
+    if "metadata" in report:
+        show.say(f"metadata: {report['metadata']}, receiver {report['receiver_sr']:.3g} sr")

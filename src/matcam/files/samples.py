@@ -1,0 +1,197 @@
+"""BRDF samples as plain text (CSV), one pair of directions a line: what any program reads and any gonio-photometer can write.
+
+    theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr
+    0.0123,0.5,1.2,0.31,0.30,0.28
+
+The first line names the columns, in any order: angles first_deg or first_rad, either theta_h, theta_d, phi_d (half and
+difference angles) or theta_i, phi_i, theta_o, phi_o (light and view, to the surface normal); every other column, which must
+end in _per_sr, is a channel of the BRDF. An empty value is missing. Numbers are written with all their digits.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from matcam.angles import SAMPLINGS, half_and_difference, merl_grid
+from matcam.atomic import replacing
+from matcam.errors import ArgumentError, FileFormatError
+from matcam.table import CHANNELS, brdf_table, checked_table
+
+_HALF = ("theta_h", "theta_d", "phi_d")
+_PAIR = ("theta_i", "phi_i", "theta_o", "phi_o")
+_UNITS = {"rad": 1.0, "deg": np.pi / 180}
+_VALUE = "_per_sr"
+_LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
+_ON_THE_GRID = 1e-6  # rad
+
+
+def samples_of(table: xr.DataArray) -> xr.DataArray:
+    """All values of a table that are there in some channel, as samples: dims (sample, channel), angles as coordinates."""
+    stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
+    known = np.isfinite(stacked.values).any(axis=-1)
+    angles = np.meshgrid(*(stacked[name].values for name in reversed(_HALF)), indexing="ij")[::-1]
+    return _samples(stacked.values[known], [a[known] for a in angles], [str(c) for c in stacked["channel"].values])
+
+
+def table_of(samples: xr.DataArray) -> xr.DataArray:
+    """The table that has these samples; what is not among them is missing. ArgumentError where one lies beside the MERL
+    grid, or two in one cell: nothing is interpolated."""
+    if "sample" not in getattr(samples, "dims", ()) or samples.sizes["channel"] not in (1, len(CHANNELS)):
+        raise ArgumentError("samples must have dims (sample, channel) with one channel or three (see read_samples)")
+    found = {name: np.asarray(samples[name].values) for name in _HALF}
+    found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is 0 again
+    for sampling in SAMPLINGS:
+        grid = merl_grid(sampling)._asdict()
+        nearest = [_nearest(grid[name], found[name]) for name in _HALF]
+        apart = [np.abs(found[name] - grid[name][i]) for name, i in zip(_HALF, nearest, strict=True)]
+        if all(np.max(a, initial=0) < _ON_THE_GRID for a in apart):
+            break
+    else:
+        worst = int(np.argmax(np.max(apart, axis=0)))
+        where = ", ".join(f"{name} {np.degrees(found[name][worst]):.4f}" for name in _HALF)
+        raise ArgumentError(
+            f"sample {worst + 1} ({where} degrees) lies beside the MERL grid: scattered samples are not resampled"
+        )
+    values = np.full((*(g.size for g in grid.values()), len(CHANNELS)), np.nan)
+    numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
+    if np.unique(numbers).size < numbers.size:
+        twice = int(np.flatnonzero(np.bincount(numbers) > 1)[0])
+        raise ArgumentError(f"cell {np.unravel_index(twice, values.shape[:3])} of the MERL grid has several samples")
+    values[tuple(nearest)] = samples.values
+    return brdf_table(values, sampling)
+
+
+def _nearest(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    above = np.clip(np.searchsorted(axis, angle), 1, axis.size - 1)
+    return np.where(angle - axis[above - 1] < axis[above] - angle, above - 1, above)
+
+
+def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = False) -> None:
+    """Write samples; angles in rad. OutputError where they cannot go."""
+    import pandas as pd
+
+    columns = {f"{name}_rad": samples[name].values for name in _HALF}
+    columns |= {f"{c}{_VALUE}": samples.values[:, k] for k, c in enumerate(samples["channel"].values)}
+    with replacing(path, force=force) as temporary:
+        pd.DataFrame(columns).to_csv(temporary, index=False)
+
+
+def read_samples(path: str | Path) -> xr.DataArray:
+    """Read samples: 1/sr, dims (sample, channel), coordinates theta_h, theta_d, phi_d in rad; NaN where missing.
+
+    FileFormatError naming the file and the line for columns that are not known, lines that are no numbers, angles out of
+    their range, directions below the horizon and infinite values.
+    """
+    path = Path(path)
+    names, scale, lines = _head(path)
+    values = np.empty((lines, len(names)))
+    held = _fill(path, values)
+    values = values[:held]
+    if not held:
+        raise FileFormatError(f"{path}: no line follows the names of the columns")
+    columns = {name: values[:, k] * scale[k] for k, name in enumerate(names)}
+    angles = _PAIR if set(_PAIR) <= set(names) else _HALF
+    channels = [name for name in names if name not in angles]
+    _check(path, {name: columns[name] for name in angles}, values[:, [names.index(c) for c in channels]])
+    in_half = [columns[name] for name in angles]
+    if angles == _PAIR:
+        in_half = [np.asarray(a) for a in half_and_difference(*in_half)]
+    brdf = np.stack([columns[name] for name in channels], axis=-1)
+    return _samples(brdf, in_half, channels).assign_attrs(source=path.name)
+
+
+def _samples(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
+    coords = {name: ("sample", angle, {"units": "rad"}) for name, angle in zip(_HALF, angles, strict=True)}
+    return xr.DataArray(
+        values, dims=("sample", "channel"), coords={**coords, "channel": channels}, name="brdf", attrs={"units": "1/sr"}
+    )
+
+
+def _head(path: Path) -> tuple[list[str], list[float], int]:
+    """(names of the columns, the unit of each, lines that may follow)."""
+    try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: is a folder, not a CSV file")
+        with path.open("rb") as file:
+            head = file.readline(_LONGEST_HEAD)
+            lines = 1 + sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 16), b""))
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        given = [name.strip() for name in head.decode("utf-8-sig").split(",")]
+    except UnicodeDecodeError:
+        given = []
+    names, scale = [], []
+    for name in given:
+        angle, _, unit = name.rpartition("_")
+        if angle in (*_HALF, *_PAIR) and unit in _UNITS:
+            names.append(angle)
+            scale.append(_UNITS[unit])
+        elif name.endswith(_VALUE) and name != _VALUE:
+            names.append(name.removesuffix(_VALUE))
+            scale.append(1.0)
+        else:
+            raise FileFormatError(
+                f"{path}: line 1: column {name!r:.40} is neither an angle (theta_h_rad, ...) nor a channel (R_per_sr, ...)"
+            )
+    if len(set(names)) < len(names) or not (set(_HALF) <= set(names) or set(_PAIR) <= set(names)):
+        raise FileFormatError(f"{path}: line 1 must name, once each, {', '.join(_HALF)} or {', '.join(_PAIR)}")
+    if len(names) != len(_PAIR if set(_PAIR) <= set(names) else _HALF) + sum(n.endswith(_VALUE) for n in given):
+        raise FileFormatError(
+            f"{path}: line 1 must name half and difference angles, or those of light and view, not both"
+        )
+    if not any(name.endswith(_VALUE) for name in given):
+        raise FileFormatError(f"{path}: line 1 names no channel of the BRDF (R_per_sr, ...)")
+    return names, scale, lines
+
+
+def _fill(path: Path, values: np.ndarray) -> int:
+    """Fill the rows from the file's lines, some at a time; how many there were."""
+    import pandas as pd
+
+    at = 0
+    try:
+        reader = pd.read_csv(
+            path,
+            header=None,
+            skiprows=1,
+            dtype=np.float64,
+            chunksize=_LINES_AT_ONCE,
+            index_col=False,
+            on_bad_lines="error",
+        )
+        with reader:
+            for block in reader:
+                if block.shape[1] != values.shape[1]:
+                    raise FileFormatError(
+                        f"{path}: line {at + 2} has {block.shape[1]} values, the columns are {values.shape[1]}"
+                    )
+                values[at : at + len(block)] = block.to_numpy()
+                at += len(block)
+    except pd.errors.EmptyDataError:
+        return 0
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
+        raise FileFormatError(f"{path}: after line {at + 1}: {' '.join(str(error).split())[:120]}") from None
+    return at
+
+
+def _check(path: Path, angles: dict[str, np.ndarray], values: np.ndarray) -> None:
+    for name, angle in angles.items():
+        low, high = (0.0, np.pi / 2) if name.startswith("theta") else (-2 * np.pi, 2 * np.pi)
+        wrong = ~((angle >= low - 1e-9) & (angle <= high + 1e-9))
+        if wrong.any():
+            line = int(np.flatnonzero(wrong)[0])
+            raise FileFormatError(
+                f"{path}: line {line + 2}: {name} must lie in [{np.degrees(low):g}, {np.degrees(high):g}] degrees, "
+                f"got {np.degrees(angle[line]):g}"
+            )
+    if np.isinf(values).any():
+        line = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
+        raise FileFormatError(f"{path}: line {line + 2} holds an infinite value")
+    if not np.isfinite(values).any():
+        raise FileFormatError(f"{path}: every value is missing: there is nothing to work with")

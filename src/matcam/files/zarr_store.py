@@ -1,0 +1,81 @@
+"""Results as Zarr, version 3, in one zip file (.zarr.zip): what `xarray.open_zarr` reads, here and from object storage.
+
+A zip, and not a folder, because a file appears whole or not at all; its members carry CRC-32 checksums. Needs the extra
+`matcam[scale]`.
+"""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from matcam.atomic import replacing
+from matcam.errors import ArgumentError, FileFormatError
+from matcam.files.stored_dataset import check_stored_sizes, one_line
+
+_DESCRIPTION = "zarr.json"
+
+
+def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
+    """Write a Dataset with its attributes. ArgumentError where zarr is not installed, OutputError where it cannot go."""
+    held: dict[str, Any] = {}
+    store = _storage().MemoryStore(held)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not know it
+        # not compressed: a reader can tell from the file's size what it may have to hold
+        plain = {name: {"compressors": ()} for name in data.variables}
+        data.to_zarr(store, zarr_format=3, consolidated=False, encoding=plain)
+    # by way of memory, because a zip cannot replace what was written to it, and the attributes are written twice
+    with replacing(path, force=force) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as packed:
+        for name in sorted(held, key=lambda name: (not name.endswith(_DESCRIPTION), name)):
+            packed.writestr(name, held[name].to_bytes())
+
+
+def read_zarr(path: str | Path) -> xr.Dataset:
+    """Read a Dataset, whole. FileFormatError naming the file where it is no Zarr in a zip, is damaged, or says it holds
+    more than four times the bytes that it has."""
+    import json
+
+    storage = _storage()
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
+        size = path.stat().st_size
+        with zipfile.ZipFile(path) as held:
+            members = held.infolist()
+            if any(m.compress_type != zipfile.ZIP_STORED or m.file_size > size for m in members):
+                raise FileFormatError(f"{path}: damaged, or compressed by zip: members are stored as they are (zip -0)")
+            described = {m.filename: json.loads(held.read(m)) for m in members if m.filename.endswith(_DESCRIPTION)}
+            broken = held.testzip()
+        if broken:
+            raise FileFormatError(f"{path}: damaged: {broken} is not what was written")
+        arrays = {name: d for name, d in described.items() if d.get("node_type") == "array"}
+        shapes = {name: tuple(d["shape"]) for name, d in arrays.items()}
+        # a chunk is held whole, however little of it belongs to the array
+        chunks = {
+            f"{name} (chunk)": tuple(d["chunk_grid"]["configuration"]["chunk_shape"]) for name, d in arrays.items()
+        }
+        check_stored_sizes(path, size, {name: (shape, None) for name, shape in shapes.items()})
+        check_stored_sizes(path, size, {name: (shape, None) for name, shape in chunks.items()})
+        with storage.ZipStore(path, mode="r") as store, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return xr.open_zarr(store, consolidated=False).load()
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except FileFormatError:
+        raise
+    except Exception as error:  # zip, JSON and codecs each have their own errors
+        raise FileFormatError(f"{path}: not a Zarr in a zip file that can be read: {one_line(error)}") from None
+
+
+def _storage() -> Any:
+    try:
+        from zarr import storage
+    except ImportError:
+        raise ArgumentError("Zarr needs an extra: pip install 'matcam[scale]'") from None
+    return storage

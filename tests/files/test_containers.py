@@ -1,0 +1,72 @@
+"""NetCDF and Zarr: any result, back to the bit."""
+
+import zipfile
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from matcam import read_netcdf, read_zarr, write_netcdf, write_zarr
+from matcam.errors import FileFormatError
+from tests.files.mutations import mutated, survives
+
+
+@pytest.fixture(scope="module")
+def result():
+    random = np.random.default_rng(1)
+    values = random.random((90, 3))
+    values[3, 1] = np.nan
+    return xr.Dataset(
+        {"raw": (("theta_d", "channel"), values, {"units": "1/sr"}), "count": ("theta_d", np.arange(90))},
+        coords={"theta_d": ("theta_d", random.random(90), {"units": "rad"}), "channel": ["R", "G", "B"]},
+        attrs={"rig": "x" * 300, "width": 0.002},
+    )
+
+
+FORMATS = {"nc": (write_netcdf, read_netcdf), "zarr.zip": (write_zarr, read_zarr)}
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_everything_comes_back(result, tmp_path, suffix):
+    write, read = FORMATS[suffix]
+    write(tmp_path / f"a.{suffix}", result)
+    back = read(tmp_path / f"a.{suffix}")
+    xr.testing.assert_identical(back, result)
+    assert back["raw"].dtype == np.float64
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_what_it_is_not(tmp_path, suffix):
+    read = FORMATS[suffix][1]
+    (tmp_path / "text").write_text("hello")
+    for path in (tmp_path / "text", tmp_path / "none", tmp_path):
+        with pytest.raises(FileFormatError) as caught:
+            read(path)
+        assert str(caught.value).startswith(str(path))
+
+
+def test_arrays_that_cannot_be_in_there_are_not_asked_for(result, tmp_path):
+    """A store that says it holds 8 TB; every chunk that is not there would be filled."""
+    write_zarr(tmp_path / "a.zarr.zip", result)
+    with zipfile.ZipFile(tmp_path / "a.zarr.zip") as old, zipfile.ZipFile(tmp_path / "b.zarr.zip", "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            new.writestr(name, data.replace(b"90", b"1000000000000") if name.endswith("count/zarr.json") else data)
+    with pytest.raises(FileFormatError, match="does not fit into"):
+        read_zarr(tmp_path / "b.zarr.zip")
+    result.astype("f4").to_netcdf(
+        tmp_path / "c.nc", encoding={"raw": {"zlib": True, "chunksizes": (1, 1)}}, unlimited_dims=["theta_d"]
+    )
+    assert read_netcdf(tmp_path / "c.nc")["raw"].shape == (90, 3)
+    big = xr.Dataset({"zeros": ("x", np.zeros(4_000_000))})
+    big.to_netcdf(tmp_path / "d.nc", encoding={"zeros": {"zlib": True}})
+    with pytest.raises(FileFormatError, match="does not fit into"):
+        read_netcdf(tmp_path / "d.nc")
+
+
+@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_damaged_zarr(result, tmp_path, count):
+    write_zarr(tmp_path / "a.zarr.zip", result)
+    content = (tmp_path / "a.zarr.zip").read_bytes()
+    refused, _ = survives(read_zarr, tmp_path / "b.zarr.zip", mutated(content, count, 3, 400))
+    assert refused > count / 3
