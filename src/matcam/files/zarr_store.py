@@ -6,6 +6,7 @@ A zip, and not a folder, because a file appears whole or not at all; its members
 
 from __future__ import annotations
 
+import struct
 import warnings
 import zipfile
 from pathlib import Path
@@ -18,6 +19,7 @@ from matcam.errors import ArgumentError, FileFormatError
 from matcam.files.stored_dataset import check_stored_sizes, one_line
 
 _DESCRIPTION = "zarr.json"
+_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
 
 
 def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -46,9 +48,10 @@ def read_zarr(path: str | Path) -> xr.Dataset:
         if path.is_dir():
             raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
         size = path.stat().st_size
+        _check_directory(path, size)
         with zipfile.ZipFile(path) as held:
             members = held.infolist()
-            if any(m.compress_type != zipfile.ZIP_STORED or m.file_size > size for m in members):
+            if any(m.compress_type != zipfile.ZIP_STORED or max(m.file_size, m.compress_size) > size for m in members):
                 raise FileFormatError(f"{path}: damaged, or compressed by zip: members are stored as they are (zip -0)")
             described = {m.filename: json.loads(held.read(m)) for m in members if m.filename.endswith(_DESCRIPTION)}
             broken = held.testzip()
@@ -71,6 +74,19 @@ def read_zarr(path: str | Path) -> xr.Dataset:
         raise
     except Exception as error:  # zip, JSON and codecs each have their own errors
         raise FileFormatError(f"{path}: not a Zarr in a zip file that can be read: {one_line(error)}") from None
+
+
+def _check_directory(path: Path, size: int) -> None:
+    """The list of members at the zip's end: memory for as much of it as it says would be asked for before anything else."""
+    with path.open("rb") as file:
+        file.seek(max(0, size - _LONGEST_END))
+        end = file.read()
+    at = end.rfind(b"PK\5\6")
+    if at < 0 or len(end) < at + 22:
+        raise FileFormatError(f"{path}: not a zip file")
+    length, start = struct.unpack_from("<II", end, at + 12)
+    if length + start > size:
+        raise FileFormatError(f"{path}: damaged: its list of members, {length} bytes at byte {start}, is not within it")
 
 
 def _storage() -> Any:
