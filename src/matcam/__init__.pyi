@@ -19,6 +19,7 @@ from .exchange.conversion import convert
 from .exchange.parameterisation import adaptive_grid
 from .exchange.receiver import metadata, receiver
 from .exchange.renderers import mitsuba_material, pbrt_material
+from .exchange.rendering import rendered_sphere
 from .files.exr import read_exr, write_exr
 from .files.float_tiff import read_float_tiff, write_float_tiff
 from .files.merl import read_merl, write_merl
@@ -124,6 +125,7 @@ __all__ = [
     "read_sidecar",
     "read_zarr",
     "receiver",
+    "rendered_sphere",
     "rigs",
     "sidecar_path",
     "tabulated_fresnel",

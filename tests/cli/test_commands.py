@@ -57,7 +57,7 @@ def test_help_answers_without_loading_anything_heavy(environment):
 
 
 @pytest.mark.parametrize(
-    "command", ["predict", "fresnel", "edge", "inspect", "convert", "figures", "demo", ("data", "merl")]
+    "command", ["predict", "fresnel", "edge", "inspect", "convert", "render", "figures", "demo", ("data", "merl")]
 )
 def test_every_command_has_help_with_an_example(matcam, command):
     words = command if isinstance(command, tuple) else (command,)

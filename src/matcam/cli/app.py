@@ -8,6 +8,7 @@ import typer
 
 from matcam.cli import calibrate, chart, data, demo, edge, figures, fresnel, inspect, predict, simulate
 from matcam.cli import convert, data, demo, edge, figures, fresnel, inspect, predict, simulate
+from matcam.cli import convert, data, demo, edge, figures, fresnel, inspect, predict, render, simulate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -44,6 +45,7 @@ app.command("calibrate")(calibrate.command)
 app.command("chart")(chart.command)
 app.command("inspect")(inspect.command)
 app.command("convert")(convert.command)
+app.command("render")(render.command)
 app.command("figures")(figures.command)
 app.command("demo")(demo.command)
 app.add_typer(data.app, name="data", help="Fetch published measurements.")

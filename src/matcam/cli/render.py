@@ -1,0 +1,72 @@
+"""`matcam render`: how does this material look?"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, Force, Sampling
+
+
+def command(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE [FILE]", help="A table, or two: before and after.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Figure (.png, .pdf, .svg), or linear radiance (.exr, of one file)."),
+    ] = None,
+    lamp_angle: Annotated[float, typer.Option("--lamp-angle", help="Angle between lamp and camera, degrees.")] = 40.0,
+    environment: Annotated[
+        Path | None, typer.Option("--environment", metavar="EXR", help="Light from all around instead of the lamp.")
+    ] = None,
+    exposure: Annotated[float, typer.Option("--exposure", help="Factor before display.")] = 0.8,
+    size: Annotated[int, typer.Option("--size", help="Height and width of a sphere's picture, px.")] = 256,
+    samples: Annotated[int, typer.Option("--samples", help="Rays for each pixel.")] = 64,
+    sampling: Sampling = "centre",
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """A sphere of the material under a lamp or an environment, by Mitsuba 3; two files stand side by side.
+
+    Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
+    """
+    from matcam._jax import use_compilation_cache
+    from matcam.atomic import check_output
+    from matcam.errors import ArgumentError
+    from matcam.exchange.contents import material_of, read_contents
+    from matcam.exchange.rendering import rendered_sphere
+    from matcam.figures.spheres import spheres_figure
+    from matcam.figures.style import check_picture, save
+    from matcam.files.exr import write_exr
+
+    if len(files) > 2:
+        raise ArgumentError(f"one file is rendered, or two side by side; got {len(files)}")
+    if not (exposure > 0 and math.isfinite(exposure)):
+        raise ArgumentError(f"--exposure must be above 0, got {exposure:g}")
+    target = Path(f"{files[0].name.split('.')[0]}-render.png") if output is None else output
+    inputs = [*files, *([environment] if environment else [])]
+    linear = target.suffix.lower() == ".exr"
+    if linear and len(files) > 1:
+        raise ArgumentError("an .exr holds one sphere: render the files one by one")
+    (check_output if linear else check_picture)(target, force=force, inputs=inputs)
+    use_compilation_cache()
+    pictures = {}
+    for number, file in enumerate(files):
+        with show.working(f"rendering {file.name}"):
+            material = material_of(read_contents(file, sampling))
+            angle = math.radians(lamp_angle)
+            picture = rendered_sphere(material, lamp_angle=angle, environment=environment, size=size, samples=samples)
+        pictures[file.name if file.name not in pictures else f"{file.name} ({number + 1})"] = picture
+    light = f"under {environment.name}" if environment else f"lamp {lamp_angle:g}° from the camera, even sky"
+    if linear:
+        write_exr(target, picture, force=force)
+    else:
+        save(spheres_figure(pictures, light, exposure), target, force=force)
+    if json:
+        means = {name: [float(v) for v in p.mean(axis=(0, 1))] for name, p in pictures.items()}
+        show.as_json({"output": str(target), "files": [str(f) for f in files], "light": light, "mean_radiance": means})
+    else:
+        show.say(f"{', '.join(f.name for f in files)}, {light}: {target}")

@@ -1,0 +1,57 @@
+"""Rendered spheres: how bright a known one is, pixel by pixel; the command."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam import GGX, Microfacet, adaptive_grid, read_exr, rendered_sphere, write_exr, write_rgl
+from matcam.cli import _run
+from matcam.errors import ArgumentError
+
+WHITE = Microfacet(GGX(0.3), 0.0, 1.0)
+
+
+def test_a_white_diffuse_sphere_is_lamberts(tmp_path):
+    """Radiance max(0, n . l) + sky, the sphere lit from the right and above."""
+    picture = rendered_sphere(WHITE, lamp_angle=0.7, size=32, samples=256)
+    x, y = np.meshgrid((np.arange(32) - 15.5) / 16, (15.5 - np.arange(32)) / 16)
+    inside = np.hypot(x, y) < 0.75
+    light = np.array([np.sin(0.7), np.sin(0.7) / 3, np.cos(0.7)])
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    expected = np.maximum((x * light[0] + y * light[1] + z * light[2]) / np.linalg.norm(light), 0) + 0.2
+    np.testing.assert_allclose(picture[inside], expected[inside][:, None].repeat(3, 1), atol=0.05)
+    assert np.mean(picture[inside] - expected[inside][:, None]) == pytest.approx(0, abs=0.005)
+    assert picture.dtype == np.float32
+    assert np.all(picture[0, 0] == 0)
+
+
+def test_the_command(tmp_path, capsys):
+    write_rgl(tmp_path / "a.bsdf", adaptive_grid(Microfacet(GGX(0.1), [0.9, 0.6, 0.2], 0.05), square=32))
+    write_exr(tmp_path / "sky.exr", np.full((8, 16, 3), 0.5))
+    small = ["--size", "16", "--samples", "4"]
+    one, two = str(tmp_path / "a.bsdf"), str(tmp_path / "two.png")
+    assert _run(["render", one, one, "-o", two, "--environment", str(tmp_path / "sky.exr"), "--json", *small]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert list(found["mean_radiance"]) == ["a.bsdf", "a.bsdf (2)"]
+    assert (tmp_path / "two.png").read_bytes().startswith(b"\x89PNG")
+    assert _run(["render", one, "-o", str(tmp_path / "one.exr"), *small]) == 0
+    assert read_exr(tmp_path / "one.exr").shape == (16, 16, 3)
+    capsys.readouterr()
+    for words, said in (
+        ([one, "-o", two], "exists"),
+        ([one, one, "-o", str(tmp_path / "b.exr")], "holds one sphere"),
+        ([one, one, one], "one file is rendered"),
+        ([one, "-o", str(tmp_path / "b.gif")], "must end in"),
+        ([one, "-o", str(tmp_path / "b.png"), "--exposure", "0"], "--exposure must be above 0"),
+        ([one, "-o", str(tmp_path / "b.png"), "--lamp-angle", "200"], "lamp_angle must lie in"),
+        ([str(tmp_path / "sky.exr"), "-o", str(tmp_path / "b.png")], "cannot be evaluated"),
+    ):
+        assert _run(["render", *words]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_numbers_out_of_range():
+    for wrong in ({"size": 8}, {"samples": 0}, {"size": 20.0}):
+        with pytest.raises(ArgumentError, match="must be a whole number"):
+            rendered_sphere(WHITE, **wrong)
