@@ -34,13 +34,13 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
     refused = accepted = 0
     contents = list(contents)
     path.write_bytes(contents[0])
-    _refusal(read, path)  # what is imported on the way belongs to nobody's file
+    refusal(read, path)  # what is imported on the way belongs to nobody's file
     tracemalloc.start()
     for k, content in enumerate(contents):
         path.write_bytes(content)
         tracemalloc.reset_peak()
         before, start = tracemalloc.get_traced_memory()[0], time.perf_counter()
-        message = _refusal(read, path)
+        message = refusal(read, path)
         took = time.perf_counter() - start
         used = tracemalloc.get_traced_memory()[1] - before
         refused, accepted = refused + (message is not None), accepted + (message is None)
@@ -51,7 +51,8 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
     return refused, accepted
 
 
-def _refusal(read, path):
+def refusal(read, path):
+    """What `read` complains about, or None."""
     try:
         read(path)
     except MatcamError as error:

@@ -78,7 +78,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
     size = file_size(path)
     try:
         with path.open("rb") as file:
-            head = file.read(_LONGEST_HEADER)
+            head = file.read(min(size, _LONGEST_HEADER))
             if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
                 raise FileFormatError(f"{path}: not an OpenEXR file")
             version = struct.unpack_from("<i", head, 4)[0]
@@ -87,7 +87,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
                     f"{path}: OpenEXR with tiles, deep data or several parts; one part of scan lines is read"
                 )
             attributes, start = _attributes(head)
-            channels, height, width = _described(path, attributes)
+            channels, height, width = _described(path, attributes, size)
             compression = attributes["compression"][0]
             if compression not in _LINES_PER_CHUNK:
                 raise FileFormatError(
@@ -129,7 +129,7 @@ def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
     return found, at + 1
 
 
-def _described(path: Path, attributes: dict[str, bytes]) -> tuple[tuple[str, ...], int, int]:
+def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tuple[str, ...], int, int]:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     held, names, at = attributes["channels"], [], 0
     while held[at]:
@@ -149,7 +149,7 @@ def _described(path: Path, attributes: dict[str, bytes]) -> tuple[tuple[str, ...
         raise FileFormatError(
             f"{path}: channels are {', '.join(names)[:60]}; Y, or R, G, B, or C0000, C0001, ... are read"
         )
-    check_promised(path, bottom - top + 1, right - left + 1, len(names))
+    check_promised(path, bottom - top + 1, right - left + 1, len(names), size)
     return expected, bottom - top + 1, right - left + 1
 
 

@@ -11,6 +11,8 @@ from matcam.errors import ArgumentError, FileFormatError
 
 LARGEST = 1 << 29
 """Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
+DEFLATE_LIMIT = 1032
+"""What deflate makes of a byte at most (258 of every 2 bits): 1032."""
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
@@ -31,11 +33,13 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     return stored
 
 
-def check_promised(path: Path, height: int, width: int, channels: int) -> None:
-    """FileFormatError for a picture that nobody would store, before any memory is asked for it."""
-    if min(height, width, channels) < 1 or height * width * channels > LARGEST:
+def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
+    """FileFormatError for a picture that nobody would store, or that a file of `size` bytes cannot hold however well it is
+    compressed, before any memory is asked for it."""
+    values = height * width * channels
+    if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
         raise FileFormatError(
-            f"{path}: header says {height} x {width} pixels of {channels} channels: damaged or too large"
+            f"{path}: header says {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
         )
 
 

@@ -51,7 +51,8 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
             shape = file.series[0].shape if file.is_shaped else page.shape
             if len(shape) not in (2, 3) or page.planarconfig != 1:
                 raise FileFormatError(f"{path}: a picture of shape {shape}; (H, W) or (H, W, channels) is read")
-            check_promised(path, *(*page.shape, 1)[:3])
+            height, width, channels = (*page.shape, 1)[:3]
+            check_promised(path, height, width, channels, size)
             ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
             if max(ends, default=0) > size or 0 in page.databytecounts:
                 raise FileFormatError(f"{path}: truncated: data up to byte {max(ends, default=0)}, the file has {size}")

@@ -16,6 +16,7 @@ from matcam.files.exif import Exif, read_exif
 from matcam.files.exr import read_exr
 from matcam.files.picture_size import check_memory, jpeg_size, png_size
 from matcam.files.raw import SUFFIXES, read_raw
+from matcam.files.float_picture import DEFLATE_LIMIT
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _EXR = b"\x76\x2f\x31\x01"
@@ -111,6 +112,10 @@ def _decoded(path: Path, start: bytes) -> np.ndarray:
         with tifffile.TiffFile(path) as file:
             page = file.pages[0].aspage()
             check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize)
+            size = path.stat().st_size
+            ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+            if page.nbytes > DEFLATE_LIMIT * size or max(ends, default=0) > size:
+                raise FileFormatError(f"{path}: header says {page.shape}, more than its {size} bytes can hold: damaged")
             picture = np.asarray(page.asarray())
             planar = page.planarconfig == 2 and picture.ndim == 3
         return np.moveaxis(picture, 0, -1) if planar else picture
