@@ -6,9 +6,20 @@ from typing import Annotated
 
 import typer
 
-from matcam.cli import calibrate, chart, data, demo, edge, figures, fresnel, inspect, predict, simulate
-from matcam.cli import convert, data, demo, edge, figures, fresnel, inspect, predict, simulate
-from matcam.cli import convert, data, demo, edge, figures, fresnel, inspect, predict, render, simulate
+from matcam.cli import (
+    calibrate,
+    chart,
+    convert,
+    data,
+    demo,
+    edge,
+    figures,
+    fresnel,
+    inspect,
+    predict,
+    render,
+    simulate,
+)
 
 app = typer.Typer(
     no_args_is_help=True,

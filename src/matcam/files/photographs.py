@@ -14,9 +14,9 @@ import numpy as np
 from matcam.errors import FileFormatError
 from matcam.files.exif import Exif, read_exif
 from matcam.files.exr import read_exr
+from matcam.files.float_picture import DEFLATE_LIMIT
 from matcam.files.picture_size import check_memory, jpeg_size, png_size
 from matcam.files.raw import SUFFIXES, read_raw
-from matcam.files.float_picture import DEFLATE_LIMIT
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _EXR = b"\x76\x2f\x31\x01"
