@@ -50,7 +50,13 @@ def test_esf_and_lsf(straight):
 
 
 @pytest.mark.parametrize(
-    "f_number", [pytest.param(2.8, marks=pytest.mark.slow), pytest.param(5.6, marks=pytest.mark.slow), 8, 16]
+    "f_number",
+    [
+        pytest.param(2.8, marks=pytest.mark.slow),
+        pytest.param(5.6, marks=pytest.mark.slow),
+        8,
+        pytest.param(16, marks=pytest.mark.slow),
+    ],
 )
 def test_diffraction_pattern_that_no_model_was_told_of(f_number):
     cutoff = 4.73 / (0.55 * f_number)

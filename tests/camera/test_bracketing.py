@@ -61,6 +61,7 @@ def test_saturated_in_all_is_flagged_and_missing_stays_missing():
         np.testing.assert_array_equal(np.isnan(np.asarray(values)), saturated | np.isnan(scene))
 
 
+@pytest.mark.slow
 def test_colours_and_mosaics():
     scene = np.broadcast_to([1.0, 2.0, 4.0], (8, 8, 3))
     planes = merge_bracket(camera(), expose_bracket(camera(), scene, EXPOSURES, 1), EXPOSURES)

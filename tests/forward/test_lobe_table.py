@@ -83,6 +83,7 @@ def test_about_seventy_five_cells_share_the_peaks_pixel(pixels):
     assert PICTURE_STRIDE > 2 * 256
 
 
+@pytest.mark.slow
 def test_noise_belongs_to_pixels(pixels):
     """Cells of one pixel share its noise; cells of different pixels do not; size as stated."""
     rng_table = merl_lobe.record(0.05, np.ones((90, 1)))
