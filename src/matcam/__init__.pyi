@@ -1,8 +1,15 @@
 from . import paper, rigs
+from .calibration.chart_file import read_chart, write_chart
+from .calibration.chart_layout import design_chart
 from .calibration.combine import Calibration, calibrate
 from .calibration.edge import edge_mtf, edge_mtf_stack
 from .calibration.edge_result import EdgeMTF
+from .calibration.gratings import GratingMTF, coltman, grating_mtf
+from .calibration.grid import DotGrid, dot_grid
 from .calibration.mtf_samples import MTFSamples
+from .calibration.registration import register_chart
+from .calibration.star import StarMTF, star_mtf
+from .calibration.targets import measure_targets
 from .camera.bracketing import expose_bracket, merge_bracket
 from .camera.camera import Camera
 from .camera.defocus import DefocusOptics
@@ -71,10 +78,12 @@ __all__ = [
     "DefocusOptics",
     "Dielectric",
     "DiffractionOptics",
+    "DotGrid",
     "EdgeMTF",
     "Flat",
     "GaussianNDF",
     "GaussianOptics",
+    "GratingMTF",
     "HaloOptics",
     "MTFSamples",
     "MatcamError",
@@ -86,6 +95,7 @@ __all__ = [
     "Schlick",
     "Sensor",
     "Sphere",
+    "StarMTF",
     "Tabulated",
     "Uncertainty",
     "WindowedGaussianPixel",
@@ -93,17 +103,22 @@ __all__ = [
     "albedo",
     "calibrate",
     "camera_trace",
+    "coltman",
     "convert",
+    "design_chart",
+    "dot_grid",
     "edge_mtf",
     "edge_mtf_stack",
     "expose_bracket",
     "fresnel",
     "fresnel_conductor",
+    "grating_mtf",
     "highlight_stamps",
     "lobe_table",
     "lobe_widths",
     "loss_angle",
     "measure",
+    "measure_targets",
     "measured_values",
     "merge_bracket",
     "metadata",
@@ -116,6 +131,7 @@ __all__ = [
     "peak_response",
     "picture",
     "picture_values",
+    "read_chart",
     "read_exr",
     "read_float_tiff",
     "read_merl",
@@ -125,13 +141,16 @@ __all__ = [
     "read_sidecar",
     "read_zarr",
     "receiver",
+    "register_chart",
     "rendered_sphere",
     "rigs",
     "sidecar_path",
+    "star_mtf",
     "tabulated_fresnel",
     "texture_contrast",
     "textured_picture",
     "with_pixel_noise",
+    "write_chart",
     "write_exr",
     "write_float_tiff",
     "write_merl",

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from matcam.calibration.chart import Chart, Dots, Grating, Square, Star, harmonic
-from matcam.calibration.chart_file import read_chart, write_chart
+from matcam.calibration.chart_file import json_schema, read_chart, write_chart
 from matcam.calibration.chart_layout import KINDS, design_chart
 from matcam.errors import ArgumentError, FileFormatError
 from matcam.figures.chart import chart_figure
 from matcam.figures.style import save
+from tests.conftest import REPOSITORY
 
 
 @pytest.mark.parametrize("kinds", [KINDS, ("star",), ("squares", "bars", "star", "dots")])
@@ -95,6 +96,10 @@ def test_harmonics_of_printed_patterns():
         for order in (1, 2, 3, 5):
             truth = 2 * (level * np.cos(2 * np.pi * order * t)).mean() / level.mean()
             assert harmonic(grating, order) == pytest.approx(truth, abs=1e-7)
+
+
+def test_published_schema_is_the_one_in_the_code():
+    assert json.loads((REPOSITORY / "docs" / "chart-v1.schema.json").read_text()) == json_schema()
 
 
 def _decoded(page):

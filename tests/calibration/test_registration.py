@@ -8,7 +8,7 @@ import pytest
 
 from matcam.calibration.chart_file import write_chart
 from matcam.calibration.chart_layout import design_chart
-from matcam.calibration.registration import register
+from matcam.calibration.registration import register_chart
 from matcam.errors import ArgumentError, FitError
 from tests.oracle.chart_camera import ChartCamera
 
@@ -40,7 +40,7 @@ def test_any_pose(chart, pose, cfa):
     description, document = chart
     camera = ChartCamera(**SIZE, page=description.page, **pose)
     photograph = camera.photograph(camera.expected(document), 60, 1, cfa)
-    found = register(photograph, description, mosaic=cfa is not None)
+    found = register_chart(photograph, description, mosaic=cfa is not None)
     assert found.found >= 7
     points = np.random.default_rng(0).uniform(0.05, 0.95, (200, 2)) * description.page
     error = found(points) - np.stack(camera.sensor_of(*points.T), axis=-1)
@@ -58,7 +58,7 @@ def test_a_hidden_corner_is_no_harm(chart):
     photograph = camera.photograph(camera.expected(document), 60, 1)
     x, y = camera.sensor_of(*max((m.centre for m in description.fiducials), key=sum))
     photograph[int(y) - 20 :, int(x) - 20 :] = 500
-    found = register(photograph, description)
+    found = register_chart(photograph, description)
     assert found.found == len(description.fiducials) - 1
     points = np.array([[50.0, 50], [200, 100]])
     assert np.abs(found(points) - np.stack(camera.sensor_of(*points.T), axis=-1)).max() < 0.3
@@ -68,10 +68,10 @@ def test_refusals(chart):
     description, document = chart
     noise = np.random.default_rng(0).poisson(1000, (300, 400)).astype(float)
     with pytest.raises(FitError) as error:
-        register(noise, description)
+        register_chart(noise, description)
     assert "fiducials" in str(error.value)
     with pytest.raises(ArgumentError):
-        register(noise, dataclasses.replace(description, fiducials=()))
+        register_chart(noise, dataclasses.replace(description, fiducials=()))
     camera = ChartCamera(**SIZE, page=description.page)
     photograph = camera.photograph(camera.expected(document), 60, 1)
     moved = [
@@ -79,6 +79,6 @@ def test_refusals(chart):
         for i, m in enumerate(description.fiducials)
     ]
     with pytest.raises(FitError):
-        register(photograph, dataclasses.replace(description, fiducials=tuple(moved)))
+        register_chart(photograph, dataclasses.replace(description, fiducials=tuple(moved)))
     with pytest.raises(FitError):
-        register(photograph[:, ::-1], description)
+        register_chart(photograph[:, ::-1], description)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from matcam import GGX, edge_mtf, fresnel, paper, rigs, tabulated_fresnel
+from matcam import GGX, Camera, GaussianOptics, MTFSamples, edge_mtf, fresnel, paper, rigs, tabulated_fresnel
 from matcam.errors import OutputError
 from matcam.figures.edge import edge_figure
 from matcam.figures.fresnel_term import fresnel_figure
 from matcam.figures.paper import highlight_figure, loss_figure
 from matcam.figures.prediction import prediction_figure
 from matcam.figures.style import save
+from matcam.figures.targets import targets_figure
 from matcam.forward.peak import predict
 from matcam.table import brdf_table
 from tests.oracle import merl_lobe, slanted_edge
@@ -31,11 +32,22 @@ def figures():
         "figure 5": loss_figure(paper.figure_5()),
         "figure 6": fresnel_figure(result, tabulated_fresnel(result, "Cr")),
         "figure 6 without tables": fresnel_figure(result),
+        "targets": targets_figure(_samples(), Camera(GaussianOptics(0.5)), "a-rather-long-name-of-a-photograph.tif"),
+        "targets without a camera": targets_figure(_samples()),
         "prediction": prediction_figure(predict(rigs.merl(), [GGX(a) for a in (0.001, 0.01, 0.1)]), "Loss"),
     }
 
 
 NAMES = ["edge", "figure 3", "figure 4", "figure 5", "figure 6", "figure 6 without tables", "prediction"]
+NAMES += ["targets", "targets without a camera"]
+
+
+def _samples():
+    f = np.array([0.1, 0.3, 0.5])
+    return [
+        MTFSamples(kind, (9, 9), f, 0 * f, np.exp(-9 * f**2), 1e-4 * np.eye(3))
+        for kind in ("star", "grating", "dots", "edge")
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)

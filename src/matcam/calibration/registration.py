@@ -59,7 +59,7 @@ class _Mark(NamedTuple):
     rings: int
 
 
-def register(picture: Array, chart: Chart, *, mosaic: bool = False) -> Registration:
+def register_chart(picture: Array, chart: Chart, *, mosaic: bool = False) -> Registration:
     """Find a chart in a photograph (height, width), linear, NaN where there are no data.
 
     mosaic: its 2 x 2 px have colours of their own, which are made equally bright before anything is looked for.

@@ -12,7 +12,7 @@ from matcam.calibration.chart import Chart, Dots, Grating, Patch, Square, Star
 from matcam.calibration.gratings import grating_mtf
 from matcam.calibration.grid import DotGrid, dot_grid
 from matcam.calibration.mtf_samples import MTFSamples
-from matcam.calibration.registration import Registration, register
+from matcam.calibration.registration import Registration, register_chart
 from matcam.calibration.star import star_mtf
 from matcam.errors import FitError
 
@@ -52,7 +52,7 @@ def measure_targets(
     if registration is None:
         # colours only matter for blur: all of a mosaic's pixels know where the chart lies
         linear = region.cut(picture, None, None, (channel or "Y") if picture.ndim == 3 else None, tone)
-        registration = register(linear, chart, mosaic=cfa is not None)
+        registration = register_chart(linear, chart, mosaic=cfa is not None)
     samples: list[MTFSamples] = []
     grids: list[DotGrid] = []
     problems: list[str] = []
