@@ -72,7 +72,7 @@ def test_bias(sigma, fill):
 def test_stated_errors_and_mosaic(count):
     shot = camera(0.5, 0.9)
     expected = shot.expected(document(DOTS))
-    chi2, degrees, means = 0.0, 0, []
+    chi2, degrees, means, sigmas = 0.0, 0, [], []
     for seed in range(count):
         for options in ({}, {"cfa": "RGGB", "channel": "G"}):
             picture = shot.photograph(expected, 60, seed, options.get("cfa"))
@@ -82,13 +82,19 @@ def test_stated_errors_and_mosaic(count):
             assert np.sqrt((pulls**2).mean()) == pytest.approx(1, abs=0.2)
             value, std = result.sigma_at(*result.middle)
             means.append((value - 0.5) / std)
-            assert result.sigma.mean() == pytest.approx(0.5, rel=0.01)
+            # 130 dots at SNR 60: 0.4 %, and 0.5 % with half of their pixels
+            assert result.sigma.mean() == pytest.approx(
+                0.5, abs=4 * np.median(result.sigma_std) / np.sqrt(result.sigma.size)
+            )
+            sigmas.append(result.sigma.mean())
             for samples in result.samples:
                 error = errors(samples, shot)
                 chi2 += error @ np.linalg.solve(samples.covariance, error)
                 degrees += error.size
     assert chi2 / degrees == pytest.approx(1, abs=4 * np.sqrt(2 / degrees))
     assert np.sqrt(np.mean(np.square(means))) < 1.8
+    assert np.mean(sigmas) == pytest.approx(0.5, rel=0.01)
+    print(np.mean(sigmas), np.std(sigmas), chi2 / degrees)
 
 
 class Softening(ChartCamera):

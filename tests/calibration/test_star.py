@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from matcam.calibration import wave_fit
 from matcam.calibration.chart import Star
 from matcam.calibration.star import star_mtf
 from matcam.errors import ArgumentError, FitError
@@ -74,6 +75,14 @@ def test_stated_errors_at_length(photographed):
     assert chi2.mean() / pulls.shape[1] == pytest.approx(1, abs=4 * np.sqrt(2 / pulls.size))
     centres = np.array([np.array(r.centre) - np.ravel(shot.sensor_of(*STAR.centre)) for r in results])
     assert np.sqrt((centres**2).mean(0)) == pytest.approx(results[0].centre_std, rel=0.35)
+
+
+def test_a_large_star_is_fitted_to_some_of_its_pixels(photographed, monkeypatch):
+    shot, expected = photographed
+    monkeypatch.setattr(wave_fit, "_MOST", 15_000)
+    result = star_mtf(shot.photograph(expected, 60, 2), contrast=CONTRAST)
+    degrees = result.samples.mtf.size
+    assert abs(chi2_of(result, shot) / degrees - 1) < 4 * np.sqrt(2 / degrees)
 
 
 def test_mosaic_and_known_place():

@@ -11,9 +11,8 @@ from scipy.special import ndtr
 
 from matcam.calibration.wave_fit import Array
 
-HIGHEST = 4
-"""Order of derivatives along one axis."""
 _RADIAL, _ROUND = 5, 14
+_AT_ONCE = 512  # dots: their tables fit into memory, whatever the grid
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_RADIAL)
 _TURN = 2 * np.pi * (np.arange(_ROUND)[None] + 0.5 * (np.arange(_RADIAL)[:, None] % 2)) / _ROUND
 _RADIUS = np.sqrt((_NODES + 1) / 2)[:, None]
@@ -29,6 +28,9 @@ def derivatives(
     x, y: (n, width), (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px: takes the unit disc to the
     dot. sigma: (n,) px.
     """
+    if len(x) > _AT_ONCE:
+        parts = [slice(i, i + _AT_ONCE) for i in range(0, len(x), _AT_ONCE)]
+        return np.concatenate([derivatives(x[p], y[p], shape[p], sigma[p], half_width, orders) for p in parts], axis=1)
     offset = np.einsum("nij,jk->nik", shape, _DISC)
     along = [_axis(g[:, :, None] - o[:, None, :], sigma, half_width, max(w)) for g, o, w in (
         (x, offset[:, 0], [i for i, _ in orders]), (y, offset[:, 1], [j for _, j in orders]),

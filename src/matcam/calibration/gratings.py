@@ -18,7 +18,7 @@ from matcam.calibration import grating_geometry, region
 from matcam.calibration.chart import PROFILES, Grating, harmonic
 from matcam.calibration.grating_geometry import FoundGrating
 from matcam.calibration.mtf_samples import MTFSamples
-from matcam.calibration.wave_fit import Array, Modulation, WaveFit, fit_wave, local_wave
+from matcam.calibration.wave_fit import Array, Modulation, WaveFit, enough, fit_wave, local_wave
 from matcam.errors import ArgumentError, FitError
 
 _HIGHEST = 1.1  # cycles/px: harmonics beyond are taken for gone
@@ -192,6 +192,8 @@ def _fitted(
 ) -> tuple[WaveFit, tuple[int, ...], tuple[Array, Array]]:
     """The wave's fit, its orders, and the mean frequency and direction."""
     rows, columns = np.nonzero(found.inside & np.isfinite(values))
+    some = enough(np.ones(len(rows), bool))
+    rows, columns = rows[some], columns[some]
     x, y, value = columns.astype(float), rows.astype(float), values[rows, columns]
     phase = partial(grating_geometry.phase_of, middle=found.middle)
     _, frequency, _ = local_wave(phase, found.parameters, x, y)

@@ -15,7 +15,7 @@ from matcam.calibration import chart, region, star_geometry
 from matcam.calibration.chart import Star
 from matcam.calibration.mtf_samples import MTFSamples
 from matcam.calibration.star_geometry import FoundStar
-from matcam.calibration.wave_fit import Array, Modulation, WaveFit, fit_wave, local_wave
+from matcam.calibration.wave_fit import Array, Modulation, WaveFit, enough, fit_wave, local_wave
 from matcam.errors import ArgumentError, FitError
 
 _HIGHEST = 0.75  # cycles/px: beyond, cameras leave nothing to fit
@@ -144,6 +144,7 @@ def _fitted(values: Array, found: FoundStar) -> tuple[WaveFit, tuple[float, floa
         used = (radius < found.outer - _RIM) & (radius > inner + _RIM) & (frequency < highest)
         if used.sum() < 500:
             continue
+        used = enough(used)
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(
             value[used], x[used], y[used], phase, parameters, sizes, Modulation(partial(_basis, edges=edges)), steps=6

@@ -28,6 +28,7 @@ _STEP = 1e-3  # px
 _RIDGE = 1e-12
 _WEIGHTED = 4  # steps after which weights are those of the noise
 _SETTLED = 1e-5  # rad
+_MOST = 200_000  # pixels: more cost memory, and tell what these have told
 _FEWEST = 3.0  # pixels for each number that is fitted
 
 
@@ -62,6 +63,14 @@ class WaveFit:
     """The model at every pixel."""
     signal: float
     """Modulation over its standard deviation: below 5 there is no wave."""
+
+
+def enough(used: np.ndarray) -> np.ndarray:
+    """As many of the True entries as a fit needs, spread evenly, always the same ones; all of them if they are few."""
+    places = np.flatnonzero(used)
+    if len(places) <= _MOST:
+        return places
+    return np.sort(np.random.default_rng(0).choice(places, _MOST, replace=False))
 
 
 def local_wave(phase: Phase, parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
