@@ -44,10 +44,9 @@ def test_pictures_do_not_depend_on_the_sampling():
         "kind": "grating", "profile": "bars", "centre_mm": [78, 30], "size_mm": [30, 40], "angle_rad": 0.2, "period_mm": 1.3,
         "phase_rad": 0.1, "dark": 0.25, "bright": 1.0, "duty": 0.5,
     }  # fmt: skip
-    for sigma in (0.4, 0.7):
-        camera = ChartCamera(**FRONT, sigma=sigma, fill=0.6, tilt=(0.1, -0.05), distortion=0.02)
-        pictures = [camera.expected(chart(star, bars), fine) for fine in (4, 7)]
-        assert np.abs(pictures[0] - pictures[1]).max() < 1e-6
+    camera = ChartCamera(**FRONT, sigma=0.4, fill=0.6, tilt=(0.1, -0.05), distortion=0.02)
+    pictures = [camera.expected(chart(star, bars), fine) for fine in (4, 7)]
+    assert np.abs(pictures[0] - pictures[1]).max() < 1e-6
 
 
 def test_places_there_and_back():

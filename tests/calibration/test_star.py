@@ -34,7 +34,7 @@ def errors(result, truth):
     return samples.mtf - truth.mtf(samples.frequency, samples.direction)
 
 
-@pytest.fixture(scope="module", params=[(0.4, 1.0), (1.0, 0.8)])
+@pytest.fixture(scope="module", params=[(0.4, 1.0), pytest.param((1.0, 0.8), marks=pytest.mark.slow)])
 def photographed(request):
     shot = camera(*request.param)
     return shot, shot.expected(CHART)
@@ -89,7 +89,7 @@ def test_mosaic_and_known_place():
     shot = camera(0.5, 0.9)
     picture = shot.photograph(shot.expected(CHART), 100, 5, cfa="RGGB")
     centre = None
-    for channel in "RG":
+    for channel in "R":
         free = star_mtf(picture, contrast=CONTRAST, cfa="RGGB", channel=channel)
         known = star_mtf(
             picture,
@@ -106,9 +106,9 @@ def test_mosaic_and_known_place():
         np.testing.assert_allclose(known.centre, centre, atol=0.02)
 
 
-def test_unknown_contrast_is_extrapolated():
-    shot = camera(0.5, 1.0)
-    result = star_mtf(shot.photograph(shot.expected(CHART), 100, 6))
+def test_unknown_contrast_is_extrapolated(photographed):
+    shot, expected = photographed
+    result = star_mtf(shot.photograph(expected, 100, 6))
     assert result.contrast == pytest.approx(CONTRAST, abs=4 * result.contrast_std + 5e-4)
     assert np.abs(errors(result, shot)[result.samples.frequency < 0.4]).max() < 0.01
 

@@ -93,9 +93,9 @@ def test_figures_at_snr_60_by_averages(tmp_path, sigma, fill):
 
 
 def test_what_cannot_be_measured_is_listed(tmp_path):
-    camera = {"width": 800, "height": 570, "sigma": 0.5, "fill": 0.9}
+    camera = {"width": 700, "height": 500, "sigma": 0.5, "fill": 0.9}
     path = tmp_path / "chart.json"
-    write_chart(path, design_chart(("star", "bars"), pixels_across=800))
+    write_chart(path, design_chart(("star", "bars"), pixels_across=700))
     chart, document = read_chart(path), json.loads(path.read_text())
     hidden = [e for e in document["elements"] if e["kind"] != "star"]
     shot = ChartCamera(page=chart.page, **camera)

@@ -205,7 +205,9 @@ def _fitted(
     sizes = grating_geometry.scales(found)
     # first the fundamental alone, which knows the phase but for what its harmonics leave
     first = (
-        fit_wave(value, x, y, phase, found.parameters, sizes, Modulation(_constant), steps=4) if len(value) else None
+        fit_wave(value, x, y, phase, found.parameters, sizes, Modulation(_constant), steps=4, rough=True)
+        if len(value)
+        else None
     )
     fit = first and fit_wave(value, x, y, phase, first.parameters, sizes, Modulation(_constant, orders), steps=8)
     if not fit:

@@ -19,6 +19,7 @@ from matcam.calibration.wave_fit import Array, Modulation, WaveFit, enough, fit_
 from matcam.errors import ArgumentError, FitError
 
 _HIGHEST = 0.75  # cycles/px: beyond, cameras leave nothing to fit
+_SOME = 20_000  # pixels that know the phase
 _FIRST = 0.2  # cycles/px: up to here before the phase is known well
 _INTERVAL = 0.09  # cycles/px between knots
 _RIM = 4.0  # px at both rims, where the blur sees the paper
@@ -144,7 +145,8 @@ def _fitted(values: Array, found: FoundStar) -> tuple[WaveFit, tuple[float, floa
         used = (radius < found.outer - _RIM) & (radius > inner + _RIM) & (frequency < highest)
         if used.sum() < 500:
             continue
-        used = enough(used)
+        last = highest == _HIGHEST
+        used = enough(used, None if last else _SOME)
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(
             value[used], x[used], y[used], phase, parameters, sizes, Modulation(partial(_basis, edges=edges)), steps=6

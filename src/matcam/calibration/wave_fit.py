@@ -27,7 +27,7 @@ Phase = Callable[[Array, Array, Array], Array]
 _STEP = 1e-3  # px
 _RIDGE = 1e-12
 _WEIGHTED = 4  # steps after which weights are those of the noise
-_SETTLED = 1e-5  # rad
+_SETTLED, _ROUGH = 1e-4, 1e-2  # rad
 _MOST = 200_000  # pixels: more cost memory, and tell what these have told
 _FEWEST = 3.0  # pixels for each number that is fitted
 
@@ -65,12 +65,12 @@ class WaveFit:
     """Modulation over its standard deviation: below 5 there is no wave."""
 
 
-def enough(used: np.ndarray) -> np.ndarray:
-    """As many of the True entries as a fit needs, spread evenly, always the same ones; all of them if they are few."""
-    places = np.flatnonzero(used)
-    if len(places) <= _MOST:
+def enough(used: np.ndarray, most: int | None = None) -> np.ndarray:
+    """Indices of as many of the True entries as a fit needs, spread evenly, always the same ones; of all if they are few."""
+    places, most = np.flatnonzero(used), _MOST if most is None else most
+    if len(places) <= most:
         return places
-    return np.sort(np.random.default_rng(0).choice(places, _MOST, replace=False))
+    return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
 
 
 def local_wave(phase: Phase, parameters: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -88,11 +88,12 @@ def local_wave(phase: Phase, parameters: Array, x: Array, y: Array) -> tuple[Arr
 
 def fit_wave(
     value: Array, x: Array, y: Array, phase: Phase, start: Array, scale: Array, modulation: Modulation,
-    degree: int = 2, steps: int = 8,
+    degree: int = 2, steps: int = 8, rough: bool = False,
 ) -> WaveFit | None:  # fmt: skip
     """Fit a wave to pixels (n,); None where they do not determine it.
 
-    start: phase parameters; scale: changes of them that move the phase by about 1 rad somewhere. degree: of the light.
+    start: phase parameters; scale: changes of them that move the phase by about 1 rad somewhere. degree: of the light. rough:
+    only the phase is wanted, to 0.01 rad.
     """
     powers = _powers(x, y, degree)
     parameters = np.array(start, dtype=float)
@@ -138,9 +139,11 @@ def fit_wave(
             # no step may turn the phase by more than it can be trusted to be linear
             shift *= min(1.0, 1.0 / max(float(np.abs(shift / scale).max()), 1e-300))
             parameters = parameters + shift
+        else:
+            shift = np.zeros_like(scale)
         if not (np.isfinite(change).all() and np.isfinite(parameters).all()):
             return None
-        if step > _WEIGHTED and np.abs(shift / scale).max() < _SETTLED:
+        if np.abs(shift / scale).max() < (_ROUGH if rough else _SETTLED) and (rough or step > _WEIGHTED) and moving:
             break
     last = inverse[light.size + coefficients.size :, light.size + coefficients.size :]
     std = np.sqrt(np.maximum(np.diag(last), 0))
