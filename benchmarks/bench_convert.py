@@ -20,7 +20,7 @@ def main() -> None:
         table, rgl = Path(folder) / "a.binary", Path(folder) / "a.bsdf"
         write_merl(table, measure(material, Rig(rigs.merl().camera, Flat())))
         measuring, converting = [], []
-        for k in range(4):
+        for k in range(3):
             took = seconds(lambda: measure(material, rigs.merl())), seconds(lambda: convert(table, rgl, force=True))
             if k:  # the first compiles
                 measuring.append(took[0])

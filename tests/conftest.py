@@ -42,3 +42,20 @@ def stand_in(real_data, tmp_path_factory):
         return path
 
     return make
+
+
+@pytest.fixture(scope="session")
+def goniophotometer(real_data, tmp_path_factory):
+    """goniophotometer(material): a MERL-format file of a material that no camera has seen, one of RGL's ("paper_white",
+    "satin_rosaline", "cc_ibiza_sunset", "vch_golden_yellow"), resampled."""
+    from matcam import convert
+
+    folder = tmp_path_factory.mktemp("goniophotometer")
+
+    def make(material):
+        path = folder / f"{material}.binary"
+        if not path.exists():
+            convert(real_data / "rgl" / f"{material}_rgb.bsdf", path)
+        return path
+
+    return make

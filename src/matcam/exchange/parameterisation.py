@@ -8,7 +8,7 @@ What the format divides by is chosen so that what is left is smooth:
 - `vndf`: visible normals D max(0, i . m) / sigma, half and half with normals ~ sqrt(D) cos theta_m, which spread
   logarithmically over the tail: visible normals alone would leave it a few per cent of the square.
 - `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it runs on linearly in cos theta_o, so that the
-  cells at the horizon are right on this side of it (it may go below zero, as it does in RGL's own files).
+  cells at the horizon are right on this side of it; but not below zero, which renderers take for a mistake.
 - `luminance`: what is left for samples to be distributed as BRDF cos theta_o.
 """
 
@@ -74,12 +74,12 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
     held = np.interp(place_u, u, facets)
-    values = _continued(outgoing * (4 * seen_area[:, None, None] / held)[..., None], cos_o)
+    values = np.maximum(_continued(outgoing * (4 * seen_area[:, None, None] / held)[..., None], cos_o), 0)
     # of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the warp
     light = LIGHT_ANGLES[:, None, None]
     cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
     solid = held * np.maximum(cos, 0) * _jacobian(place_u)
-    density = np.maximum(values.mean(axis=-1), 0) * solid / np.where(held_density > 0, held_density, 1.0)
+    density = values.mean(axis=-1) * solid / np.where(held_density > 0, held_density, 1.0)
     whole = lambda half, axis: np.concatenate([half, np.flip(half, axis)], axis).astype(np.float32)  # noqa: E731
     note = (description or "made by matcam").encode()
     return xr.Dataset(
