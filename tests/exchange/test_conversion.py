@@ -81,6 +81,7 @@ def test_a_table_through_text(folder, tmp_path):
     np.testing.assert_array_equal(read_merl(tmp_path / "c.binary").values, read_merl(tmp_path / "a.binary").values)
 
 
+@pytest.mark.slow
 def test_to_rgl_and_back_the_error_is_told(folder, tmp_path):
     report = convert(folder / "a.binary", tmp_path / "b.bsdf", square=64)
     assert "64 x 64" in report["resampled"]
@@ -94,6 +95,7 @@ def test_to_rgl_and_back_the_error_is_told(folder, tmp_path):
     assert np.median(relative) < 0.01
 
 
+@pytest.mark.slow
 def test_an_rgl_file_on_the_merl_grid_is_the_mean_of_both_ways(real_data, goniophotometer):
     """Measured files are not reciprocal; a cell stands for both."""
     table = read_merl(goniophotometer("satin_rosaline"))

@@ -26,25 +26,37 @@ def test_a_white_diffuse_sphere_is_lamberts(tmp_path):
     assert np.all(picture[0, 0] == 0)
 
 
-def test_the_command(tmp_path, capsys):
+@pytest.fixture
+def coloured(tmp_path):
     write_rgl(tmp_path / "a.bsdf", adaptive_grid(Microfacet(GGX(0.1), [0.9, 0.6, 0.2], 0.05), square=32))
     write_exr(tmp_path / "sky.exr", np.full((8, 16, 3), 0.5))
-    small = ["--size", "16", "--samples", "4"]
-    one, two = str(tmp_path / "a.bsdf"), str(tmp_path / "two.png")
-    assert _run(["render", one, one, "-o", two, "--environment", str(tmp_path / "sky.exr"), "--json", *small]) == 0
+    return str(tmp_path / "a.bsdf")
+
+
+SMALL = ["--size", "16", "--samples", "4"]
+
+
+@pytest.mark.slow
+def test_two_spheres_under_an_environment(coloured, tmp_path, capsys):
+    words = ["-o", str(tmp_path / "two.png"), "--environment", str(tmp_path / "sky.exr"), "--json", *SMALL]
+    assert _run(["render", coloured, coloured, *words]) == 0
     found = json.loads(capsys.readouterr().out)
     assert list(found["mean_radiance"]) == ["a.bsdf", "a.bsdf (2)"]
     assert (tmp_path / "two.png").read_bytes().startswith(b"\x89PNG")
-    assert _run(["render", one, "-o", str(tmp_path / "one.exr"), *small]) == 0
-    assert read_exr(tmp_path / "one.exr").shape == (16, 16, 3)
+
+
+def test_the_command(coloured, tmp_path, capsys):
+    done = str(tmp_path / "one.exr")
+    assert _run(["render", coloured, "-o", done, *SMALL]) == 0
+    assert read_exr(done).shape == (16, 16, 3)
     capsys.readouterr()
     for words, said in (
-        ([one, "-o", two], "exists"),
-        ([one, one, "-o", str(tmp_path / "b.exr")], "holds one sphere"),
-        ([one, one, one], "one file is rendered"),
-        ([one, "-o", str(tmp_path / "b.gif")], "must end in"),
-        ([one, "-o", str(tmp_path / "b.png"), "--exposure", "0"], "--exposure must be above 0"),
-        ([one, "-o", str(tmp_path / "b.png"), "--lamp-angle", "200"], "lamp_angle must lie in"),
+        ([coloured, "-o", done], "exists"),
+        ([coloured, coloured, "-o", str(tmp_path / "b.exr")], "holds one sphere"),
+        ([coloured, coloured, coloured], "one file is rendered"),
+        ([coloured, "-o", str(tmp_path / "b.gif")], "must end in"),
+        ([coloured, "-o", str(tmp_path / "b.png"), "--exposure", "0"], "--exposure must be above 0"),
+        ([coloured, "-o", str(tmp_path / "b.png"), "--lamp-angle", "200"], "lamp_angle must lie in"),
         ([str(tmp_path / "sky.exr"), "-o", str(tmp_path / "b.png")], "cannot be evaluated"),
     ):
         assert _run(["render", *words]) == 2
