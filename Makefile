@@ -12,6 +12,9 @@ RUN := $(VENV)/bin/python -m
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
 
+# Two test processes on two cores: a matrix product that starts two threads of its own in each waits for itself
+test test-all: export OPENBLAS_NUM_THREADS = 1
+
 test: lint
 	$(RUN) pytest -n 2 --dist loadgroup -m "not slow"
 
