@@ -41,7 +41,9 @@ from .forward.measurement import measure, measured_values
 from .forward.peak import loss_angle, peak_response
 from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
+from .inverse.fit_result import MaterialFit
 from .inverse.fresnel_term import fresnel
+from .inverse.material_fit import fit
 from .inverse.tabulated import tabulated_fresnel
 from .material.adaptive import Adaptive
 from .material.albedo import albedo
@@ -52,7 +54,7 @@ from .material.gaussian_lobe import GaussianNDF
 from .material.ggx import GGX
 from .material.metals import metal, metal_sources, metals
 from .material.microfacet import Microfacet
-from .material.reflectance import Conductor, Constant, Dielectric, Schlick, fresnel_conductor
+from .material.reflectance import Conductor, Constant, Dielectric, Sampled, Schlick, fresnel_conductor
 from .material.sgd import SGD
 from .material.tabulated import Tabulated
 from .rigs import Rig
@@ -87,11 +89,13 @@ __all__ = [
     "HaloOptics",
     "MTFSamples",
     "MatcamError",
+    "MaterialFit",
     "MeasuredOptics",
     "Microfacet",
     "PixelNoise",
     "Provenance",
     "Rig",
+    "Sampled",
     "Schlick",
     "Sensor",
     "Sphere",
@@ -110,6 +114,7 @@ __all__ = [
     "edge_mtf",
     "edge_mtf_stack",
     "expose_bracket",
+    "fit",
     "fresnel",
     "fresnel_conductor",
     "grating_mtf",

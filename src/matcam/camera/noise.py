@@ -9,12 +9,14 @@ from matcam.errors import ArgumentError
 
 class PixelNoise(NamedTuple):
     """Standard deviation of a pixel: relative * its value, and floor * the brightest value of its picture, in quadrature.
+    gain: relative standard deviation of a picture's exposure, common to all its pixels.
 
     Noise belongs to pixels: table cells that were read from one pixel share it.
     """
 
     relative: float = 0.01
     floor: float = 1e-4
+    gain: float = 0.0
 
     def checked(self) -> PixelNoise:
         """Itself; ArgumentError if a number is negative, not finite, or both are 0."""

@@ -48,10 +48,18 @@ def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Arr
     cot = cot_of(cos)
     if cot.size <= _NODES:
         return smith_lambda(slope_density, scale, cot)
-    spacing = np.arcsinh(_REACH / _KNEE) / (_NODES - 1)
-    nodes = np.maximum(_KNEE * np.sinh(spacing * np.arange(_NODES)), 1e-11)
+    return interpolated_lambda(lambda cot: smith_lambda(slope_density, scale, cot), scale, cot, _NODES)
+
+
+def interpolated_lambda(
+    function: Callable[[jax.Array], jax.Array], scale: jax.Array, cot: jax.Array, nodes: int
+) -> jax.Array:
+    """Lambda at cot theta > 0 from a table of `function` (Lambda of cot theta) at so many nodes; 256 give 1 / (1 + Lambda)
+    to 1e-6."""
+    spacing = np.arcsinh(_REACH / _KNEE) / (nodes - 1)
+    nus = np.maximum(_KNEE * np.sinh(spacing * np.arange(nodes)), 1e-11)
     # nu (1 + Lambda) has a finite limit at the horizon, and is nu itself far from it
-    table = jnp.log(nodes * (1 + smith_lambda(slope_density, scale, scale * nodes)))
+    table = jnp.log(nus * (1 + function(scale * nus)))
     nu = jnp.minimum(cot / scale, _REACH)
     place = jnp.arcsinh(nu / _KNEE) / spacing
     return jnp.maximum(jnp.exp(_cubic(table, place)) / nu - 1, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam import checks
-from matcam._jax import jax, jnp
+from matcam._jax import is_concrete, jax, jnp
 from matcam.errors import ArgumentError
 
 
@@ -95,6 +95,33 @@ class Constant(Reflectance):
     def at(self, theta: jax.Array) -> jax.Array:
         """The value."""
         return self.value + 0 * _beside_channels(theta, self.value)
+
+
+class Sampled(Reflectance):
+    """A Fresnel term known at some angles: linear in between, constant beyond. theta: rad, ascending, shape (angles,);
+    values: >= 0, shape (angles,) or (angles, channels). A free estimate may exceed 1: it carries the scale of its data."""
+
+    theta: jax.Array
+    values: jax.Array
+
+    def __init__(self, theta: ArrayLike, values: ArrayLike):
+        self.theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
+        self.values = checks.within("values", values, 0, np.inf, open_high=True)
+        fits = self.theta.ndim == 1 and self.theta.size and self.values.shape[:1] == self.theta.shape
+        if not fits or self.values.ndim > 2:
+            raise ArgumentError(
+                f"values must have shape (angles,) or (angles, channels), got {self.values.shape} for theta "
+                f"of shape {self.theta.shape}"
+            )
+        if is_concrete(self.theta) and bool(np.any(np.diff(self.theta) <= 0)):
+            raise ArgumentError("theta must ascend")
+
+    def at(self, theta: jax.Array) -> jax.Array:
+        """Linear interpolation."""
+        theta = jnp.asarray(theta)
+        if self.values.ndim == 1:
+            return jnp.interp(theta, self.theta, self.values)
+        return jnp.stack([jnp.interp(theta, self.theta, column) for column in self.values.T], axis=-1)
 
 
 def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:

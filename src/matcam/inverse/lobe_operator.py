@@ -1,0 +1,256 @@
+"""What a rig records of D G in chosen cells: one compiled function of lobe and camera for every material.
+
+`record` is the integral of MODEL 3 without F: a table reads F(theta_d) times it, because a picture of a distant sphere under
+a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and kept.
+
+A camera's uncertain numbers move the weights of the rule. Each is followed along its own axis through a few values, by the
+polynomial through them; how two of them act together beyond their sum is left out (a product of two small errors).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from matcam._jax import jax, jnp
+from matcam.angles import Sampling, azimuth_difference, merl_grid
+from matcam.camera.camera import Camera
+from matcam.errors import ArgumentError
+from matcam.forward.blur import Blur, blur_of
+from matcam.forward.regions import groups_of
+from matcam.inverse import rule_cache
+from matcam.inverse.chosen_cells import ChosenCells, chosen_cells, places
+from matcam.inverse.polar_rule import THROUGH_SAMPLES, Pixels, Window, filled, nodes_of, reach_of, sampled, window
+from matcam.material.beckmann import Beckmann
+from matcam.material.ggx import GGX
+from matcam.material.masking import Masking, cot_of, g2, interpolated_lambda
+from matcam.material.ndf import NDF
+from matcam.rigs import Rig
+from matcam.sample.sphere import Sphere
+
+_STEEPEST_COSINE = 1e-4
+"""Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
+
+_AXIS_VALUES = {False: 5, True: 9}
+"""Values of a camera parameter that its axis runs through: narrow axis, wide axis."""
+_WIDE = 0.15
+_LAMBDA_NODES = 256
+_PERFECT_RADIUS = 256.0
+"""Sphere whose pixels are told apart where no rig is given."""
+
+
+class Axis(NamedTuple):
+    """One camera parameter, as the logarithm of its ratio to the rig's value."""
+
+    name: str
+    half_range: float
+    """Largest |ln(value / rig's)| that the weights are good for."""
+
+
+class LobeOperator(eqx.Module):
+    """Rule of every chosen cell. Arrays over (cells in all slices, two ways, nodes); masking is taken at fewer samples."""
+
+    theta: jax.Array
+    weight: jax.Array
+    along: tuple[jax.Array, ...]
+    """For each camera parameter, by how much the weights differ at its values: (values, cells, ways, nodes)."""
+    cos_i: jax.Array
+    """(cells, ways, groups of nodes, samples, 2), as are the others of masking."""
+    cos_o: jax.Array
+    azimuth: jax.Array
+    through_samples: jax.Array
+    """(nodes of a group, samples)."""
+    values: tuple[tuple[float, ...], ...] = eqx.field(static=True)
+    """For each camera parameter, ln(value / rig's) where the weights are known."""
+    shape: tuple[int, int] = eqx.field(static=True)
+
+    def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+        """Integral of D G through the camera over cos_i, 1/sr at F = 1, mean of both ways; shape (slices, cells).
+
+        shifts: (parameters,), ln(value / rig's) of each followed camera parameter.
+        """
+        weight = self.weight
+        for values, differences, shift in zip(self.values, self.along, shifts, strict=True):
+            weight = weight + jnp.tensordot(_lagrange(np.array(values), shift), differences, 1)
+        light = ndf.d(self.theta)
+        if masking is not None:
+            lambda_i, lambda_o = (_smith_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
+            joint = jnp.mean(g2(masking, lambda_i, lambda_o, self.azimuth), axis=-1) @ self.through_samples.T
+            light *= joint.reshape(light.shape)
+        return jnp.sum(weight * light, axis=(-2, -1)).reshape(self.shape)
+
+
+class _Rules(NamedTuple):
+    """Arrays of an operator, on their way to disk and back."""
+
+    theta: np.ndarray
+    weight: np.ndarray
+    sample_theta: np.ndarray
+    sample_cos_psi: np.ndarray
+    along: tuple[np.ndarray, ...]
+
+    def operator(self, cells: ChosenCells, through: np.ndarray, values: tuple) -> LobeOperator:
+        """With the angles that masking needs."""
+        theta = self.sample_theta[..., None]
+        theta_d = np.repeat(cells.theta_d, cells.kept.shape[1]).reshape(-1, *[1] * (theta.ndim - 1))
+        mean = np.cos(theta) * np.cos(theta_d)
+        half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
+        azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
+        cos_i, cos_o = (jnp.asarray(np.maximum(c, _STEEPEST_COSINE)) for c in (mean + half, mean - half))
+        slices, count = cells.kept.shape
+        return LobeOperator(
+            theta=jnp.asarray(self.theta),
+            weight=jnp.asarray(self.weight),
+            along=tuple(jnp.asarray(a) for a in self.along),
+            cos_i=cos_i,
+            cos_o=cos_o,
+            azimuth=azimuth,
+            through_samples=jnp.asarray(through),
+            values=values,
+            shape=(slices, count),
+        )
+
+
+def _smith_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
+    """Lambda; where it is an integral, from a small table, which the operator's own accuracy allows."""
+    if isinstance(ndf, GGX | Beckmann):
+        return ndf.smith_lambda(cos)
+
+    def of_cot(cot: jax.Array) -> jax.Array:
+        return ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2))
+
+    return interpolated_lambda(of_cot, ndf.roughness, cot_of(cos), _LAMBDA_NODES)
+
+
+def _lagrange(values: np.ndarray, at: jax.Array) -> jax.Array:
+    """Weights of the polynomial through `values` at one place."""
+    differences = values[:, None] - values + np.eye(values.size)
+    factors = jnp.where(np.eye(values.size, dtype=bool), 1.0, (at - values) / differences)
+    return jnp.prod(factors, axis=1)
+
+
+def lobe_operator(
+    rig: Rig | None, sampling: Sampling, every: int = 1, axes: tuple[Axis, ...] = ()
+) -> tuple[ChosenCells, LobeOperator]:
+    """The chosen cells of every `every`-th slice and their rule; None: a camera that sees points. Kept for the next call
+    with the same numbers."""
+    if rig is None:
+        return _perfect(sampling, every)
+    check_rig(rig)
+    camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
+    numbers = {name: float(value) for name, value in camera.parameters().items()}
+    rest = tuple(float(a) for a in (rig.sample.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))  # type: ignore[attr-defined]
+    key = (repr(camera), tuple(sorted(numbers.items())), rest, sampling, every, axes)
+    return _of_key(_Described(key, rig))
+
+
+class _Described:
+    """A rig that is the same as another if its numbers are."""
+
+    def __init__(self, key: tuple, rig: Rig):
+        self.key, self.rig = key, rig
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Described) and self.key == other.key
+
+
+def check_rig(rig: Rig) -> None:
+    """ArgumentError for a rig whose tables a lobe cannot be fitted to."""
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(f"a fit needs a table recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+    if not rig.sample.distant:
+        raise ArgumentError(
+            "a fit needs a distant camera (Sphere(radius)): before a near one a slice is taken from pictures of many lamps"
+        )
+    if rig.cell_value == "mean":
+        raise ArgumentError("a fit needs cells that stand for one pixel: cell_value 'centre' or 'edge', not 'mean'")
+
+
+@lru_cache(maxsize=6)
+def _of_key(described: _Described) -> tuple[ChosenCells, LobeOperator]:
+    _, _, (radius, *_), sampling, every, axes = described.key
+    rig = described.rig
+    cells = chosen_cells(radius, sampling, every)
+    values = tuple(_values(axis.half_range) for axis in axes)
+
+    stored = rule_cache.kept(repr(described.key), lambda: _rules(rig, cells, axes, values))
+    along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
+    rules = _Rules(along=along, **stored)
+    return cells, rules.operator(cells, THROUGH_SAMPLES, values)
+
+
+def _values(half_range: float) -> tuple[float, ...]:
+    """Chebyshev's points, which have the middle among them."""
+    count = _AXIS_VALUES[half_range > _WIDE]
+    return tuple(float(v) for v in half_range * np.round(np.cos(np.pi * np.arange(count) / (count - 1)), 15))
+
+
+def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], values: tuple) -> dict[str, np.ndarray]:
+    """The arrays of `_Rules` by name; those of the camera's parameters as along0, along1 ..."""
+    radius = float(rig.sample.radius)  # type: ignore[attr-defined]
+    flat = np.flatnonzero(np.repeat(cells.kept.ravel(), 2))
+    theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
+    pixels = Pixels(*(filled(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, 0.5 / cells.cos_i)))
+    depth = np.sqrt(np.maximum(1 - (pixels.x**2 + pixels.y**2) / radius**2, 0))
+    blur = blur_of(rig)
+    cameras = [
+        _with(rig.camera, {axis.name: shift}) for axis, shifts in zip(axes, values, strict=True) for shift in shifts
+    ]
+    blurs = [blur_of(eqx.tree_at(lambda r: r.camera, rig, camera)) for camera in cameras]
+
+    def full(part: np.ndarray) -> np.ndarray:
+        whole = np.zeros((cells.x.size, *part.shape[1:]))
+        whole[flat] = part[: flat.size]
+        return whole.reshape(-1, 2, *part.shape[1:])
+
+    columns: list[list[np.ndarray]] = []
+    for terms, _ in groups_of(blur, rig.sample):  # type: ignore[arg-type]
+        spread = [np.broadcast_to(v, pixels.x.shape) for v in blur.spread(rig.sample, depth, 2 * pixels.theta_d)]  # type: ignore[arg-type]
+        widest = np.max([np.asarray(b.stds)[list(terms)].max() for b in (blur, *blurs)])
+        reach = reach_of(float(rig.camera.pixel.half_width), np.sqrt(widest**2 + np.maximum(*spread)))
+        seen = window(radius, pixels, reach)
+        rule = partial(_rule, radius, terms, spread, pixels, seen, reach)
+        theta, weight, cos_psi = (np.asarray(a) for a in rule(blur))
+        others = [np.asarray(rule(b).weight) - weight for b in blurs]
+        samples = (a[:, None] for a in sampled(theta, cos_psi))
+        columns.append([full(part) for part in (theta, weight, *samples, *others)])
+    named = [np.concatenate(c, axis=2) for c in zip(*columns, strict=True)]
+    arrays: dict[str, np.ndarray] = dict(zip(_Rules._fields[:4], named, strict=False))
+    first = 4
+    for n, shifts in enumerate(values):
+        arrays[f"along{n}"] = np.stack(named[first : first + len(shifts)])
+        first += len(shifts)
+    return arrays
+
+
+def _rule(radius: float, terms: tuple, spread: list, pixels: Pixels, seen: Window, reach: np.ndarray, blur: Blur):  # type: ignore[no-untyped-def]
+    return nodes_of(jnp.asarray(radius), blur, tuple(spread), terms, pixels, seen, jnp.asarray(reach))
+
+
+def _with(camera: Camera, shifts: Mapping[str, float]) -> Camera:
+    """The camera with some of its numbers multiplied by e^shift."""
+    numbers = camera.parameters()
+    return camera.with_parameters({name: numbers[name] * np.exp(shift) for name, shift in shifts.items()})
+
+
+@lru_cache(maxsize=4)
+def _perfect(sampling: Sampling, every: int) -> tuple[ChosenCells, LobeOperator]:
+    """A camera that sees points: one node, at the cell itself."""
+    cells = chosen_cells(_PERFECT_RADIUS, sampling, every)
+    grid = merl_grid(sampling)
+    theta_h, phi_d = grid.theta_h[cells.i_theta_h], grid.phi_d[cells.i_phi_d]
+    _, _, cos_i, cos_o = places(_PERFECT_RADIUS, theta_h, cells.theta_d[:, None], phi_d)
+    weight = np.where(cells.kept[..., None], 0.5 / (4 * cos_i * cos_o), 0.0).reshape(-1, 2, 1)
+    theta = np.repeat(theta_h.reshape(-1, 1, 1), 2, axis=1)
+    psi = np.pi - phi_d.ravel()[:, None, None, None] + np.array([0.0, np.pi])[:, None, None]
+    rules = _Rules(theta, weight, theta[:, :, None], np.cos(psi)[:, :, None], ())
+    return cells, rules.operator(cells, np.ones((1, 1)), ())

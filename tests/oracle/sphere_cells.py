@@ -1,0 +1,188 @@
+"""Many cells of a table at once, for any isotropic lobe, and their noise (MODEL 3, 8): truth for fits.
+
+Imports nothing of the package. Two rules: near the highlight a fixed polar grid of slopes about the half vector, graded
+towards it, over whose nodes each pixel's kernel is a sparse row; elsewhere the trapezoid rule on the sensor, at a
+third of a pixel, which converges exponentially for what is smooth there. Pixels that the limb or the terminator comes within
+`END` px of are left out (NaN).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.sparse import csr_matrix
+from scipy.special import erfc, gamma
+
+END = 4.5
+NEAR = 8.0
+_STEP, _HALF = 0.35, 11
+_AZIMUTHS = 220
+_RADIAL = np.polynomial.legendre.leggauss(6)
+_PANEL_PX = 1.3  # the widest, on the sphere
+
+
+class GGX(NamedTuple):
+    alpha: float
+
+    def p22(self, s2):
+        return self.alpha**2 / (np.pi * (self.alpha**2 + s2) ** 2)
+
+    def smith(self, cos):
+        return np.sqrt(1 + self.alpha**2 * (1 / cos**2 - 1)) / 2 - 0.5
+
+
+class EPD(NamedTuple):
+    beta: float
+    power: float
+
+    def p22(self, s2):
+        p, b = self.power, self.beta
+        return p / (np.pi * b**2 * gamma(1 / p)) * np.exp(-((s2 / b**2) ** p))
+
+    def smith(self, cos):
+        """Spline through the integral over slopes, in logarithms."""
+        mu = self.beta * np.geomspace(1e-3, 300, 260)
+        x, w = np.polynomial.legendre.leggauss(12)
+        cuts = np.concatenate([[-30], np.arange(-14, 5, 0.5)])
+        log_s = (cuts[:-1, None] + np.diff(cuts)[:, None] * (x + 1) / 2).ravel()
+        weight = (np.diff(cuts)[:, None] / 2 * w).ravel()
+        y = np.hypot(self.beta, mu[:, None]) * np.exp(log_s)  # y^2 = r^2 - mu^2, r dr = y dy
+        ratio = y / mu[:, None]
+        excess = np.where(ratio < 0.02, mu[:, None] * ratio**3 * (1 / 3 - ratio**2 / 5 + ratio**4 / 7),
+                          y - mu[:, None] * np.arctan(ratio))  # fmt: skip
+        value = 2 / mu * ((self.p22(mu[:, None] ** 2 + y**2) * excess * y**2) @ weight)
+        good = value > 1e-13
+        spline = CubicSpline(np.log(mu[good]), np.log(value[good]))
+        cot = cos / np.sqrt(np.maximum(1 - cos**2, 1e-30))
+        inside = np.exp(spline(np.log(np.clip(cot, mu[0], mu[good][-1]))))
+        # towards the horizon Lambda goes as 1 / mu
+        inside = np.where(cot < mu[0], inside * mu[0] / np.maximum(cot, 1e-300), inside)
+        return np.where(cot > mu[good][-1], 0.0, inside)
+
+
+class Setup(NamedTuple):
+    """radius, lens and pixel in px; halo: share of light in a Gaussian of halo_sigma px; lamp: angular radius, rad."""
+
+    sigma: float = 0.5
+    half_width: float = 0.5
+    radius: float = 256.0
+    lamp: float = 0.0
+
+
+class Cells:
+    """Cells (i, j, k as angles) of some pictures. theta_h, phi_d: (slices, cells); theta_d: (slices,)."""
+
+    def __init__(self, theta_h, theta_d, phi_d, setup=None):
+        self.setup = setup or Setup()
+        r = self.setup.radius
+        th, td, psi = theta_h[..., None], theta_d[:, None, None], np.pi - phi_d[..., None] + np.array([0, np.pi])
+        self.theta_d = theta_d
+        self.x = r * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
+        self.y = r * np.sin(th) * np.sin(psi)
+        a, b = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
+        self.cos_i, self.cos_o = a + b, a - b
+        limb = r - np.hypot(self.x, self.y)
+        # distance to the terminator: an ellipse of half axes r |cos 2 theta_d| and r, on the side away from the lamp
+        dark = -np.cos(2 * td) * np.sqrt(np.maximum(r**2 - self.y**2, 0))
+        self.good = (self.cos_i > 0) & (self.cos_o > 0) & (limb > END) & (self.x - dark > END)
+        distance = np.abs(np.sin(th)) * r * np.cos(td)
+        self.near = self.good & (np.broadcast_to(distance, self.good.shape) < NEAR)
+        self.far = self.good & ~self.near
+        self._polar()
+        self._trapezoid()
+
+    def _spread(self, j):
+        """Standard deviations of lens and lamp along x and y."""
+        lamp = self.setup.lamp * self.setup.radius / 4
+        cos = np.cos(self.theta_d[j])
+        return np.hypot(self.setup.sigma, lamp * cos), np.hypot(self.setup.sigma, lamp / cos)
+
+    def _polar(self):
+        graded = np.exp(np.concatenate([[-16, -13, -11], np.arange(-10, 0, 0.3)]))
+        even = np.arange(_PANEL_PX, 200, _PANEL_PX) / self.setup.radius
+        cuts = np.concatenate([graded[graded * 0.3 < _PANEL_PX / self.setup.radius], even])
+        cuts = np.unique(np.concatenate([[0], cuts[cuts < 1.45]]))
+        slopes = (cuts[:-1, None] + np.diff(cuts)[:, None] * (_RADIAL[0] + 1) / 2).ravel()
+        weight = (np.diff(cuts)[:, None] / 2 * _RADIAL[1]).ravel()
+        azimuth = 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
+        self.grids, self.rows = [], []
+        for j, td in enumerate(self.theta_d):
+            span = (NEAR + 6) / self.setup.radius / np.cos(td)
+            used = slopes < np.tan(min(span, 1.4))
+            t, phi = (g.ravel() for g in np.meshgrid(slopes[used], azimuth, indexing="ij"))
+            area = np.repeat(weight[used] * slopes[used], _AZIMUTHS) * 2 * np.pi / _AZIMUTHS
+            length = np.sqrt(1 + t**2)
+            along, across, up = t * np.cos(phi) / length, t * np.sin(phi) / length, 1 / length
+            x = self.setup.radius * (up * np.sin(td) + along * np.cos(td))
+            cos_o, cos_i = up * np.cos(td) - along * np.sin(td), up * np.cos(td) + along * np.sin(td)
+            seen = (cos_o > 0) & (cos_i > 0)
+            grid = t[seen] ** 2, cos_i[seen], cos_o[seen], (area / length**3)[seen] * self.setup.radius**2 / 4
+            x, y = x[seen], self.setup.radius * across[seen]
+            self.grids.append(grid)
+            order = np.argsort(y)
+            s_x, s_y = self._spread(j)
+            reach = [self.setup.half_width + 7.5 * s for s in (s_x, s_y)]
+            data, index, pointer = [], [], [0]
+            for px, py in zip(self.x[j][self.near[j]], self.y[j][self.near[j]], strict=True):
+                a, b = np.searchsorted(y[order], [py - reach[1], py + reach[1]])
+                inside = order[a:b][np.abs(x[order[a:b]] - px) < reach[0]]
+                data.append(self._kernel(x[inside] - px, s_x) * self._kernel(y[inside] - py, s_y))
+                index.append(inside)
+                pointer.append(pointer[-1] + inside.size)
+            joined = (np.concatenate(data), np.concatenate(index), pointer) if data else ([], [], [0])
+            self.rows.append(csr_matrix(joined, shape=(len(pointer) - 1, x.size)))
+
+    def _trapezoid(self):
+        r, offsets = self.setup.radius, _STEP * np.arange(-_HALF, _HALF + 1)
+        self.far_nodes = []
+        for j, td in enumerate(self.theta_d):
+            s_x, s_y = self._spread(j)
+            stretch_x, stretch_y = max(1.0, s_x / 0.5), max(1.0, s_y / 0.5)
+            x0, y0 = self.x[j][self.far[j]], self.y[j][self.far[j]]
+            dx, dy = stretch_x * offsets, stretch_y * offsets
+            x, y = x0[:, None, None] + dx[:, None], y0[:, None, None] + dy
+            z2 = r**2 - x**2 - y**2
+            n_x, n_z = x / r, np.sqrt(np.maximum(z2, 0)) / r
+            cos_i = n_x * np.sin(2 * td) + n_z * np.cos(2 * td)
+            cos_h = n_x * np.sin(td) + n_z * np.cos(td)
+            lit = (z2 > 0) & (cos_i > 0) & (n_z > 0)
+            # slope of the half vector without cancellation
+            sin2 = (n_x * np.cos(td) - n_z * np.sin(td)) ** 2 + (y / r) ** 2
+            kernel = (self._kernel(dx, s_x) * (dx[1] - dx[0]))[:, None] * (self._kernel(dy, s_y) * (dy[1] - dy[0]))
+            weight = np.where(lit, kernel / (4 * np.where(lit, n_z, 1)), 0.0)
+            self.far_nodes.append(
+                (np.where(lit, sin2 / cos_h**2, 1.0), np.where(lit, cos_i, 1.0), np.where(lit, n_z, 1.0), weight)
+            )
+
+    def _kernel(self, x, sigma):
+        x, unit, p = np.abs(x), np.sqrt(2) * sigma, self.setup.half_width
+        return (erfc((x - p) / unit) - erfc((x + p) / unit)) / (4 * p)
+
+    def ways(self, lobe):
+        """What is recorded one way and the other, 1/sr at F = 1: (slices, cells, 2), NaN where left out."""
+        out = np.full(self.x.shape, np.nan)
+        for j in range(self.theta_d.size):
+            for chosen, (s2, cos_i, cos_o, weight), apply in (
+                (self.near[j], self.grids[j], lambda light, w, j=j: self.rows[j] @ (light * w)),
+                (self.far[j], self.far_nodes[j], lambda light, w: (light * w).sum((1, 2))),
+            ):
+                light = lobe.p22(s2) * (1 + s2) ** 2 / (1 + lobe.smith(cos_i) + lobe.smith(cos_o))
+                out[j][chosen] = apply(light, weight)
+        return out / self.cos_i
+
+    def pixel_numbers(self):
+        """Of the pixel that holds each place, unique within its picture."""
+        return np.rint(self.x) * 4096 + np.rint(self.y)
+
+    def noisy(self, ways, rng, relative=0.01, floor=1e-4, gain=0.01):
+        """Cells (slices, cells): mean of both places, each with its pixel's noise, under one gain for each picture."""
+        out = np.empty(ways.shape[:2])
+        number = self.pixel_numbers()
+        for j, pair in enumerate(ways):
+            _, index = np.unique(number[j], return_inverse=True)
+            index = index.reshape(pair.shape)
+            e = rng.standard_normal((2, index.max() + 1))
+            peak = np.max(pair.mean(-1), initial=0, where=np.isfinite(pair.mean(-1)))
+            out[j] = (pair * (1 + relative * e[0][index]) + floor * peak * e[1][index]).mean(-1)
+            out[j] *= 1 + gain * rng.standard_normal()
+        return out
