@@ -32,11 +32,13 @@ class Layout(NamedTuple):
     """Of each unit, the number of its lobe."""
     axes: int
     """Camera numbers that are free."""
+    bends: int = 0
+    """Numbers that bend each lobe away from its family."""
 
     @property
     def lobe_size(self) -> int:
         """Numbers of a lobe."""
-        return len(parameters.lobe_names(self.family))
+        return len(parameters.lobe_names(self.family, self.bends))
 
     @property
     def lobes(self) -> int:

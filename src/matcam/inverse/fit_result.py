@@ -165,8 +165,9 @@ def result_of(
     likelihood = -0.5 * (np.log(variance[data.used]).sum() + (scaled[data.used] ** 2).sum())
     radius = 256.0 if rig is None else float(rig.sample.radius)  # type: ignore[attr-defined]
     at_end = float(solved.p[0]) - parameters.lobe_bounds(layout.family, radius)[0][0]
-    power_std = [np.sqrt(solved.covariance[layout.lobe(n), layout.lobe(n)][-1, -1]) for n in range(layout.lobes)]
-    linear = layout.lobe_size == 1 or max(power_std) < LINEAR
+    own = len(parameters.lobe_names(layout.family))
+    last = [layout.lobe(n).start + own - 1 for n in range(layout.lobes)]
+    linear = own == 1 or bool(np.all(np.sqrt(np.diag(solved.covariance)[last]) < LINEAR))
     determined = linear and bool(np.all(roughness_std < DETERMINED) and at_end > 0.05)
     materials = []
     first = 0
@@ -211,7 +212,7 @@ def _named(
         if layout.lobes > 1:
             mine = layout.lobe_of.index(lobe)
             suffix = f"[{table_of[mine]}]" if layout.lobes == len(channels) else f"[{unit_names[mine]}]"
-        names += [f"{name}{suffix}" for name in parameters.lobe_names(layout.family)]
+        names += [f"{name}{suffix}" for name in parameters.lobe_names(layout.family, layout.bends)]
     plain = [name.split("[")[0] for name in names]
     names += [axis.name for axis in prior.axes]
     plain += ["camera"] * layout.axes

@@ -19,6 +19,7 @@ from matcam.inverse.fit_parameters import FRESNEL_MODELS, FresnelModel
 from matcam.inverse.fit_problem import Layout, Model, Problem
 from matcam.inverse.fit_result import MaterialFit, result_of
 from matcam.inverse.lobe_operator import Axis, check_rig, lobe_operator
+from matcam.material.bent import KNOTS, bend_differences
 from matcam.material.families import FAMILIES, WITH_POWER
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -54,6 +55,7 @@ def fit(
     masking: Masking = "smith",
     camera: CameraUse | None = None,
     free: Sequence[str] = ("optics.sigma_px",),
+    bend: float = 0.0,
     noise: PixelNoise | None = None,
     every: int = 1,
 ) -> MaterialFit:
@@ -67,6 +69,9 @@ def fit(
     camera: "fixed" as the rig says; "prior": its uncertain numbers are fitted, with their covariance as what is known of
     them; "free": the numbers named in `free` are fitted with nothing known. None: "prior" if the camera states an
     uncertainty, else "fixed", and the result says that it is assumed exact.
+
+    bend: how far D may depart from the family, smoothly: standard deviation of the second differences of ln D between knots
+    that are half a power of e apart; 0 keeps the family, 1 is as good as no family (a non-parametric D).
 
     noise: of a pixel and of a picture's gain; None: estimated from the residuals, misfit and all. every: use every n-th
     slice of theta_d.
@@ -91,10 +96,11 @@ def fit(
     data = joined([fit_data(table, cells) for table in tables])
     channels = [table.sizes["channel"] for table in tables]
     lobes = range(sum(channels)) if per_channel else np.repeat(np.arange(len(tables)), channels)
-    layout = Layout(ndf, masking, fresnel, diffuse, tuple(int(n) for n in lobes), len(prior.axes))
+    checks.within("bend", bend, 0, 10)
+    layout = Layout(ndf, masking, fresnel, diffuse, tuple(int(n) for n in lobes), len(prior.axes), KNOTS if bend else 0)
     problem = Problem(data, operator, cells.theta_d, layout)
     radius = 256.0 if rig is None else float(rig.sample.radius)  # type: ignore[attr-defined]
-    solved = _Search(problem, prior, noise and noise.checked(), radius).best()
+    solved = Search(problem, prior, noise and noise.checked(), radius, bend).best()
     return result_of(problem, solved, tables, rig, prior, channels, cells, noise is not None)
 
 
@@ -144,13 +150,14 @@ class Solved(NamedTuple):
     weight: np.ndarray
 
 
-class _Search:
+class Search:
     """From a row of widths to the best fit."""
 
-    def __init__(self, problem: Problem, prior: Prior, noise: PixelNoise | None, radius: float):
+    def __init__(self, problem: Problem, prior: Prior, noise: PixelNoise | None, radius: float, bend: float = 0.0):
         self.problem, self.prior, self.given = problem, prior, noise
         layout = problem.layout
-        bounds = parameters.lobe_bounds(layout.family, radius) * layout.lobes
+        self.known = prior_rows(layout, prior, bend)
+        bounds = parameters.lobe_bounds(layout.family, radius, layout.bends) * layout.lobes
         bounds += [(-axis.half_range, axis.half_range) for axis in prior.axes]
         unit = parameters.fresnel_bounds(layout.fresnel) + ([(-0.05, 1.0)] if layout.diffuse else [])
         bounds += unit * len(layout.lobe_of)
@@ -174,7 +181,8 @@ class _Search:
         if layout.family in WITH_POWER:
             powers = np.log([0.5, 1.0, 1.8] if layout.family == "epd" else [0.3, 0.8, 1.5])
             lattice = [(q, power) for power in powers for q in _STARTS[::2]]
-        free = Problem(problem.data, problem.operator, problem.theta_d, layout._replace(fresnel="free", diffuse=False))
+        plain = layout._replace(fresnel="free", diffuse=False, bends=0)
+        free = Problem(problem.data, problem.operator, problem.theta_d, plain)
         found = []
         for lobe in lattice:
             inside = np.clip(lobe, self.low[: len(lobe)], self.high[: len(lobe)])
@@ -198,7 +206,7 @@ class _Search:
         layout = self.problem.layout
         p = np.zeros(layout.size)
         for number in range(layout.lobes):
-            p[layout.lobe(number)] = lobe
+            p[layout.lobe(number)][: lobe.size] = lobe
         if layout.fresnel != "free":
             for u, strength in enumerate(free.strength):
                 weight = np.where(
@@ -240,14 +248,10 @@ class _Search:
 
     def _information(self, slopes: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         flat = slopes.reshape(p.size, -1)
-        information = flat @ flat.T
-        camera = self.problem.layout.camera
-        information[camera, camera] += self.prior.root.T @ self.prior.root
-        return information, flat
+        return flat @ flat.T + self.known.T @ self.known, flat
 
     def _least_squares(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int) -> np.ndarray:
-        problem, prior = self.problem, self.prior
-        camera = problem.layout.camera
+        problem = self.problem
         start = problem.model(p, weight, slopes=False)
         held = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.gain)
         last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -259,10 +263,8 @@ class _Search:
                 white = held or problem.whitening(model, weight, np.inf)
                 u = white(problem.data.values - model.value).ravel()
                 slope = -white(model.derivative).reshape(p.size, -1).T
-                at_prior = np.zeros((len(prior.root), p.size))
-                at_prior[:, camera] = prior.root
                 last.clear()
-                last[key] = np.append(u, prior.root @ p[camera]), np.concatenate([slope, at_prior])
+                last[key] = np.append(u, self.known @ p), np.concatenate([slope, self.known])
             return last[key]
 
         inside = np.clip(p, self.low + 1e-9, self.high - 1e-9)
@@ -271,6 +273,19 @@ class _Search:
             ftol=1e-7, xtol=1e-6, max_nfev=steps,
         )  # fmt: skip
         return found.x
+
+
+def prior_rows(layout: Layout, prior: Prior, bend: float) -> np.ndarray:
+    """(rows, numbers): what is known of the numbers besides the data, as rows that are 0 +- 1 times them."""
+    camera = np.zeros((len(prior.root), layout.size))
+    camera[:, layout.camera] = prior.root
+    rows = [camera]
+    for number in range(layout.lobes if layout.bends else 0):
+        differences = bend_differences() / bend
+        own = np.zeros((len(differences), layout.size))
+        own[:, layout.lobe(number)][:, -layout.bends :] = differences
+        rows.append(own)
+    return np.concatenate(rows)
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:

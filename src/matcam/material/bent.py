@@ -1,0 +1,78 @@
+"""A lobe of a known family, bent: its density of slopes times a smooth factor, so that it can follow data of any family."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam._jax import jax, jnp
+from matcam.material.masking import tabulated_lambda
+from matcam.material.ndf import NDF, SlopeNDF
+
+KNOTS = 12
+"""Numbers of a bend."""
+_FINEST, _LAST = 0.0015, 1.0
+"""Slopes at which the knots become even in the logarithm, and at which they end."""
+_END = float(np.arcsinh(_LAST / _FINEST))
+_NODES = np.polynomial.legendre.leggauss(160)
+
+
+class BentNDF(SlopeNDF):
+    """P22 of `base` times exp(sum_k bends_k B_k), normalised again; B_k: cubic B-splines even in asinh(slope / 0.0015), the
+    first with slope 0 at the peak, constant beyond a slope of 1. bends: shape (KNOTS,); 0 leaves the base as it is."""
+
+    base: NDF
+    bends: jax.Array
+    norm: jax.Array
+
+    family = "bent"
+    largest = 1.0
+
+    def __init__(self, base: NDF, bends: jax.Array):
+        self.base, self.bends = base, bends
+        # the integral of P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)
+        scale = jnp.minimum(base.roughness, 0.3) / 4
+        t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
+        slope = scale * jnp.sinh(t)
+        area = 2 * jnp.pi * slope * scale * jnp.cosh(t) * jnp.arcsinh(2e3 / scale) / 2 * _NODES[1]
+        self.norm = jnp.sum(area * base.slope_density(slope**2) * jnp.exp(_bend(bends, slope**2)))
+
+    def slope_density(self, slope2: jax.Array) -> jax.Array:
+        """Base times bend over their integral."""
+        return self.base.slope_density(slope2) * jnp.exp(_bend(self.bends, slope2)) / self.norm
+
+    def smith_lambda(self, cos: jax.Array) -> jax.Array:
+        """By the integral over slopes."""
+        return tabulated_lambda(self.slope_density, self.base.roughness, cos)
+
+    @property
+    def roughness(self) -> jax.Array:
+        """The base's."""
+        return self.base.roughness
+
+    def __repr__(self) -> str:
+        return f"BentNDF({self.base!r}, {jnp.asarray(self.bends).tolist()!r})"
+
+
+def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
+    """Sum of cubic B-splines: local, smooth to the second derivative; mirrored at slope 0."""
+    small = slope2 < 1e-24  # the root's derivative at 0
+    slope = jnp.sqrt(jnp.where(small, 1.0, slope2))
+    place = jnp.minimum(jnp.arcsinh(jnp.where(small, 0.0, slope) / _FINEST) / _END, 1.0) * (KNOTS - 1)
+    out = jnp.zeros_like(place)
+    for k in range(-1, KNOTS + 1):
+        number = abs(k) if k < KNOTS else KNOTS - 1
+        out += bends[number] * _cubic(place - k)
+    return out
+
+
+def _cubic(x: jax.Array) -> jax.Array:
+    """Cardinal cubic B-spline."""
+    x = jnp.abs(x)
+    return jnp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * jnp.maximum(1 - x, 0.0) ** 3 / 6
+
+
+def bend_differences() -> np.ndarray:
+    """(rows, KNOTS): what is kept small of a bend: its second differences, a third of its first ones, a little of its mean,
+    which the norm takes away."""
+    numbers = np.eye(KNOTS)
+    return np.concatenate([np.diff(numbers, 2, axis=0), np.diff(numbers, axis=0) / 3, np.full((1, KNOTS), 0.1 / KNOTS)])
