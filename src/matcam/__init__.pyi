@@ -41,9 +41,11 @@ from .forward.measurement import measure, measured_values
 from .forward.peak import loss_angle, peak_response
 from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
+from .inverse.correction import Correction, correct, correction
 from .inverse.fit_result import MaterialFit
 from .inverse.fresnel_term import fresnel
 from .inverse.material_fit import fit
+from .inverse.recoverability import limits
 from .inverse.tabulated import tabulated_fresnel
 from .material.adaptive import Adaptive
 from .material.albedo import albedo
@@ -76,6 +78,7 @@ __all__ = [
     "Camera",
     "Conductor",
     "Constant",
+    "Correction",
     "Cylinder",
     "DefocusOptics",
     "Dielectric",
@@ -111,6 +114,8 @@ __all__ = [
     "convert",
     "design_chart",
     "dot_grid",
+    "correct",
+    "correction",
     "edge_mtf",
     "edge_mtf_stack",
     "expose_bracket",
@@ -119,6 +124,7 @@ __all__ = [
     "fresnel_conductor",
     "grating_mtf",
     "highlight_stamps",
+    "limits",
     "lobe_table",
     "lobe_widths",
     "loss_angle",

@@ -82,7 +82,8 @@ def test_coverage_with_an_uncertain_camera():
             name = next(iter(found.params))
             f75, f75_std = found.fresnel(recorded.SEVENTY_FIVE)
             lens, lens_std = found.params["optics.sigma_px"], found.std["optics.sigma_px"]
-            pulls.append([np.log(found.params[name] / lobe[0]) / (found.std[name] / found.params[name]),
+            judged = 1.0 if found.determined else np.nan
+            pulls.append([judged * np.log(found.params[name] / lobe[0]) / (found.std[name] / found.params[name]),
                           (f75 - F75) / f75_std, (lens - sigma) / lens_std])  # fmt: skip
             for kind, other in zip(apart, others, strict=True):
                 wrong = other.fresnel(recorded.SEVENTY_FIVE)
@@ -91,9 +92,15 @@ def test_coverage_with_an_uncertain_camera():
                 ours = np.log(found.params[name] / lobe[0]), f75 / F75 - 1
                 apart[kind].append([*errors, *stated, *ours])
     pulls = np.array(pulls)
-    within = np.mean(np.abs(pulls) < 1)
-    print(f"{pulls.size} pulls: std of roughness, F(75), sigma_mtf {pulls.std(0).round(3)}, within 1 sigma {within:.3f}, "
-          f"each {np.mean(np.abs(pulls) < 1, axis=0).round(3)}")  # fmt: skip
+    undetermined = np.isnan(pulls[:, 0])
+    print(f"roughness not determined: {undetermined.sum()} of {COUNT}")
+    apart_from_them = pulls[np.isfinite(pulls)]
+    assert apart_from_them.size >= 300 or COUNT < 108
+    within = np.mean(np.abs(apart_from_them) < 1)
+    print(f"{apart_from_them.size} pulls: std of roughness, F(75), sigma_mtf "
+          f"{np.nanstd(pulls, axis=0).round(3)}, "
+          f"within 1 sigma {within:.3f}, "
+          f"each {[round(float(np.mean(np.abs(c[np.isfinite(c)]) < 1)), 3) for c in pulls.T]}")  # fmt: skip
     for kind, rows in apart.items():
         rough, f, rough_std, f_std, own_rough, own_f = np.array(rows).T
         print(
@@ -102,7 +109,7 @@ def test_coverage_with_an_uncertain_camera():
             f"pulls {rms(rough / rough_std):.1f} and {rms(f / f_std):.2f}"
         )
     assert 0.62 <= within <= 0.75
-    assert np.all((pulls.std(0) >= 0.85) & (pulls.std(0) <= 1.2))
+    assert np.all((np.nanstd(pulls, axis=0) >= 0.85) & (np.nanstd(pulls, axis=0) <= 1.2))
 
 
 @pytest.mark.parametrize(("gain", "fresnel", "allowed"), [(0.0, "free", 0.005), (0.01, "conductor", 0.01)])

@@ -20,6 +20,7 @@ from matcam.cli import (
     render,
     simulate,
 )
+from matcam.cli import correct, data, demo, edge, figures, fit, fresnel, inspect, limits, predict, simulate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -50,6 +51,9 @@ def _options(
 
 app.command("predict")(predict.command)
 app.command("fresnel")(fresnel.command)
+app.command("correct")(correct.command)
+app.command("fit")(fit.command)
+app.command("limits")(limits.command)
 app.command("simulate")(simulate.command)
 app.command("edge")(edge.command)
 app.command("calibrate")(calibrate.command)

@@ -12,7 +12,7 @@ from typing import Any
 
 def as_json(result: Any) -> None:
     """Print a result as one JSON document; what is not a number is null."""
-    print(json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False))
+    print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -72,13 +72,14 @@ def counting(what: str) -> Iterator[Any]:
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A result as JSON can hold it: lists, numbers, texts; what is not a number is None."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -19,8 +19,8 @@ _CELLS = 112
 
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
-_NEAR_RINGS = 12
-_GRAZING, _GRAZING_FAR = 0.06, 0.17
+NEAR_RINGS = 12
+NEAR_COSINE, FAR_COSINE = 0.06, 0.17
 """Smallest cosine of light and view that is used, in the rings about the highlight and beyond them: closer to the ends of the
 light a cell hangs on the sphere's last pixels."""
 
@@ -82,14 +82,14 @@ def _of_slice(
     for ring in _RINGS:
         # the ring's half circumference in px, foreshortened in one direction
         length = np.pi * radius * theta_h[ring] * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
-        near = ring < _NEAR_RINGS
+        near = ring < NEAR_RINGS
         count = int(np.clip(np.ceil(2 * length), 1, 24)) if near else _MOST_IN_RING
         wanted = 5 if near else _MOST_IN_RING if ring < 26 else 3
         share = (np.arange(count) + (0.5 if ring % 2 else 0.2)) / count
         k = np.unique((share * phi_d.size).astype(int))
         i = np.full(k.size, ring)
         x, y, cos_i, cos_o = places(radius, theta_h[i], np.full(k.size, theta_d), phi_d[k])
-        seen = (np.minimum(cos_i, cos_o) > (_GRAZING if near else _GRAZING_FAR)).all(axis=-1)
+        seen = (np.minimum(cos_i, cos_o) > (NEAR_COSINE if near else FAR_COSINE)).all(axis=-1)
         # in an order that spreads over the ring even where not all are taken
         for n in np.argsort((np.arange(k.size) * 0.618) % 1):
             pixels = {(round(float(a)), round(float(b))) for a, b in zip(x[n], y[n], strict=True)}

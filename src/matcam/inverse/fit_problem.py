@@ -92,9 +92,11 @@ def _lobe(operator: LobeOperator, family: str, masking: Masking, q: jax.Array, s
 
 
 @eqx.filter_jit
-def _lobe_and_slope(
+def lobe_and_slope(
     operator: LobeOperator, family: str, masking: Masking, q: jax.Array, size: int
 ) -> tuple[jax.Array, jax.Array]:
+    """A of a lobe, (slices, cells), and its derivatives by q: `size` logarithms (and bends), then the camera's shifts."""
+
     def record(q: jax.Array) -> tuple[jax.Array, jax.Array]:
         value = operator.record(parameters.ndf_at(family, q[:size]), masking, q[size:])
         return value, value
@@ -133,7 +135,7 @@ class Problem:
         for number in range(layout.lobes):
             q = np.concatenate([p[layout.lobe(number)], camera])
             if slopes:
-                pair = _lobe_and_slope(self.operator, layout.family, layout.masking, jnp.asarray(q), layout.lobe_size)
+                pair = lobe_and_slope(self.operator, layout.family, layout.masking, jnp.asarray(q), layout.lobe_size)
                 lobes.append(np.asarray(pair[0]))
                 by_lobe.append(np.asarray(pair[1]))
             else:

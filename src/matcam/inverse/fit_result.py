@@ -63,6 +63,8 @@ class MaterialFit:
     remarks: tuple[str, ...]
     problem: Problem
     solved: Solved
+    prior_root: np.ndarray
+    axis_names: tuple[str, ...]
 
     @property
     def material(self) -> Microfacet:
@@ -195,6 +197,8 @@ def result_of(
         remarks=_remarks(rig, prior, solved, determined, at_end, half, noise_given),
         problem=problem,
         solved=solved,
+        prior_root=prior.root,
+        axis_names=tuple(axis.name for axis in prior.axes),
     )
 
 

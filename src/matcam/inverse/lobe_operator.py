@@ -35,7 +35,7 @@ from matcam.sample.sphere import Sphere
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
 
-_AXIS_VALUES = {False: 5, True: 9}
+_AXIS_VALUES = {False: 5, True: 7}
 """Values of a camera parameter that its axis runs through: narrow axis, wide axis."""
 _WIDE = 0.15
 _LAMBDA_NODES = 256
@@ -73,6 +73,15 @@ class LobeOperator(eqx.Module):
 
         shifts: (parameters,), ln(value / rig's) of each followed camera parameter.
         """
+        return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+
+    def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
+        """The same of D times each of some functions of theta; shape (functions, slices, cells). factors: (functions,
+        cells, ways, nodes), at `theta`."""
+        return jnp.sum(self._weighted(ndf, masking, shifts) * factors, axis=(-2, -1)).reshape(-1, *self.shape)
+
+    def _weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+        """D G at the nodes with their weights."""
         weight = self.weight
         for values, differences, shift in zip(self.values, self.along, shifts, strict=True):
             weight = weight + jnp.tensordot(_lagrange(np.array(values), shift), differences, 1)
@@ -81,7 +90,7 @@ class LobeOperator(eqx.Module):
             lambda_i, lambda_o = (_smith_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
             joint = jnp.mean(g2(masking, lambda_i, lambda_o, self.azimuth), axis=-1) @ self.through_samples.T
             light *= joint.reshape(light.shape)
-        return jnp.sum(weight * light, axis=(-2, -1)).reshape(self.shape)
+        return weight * light
 
 
 class _Rules(NamedTuple):
@@ -140,12 +149,16 @@ def lobe_operator(
     with the same numbers."""
     if rig is None:
         return _perfect(sampling, every)
+    return _of_key(_Described((*described(rig), sampling, every, axes), rig))
+
+
+def described(rig: Rig) -> tuple:
+    """All that a checked rig's pixels depend on, to the last digit."""
     check_rig(rig)
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     numbers = {name: float(value) for name, value in camera.parameters().items()}
     rest = tuple(float(a) for a in (rig.sample.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))  # type: ignore[attr-defined]
-    key = (repr(camera), tuple(sorted(numbers.items())), rest, sampling, every, axes)
-    return _of_key(_Described(key, rig))
+    return repr(camera), tuple(sorted(numbers.items())), rest
 
 
 class _Described:
@@ -176,16 +189,19 @@ def check_rig(rig: Rig) -> None:
 
 
 @lru_cache(maxsize=6)
-def _of_key(described: _Described) -> tuple[ChosenCells, LobeOperator]:
-    _, _, (radius, *_), sampling, every, axes = described.key
-    rig = described.rig
+def _of_key(rig_and_key: _Described) -> tuple[ChosenCells, LobeOperator]:
+    _, _, (radius, *_), sampling, every, axes = rig_and_key.key
+    rig = rig_and_key.rig
     cells = chosen_cells(radius, sampling, every)
-    values = tuple(_values(axis.half_range) for axis in axes)
+    return cells, operator_of(rig, cells, axes, repr(rig_and_key.key))
 
-    stored = rule_cache.kept(repr(described.key), lambda: _rules(rig, cells, axes, values))
+
+def operator_of(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str) -> LobeOperator:
+    """The rule of any cells; description: of all that it depends on, under which it is kept on disk."""
+    values = tuple(_values(axis.half_range) for axis in axes)
+    stored = rule_cache.kept(description, lambda: _rules(rig, cells, axes, values))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
-    rules = _Rules(along=along, **stored)
-    return cells, rules.operator(cells, THROUGH_SAMPLES, values)
+    return _Rules(along=along, **stored).operator(cells, THROUGH_SAMPLES, values)
 
 
 def _values(half_range: float) -> tuple[float, ...]:
@@ -249,8 +265,16 @@ def _perfect(sampling: Sampling, every: int) -> tuple[ChosenCells, LobeOperator]
     grid = merl_grid(sampling)
     theta_h, phi_d = grid.theta_h[cells.i_theta_h], grid.phi_d[cells.i_phi_d]
     _, _, cos_i, cos_o = places(_PERFECT_RADIUS, theta_h, cells.theta_d[:, None], phi_d)
-    weight = np.where(cells.kept[..., None], 0.5 / (4 * cos_i * cos_o), 0.0).reshape(-1, 2, 1)
+    return cells, point_operator(cells, theta_h, phi_d, cos_i, cos_o)
+
+
+def point_operator(
+    cells: ChosenCells, theta_h: np.ndarray, phi_d: np.ndarray, cos_i: np.ndarray, cos_o: np.ndarray
+) -> LobeOperator:
+    """Rule of one node, at the cell itself. theta_h, phi_d: (slices, cells); cosines with both ways behind."""
+    kept = cells.kept[..., None]
+    weight = np.where(kept, 0.5 / (4 * np.where(kept, cos_i * cos_o, 1.0)), 0.0).reshape(-1, 2, 1)
     theta = np.repeat(theta_h.reshape(-1, 1, 1), 2, axis=1)
     psi = np.pi - phi_d.ravel()[:, None, None, None] + np.array([0.0, np.pi])[:, None, None]
     rules = _Rules(theta, weight, theta[:, :, None], np.cos(psi)[:, :, None], ())
-    return cells, rules.operator(cells, np.ones((1, 1)), ())
+    return rules.operator(cells, np.ones((1, 1)), ())

@@ -31,7 +31,7 @@ _STARTS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _ROUNDS = 6
 _SETTLED = 0.02
 """Change of the numbers, in their standard deviations, below which weights need no further round."""
-_FREE_RANGE = 0.5
+FREE_RANGE = 0.5
 """Of ln(value / rig's), for a camera number that nothing is known of."""
 _PRIOR_RANGE = 5.0
 """The same in standard deviations, where something is."""
@@ -123,7 +123,7 @@ def _prior(rig: Rig | None, camera: CameraUse | None, free: Sequence[str]) -> Pr
                 raise ArgumentError(
                     f"free names {name!r}, which this camera has not; it has {', '.join(sorted(numbers))}"
                 )
-        return Prior(np.zeros((len(free), len(free))), tuple(Axis(name, _FREE_RANGE) for name in free))
+        return Prior(np.zeros((len(free), len(free))), tuple(Axis(name, FREE_RANGE) for name in free))
     if known is None or not known.names:
         raise ArgumentError("camera='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))")
     value = np.array([float(numbers[name]) for name in known.names])
@@ -133,7 +133,7 @@ def _prior(rig: Rig | None, camera: CameraUse | None, free: Sequence[str]) -> Pr
     relative = covariance[np.ix_(felt, felt)] / np.outer(value[felt], value[felt])
     variances, axes = np.linalg.eigh(relative)
     root = (axes / np.sqrt(np.maximum(variances, 1e-12))).T
-    ranges = np.clip(_PRIOR_RANGE * np.sqrt(np.diag(relative)), 0.02, _FREE_RANGE)
+    ranges = np.clip(_PRIOR_RANGE * np.sqrt(np.diag(relative)), 0.02, FREE_RANGE)
     return Prior(root, tuple(Axis(name, round(float(r), 6)) for name, r in zip(names, ranges, strict=True)))
 
 

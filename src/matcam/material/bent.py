@@ -53,16 +53,19 @@ class BentNDF(SlopeNDF):
         return f"BentNDF({self.base!r}, {jnp.asarray(self.bends).tolist()!r})"
 
 
-def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
-    """Sum of cubic B-splines: local, smooth to the second derivative; mirrored at slope 0."""
+def bend_basis(slope2: jax.Array) -> list[jax.Array]:
+    """The KNOTS functions B_k at squared slopes: cubic B-splines, local, smooth to the second derivative; mirrored at 0."""
     small = slope2 < 1e-24  # the root's derivative at 0
-    slope = jnp.sqrt(jnp.where(small, 1.0, slope2))
-    place = jnp.minimum(jnp.arcsinh(jnp.where(small, 0.0, slope) / _FINEST) / _END, 1.0) * (KNOTS - 1)
-    out = jnp.zeros_like(place)
-    for k in range(-1, KNOTS + 1):
-        number = abs(k) if k < KNOTS else KNOTS - 1
-        out += bends[number] * _cubic(place - k)
-    return out
+    slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
+    place = jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
+    basis = [_cubic(place - k) for k in range(KNOTS)]
+    basis[1] += _cubic(place + 1)
+    basis[-1] += _cubic(place - KNOTS)
+    return basis
+
+
+def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
+    return sum((bend * own for bend, own in zip(bends, bend_basis(slope2), strict=True)), jnp.zeros(()))
 
 
 def _cubic(x: jax.Array) -> jax.Array:

@@ -1,0 +1,99 @@
+"""`matcam fit`: a material's numbers, estimated through the camera that recorded it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, kept_rules, rig_of
+
+Family = Annotated[
+    Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
+]
+
+
+def command(
+    files: Annotated[list[Path], typer.Argument(help="MERL files: several of one rig are fitted with one camera.")],
+    ndf: Family = "ggx",
+    fresnel: Annotated[
+        Literal["conductor", "schlick", "dielectric", "free"],
+        typer.Option("--fresnel", help="n and k, f0, eta, or F free in every picture."),
+    ] = "conductor",
+    diffuse: Annotated[bool, typer.Option("--diffuse", help="Add a Lambertian part.")] = False,
+    per_channel: Annotated[bool, typer.Option("--per-channel", help="A lobe for each channel.")] = False,
+    lens: Annotated[
+        Literal["auto", "fixed", "prior", "free"],
+        typer.Option("--lens", help="The camera: as the profile says, within its uncertainty, or its blur left free."),
+    ] = "auto",
+    blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
+    bend: Annotated[
+        float, typer.Option("--bend", help="How far the lobe may leave its family; 1: a non-parametric lobe.")
+    ] = 0.0,
+    every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.")] = 1,
+    masking: Masking = "smith",
+    camera: CameraProfile = None,
+    radius: Radius = None,
+    lamp: LampRadius = 0.0,
+    sampling: Sampling = "centre",
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="JSON file of the result to write.")] = None,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Numbers of a microfacet material with their errors, estimated through the camera, all difference angles jointly.
+
+    Example: `matcam fit chrome.binary --ndf epd --fresnel free`
+    """
+    from matcam.atomic import check_output
+    from matcam.errors import ArgumentError
+
+    if blind and lens != "auto":
+        raise ArgumentError("--no-camera and --lens contradict each other")
+    if output:
+        check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
+    kept_rules()
+    from matcam.files.merl import read_merl
+    from matcam.inverse.material_fit import fit
+
+    rig = None if blind else rig_of(camera, radius, lamp, cell_value=sampling)
+    with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
+        found = fit(
+            [read_merl(file, sampling=sampling) for file in files],
+            rig,
+            ndf,
+            fresnel=fresnel,
+            diffuse=diffuse,
+            per_channel=per_channel,
+            masking=None if masking == "none" else masking,
+            camera=None if lens == "auto" else lens,
+            bend=bend,
+            every=every,
+        )
+    document = {"files": [str(file) for file in files], **found.summary()}
+    if output:
+        from matcam.json_file import write_json
+
+        write_json(output, show.plain(document), force=force)
+    if json:
+        show.as_json(document)
+    else:
+        print_fit(found, ", ".join(file.name for file in files))
+        if output:
+            show.say(f"written: {output}")
+
+
+def print_fit(found: Any, name: str) -> None:
+    """A fit's numbers as a table, and what is to be said of them."""
+    rows = [[key, f"{value:.6g}", f"{found.std[key]:.2g}"] for key, value in found.params.items()]
+    show.table(["number", "value", "std"], rows, f"{name}: {found.family}")
+    show.say(f"half width at half maximum: {found.half_width:.6g} ± {found.half_width_std:.2g} rad")
+    noise = found.noise
+    show.say(
+        f"noise of a pixel: {noise.relative:.2%} of its value, {noise.floor:.2%} of the picture's peak; of a picture's "
+        f"gain: {noise.gain:.2%}"
+    )
+    show.say(f"sum of squared residuals over degrees of freedom: {found.misfit:.3f} ({found.freedom})")
+    for remark in found.remarks:
+        show.say(f"note: {remark}")

@@ -1,0 +1,79 @@
+"""`matcam limits`: what can be recovered at all from a rig's pictures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, kept_rules, rig_of
+
+
+def command(
+    roughness: Annotated[
+        list[float] | None, typer.Argument(help="Roughnesses (alpha) to judge. Default: ten from 0.0003 to 0.2.")
+    ] = None,
+    relative: Annotated[float, typer.Option("--noise", help="Noise of a pixel, share of its value.")] = 0.01,
+    floor: Annotated[float, typer.Option("--floor", help="Noise of a pixel, share of its picture's peak.")] = 1e-4,
+    camera: CameraProfile = None,
+    radius: Radius = None,
+    lamp: LampRadius = 0.0,
+    json: AsJson = False,
+) -> None:
+    """Which roughness and angle a rig can recover at all (Cramer-Rao), which other blur mimics its lens, what to change.
+
+    Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
+    """
+    kept_rules()
+    from matcam.camera.noise import PixelNoise
+    from matcam.inverse.recoverability import ROUGHNESSES, limits
+
+    rig = rig_of(camera, radius, lamp)
+    with show.working("bounds"):
+        found = limits(rig, roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01))
+    if json:
+        show.as_json({**found.attrs, **{str(name): found[name].values for name in [*found.data_vars, *found.coords]}})
+    else:
+        _print(found)
+
+
+def _print(found: Any) -> None:
+    import numpy as np
+
+    def share(value: float) -> str:
+        return "-" if not np.isfinite(value) else f"{value:.2%}" if value < 1 else "> 100 %"
+
+    rows = []
+    for r in found["roughness"].values:
+        one = found.sel(roughness=r)
+        fine = np.flatnonzero(one["fresnel_std"].values < 0.05)
+        last = f"{np.degrees(one['theta_d'].values[fine[-1]]):.0f}°" if fine.size else "none"
+        rows.append(
+            [
+                f"{r:g}",
+                share(float(one["width_std"])),
+                share(float(one["width_std_stated"])),
+                share(float(one["width_std_free"])),
+                last,
+            ]
+        )
+    show.table(
+        ["roughness", "std, camera exact", "as stated", "lens free", "F known to 5 % up to"],
+        rows,
+        "Bounds of ln roughness",
+    )
+    rows = []
+    for r in found["roughness"].values:
+        pairs = zip(found["alike"].sel(roughness=r).values, found["smallest"].sel(roughness=r).values, strict=True)
+        rows.append([f"{r:g}", *(f"{alike:.3f} / {smallest:.2g}" for alike, smallest in pairs)])
+    show.table(
+        ["roughness", *map(str, found["blur"].values)], rows,
+        "What looks like the lens: likeness (1 cannot be told) / smallest size that is told",
+    )  # fmt: skip
+    rows = [
+        [f"{r:g}", *(" / ".join(share(v) for v in found["width_std_changed"].sel(roughness=r, change=c).values)
+                     for c in found["change"].values)]
+        for r in found["roughness"].values
+    ]  # fmt: skip
+    show.table(["roughness", *map(str, found["change"].values)], rows, "After a change: camera exact / lens free")

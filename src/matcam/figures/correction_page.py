@@ -1,0 +1,174 @@
+"""The page that `correct` writes: one HTML file that can be read offline and kept with the data."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from matcam._jax import jax, jnp
+from matcam.angles import cosines
+from matcam.atomic import replacing
+from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
+
+if TYPE_CHECKING:
+    from matcam.inverse.correction import Correction
+
+_SLICES = (5, 45, 65, 75)
+_BALL, _LAMP = 180, np.radians(50.0)
+_STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
+table{border-collapse:collapse}td,th{padding:.2rem .9rem;text-align:right;border-bottom:1px solid #ddd}
+td:first-child,th:first-child{text-align:left}img{max-width:100%}.verdict{background:#f2f2f2;padding:.6rem 1rem}"""
+
+
+def write_correction_page(
+    path: str | Path, raw: xr.DataArray, done: Correction, remarks: Sequence[str], name: str, *, force: bool = False
+) -> None:
+    """Write the page of a correction: verdict, numbers with errors, F, lobes and spheres before and after, no network
+    needed. raw: the table that was corrected; remarks: in plain words."""
+    found = done.fit
+    rows = "".join(
+        f"<tr><td>{html.escape(key)}</td><td>{value:.6g}</td><td>{found.std[key]:.2g}</td></tr>"
+        for key, value in [*found.params.items()]
+    )
+    notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in remarks)
+    pictures = [
+        ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
+        ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
+        ("A sphere in the light of one lamp, before and after", ball_figure(raw, done)),
+    ]
+    drawn = "".join(
+        f"<h2>{html.escape(text)}</h2><img alt='{html.escape(text)}' src='{_inline(f)}'>" for text, f in pictures
+    )
+    document = (
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{html.escape(name)}: corrected</title>"
+        f"<style>{_STYLE}</style><h1>{html.escape(name)}</h1><p class='verdict'>{html.escape(verdict(raw, done))}</p>"
+        f"<ul>{notes}</ul><h2>Numbers of the lobe ({html.escape(found.family)})</h2>"
+        f"<table><tr><th>number</th><th>value</th><th>std</th></tr>{rows}"
+        f"<tr><td>half width at half maximum, rad</td><td>{found.half_width:.6g}</td><td>{found.half_width_std:.2g}</td></tr>"
+        f"</table>{drawn}</html>\n"
+    )
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(document, encoding="utf-8")
+
+
+def verdict(raw: xr.DataArray, done: Correction) -> str:
+    """What was found, in three plain sentences."""
+    response = done.table["response"].values[0, :, 90]
+    there = np.isfinite(raw.values)
+    share = float(done.table["supported"].values[there].mean())
+    lost = [f"{1 - response[j]:.0%} at {j}°" for j in (5, 45, 75)]
+    known = "well determined" if done.fit.determined else "NOT determined by these pictures"
+    peak = done.table["supported"].values[0, 5:76].mean()
+    return (
+        f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
+        f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and {share:.0%} of all "
+        "entries are."
+    )
+
+
+def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
+    """F over theta_d, free in every picture, beside the recorded peak over cos^2, both over their mean at 10 to 45 degrees;
+    middle channel."""
+    curves = done.fit.curves
+    channel = curves.sizes["channel"] // 2
+    theta = np.degrees(curves["theta_d"].values)
+    fitted, std = curves["fresnel"].values[:, channel], curves["fresnel_std"].values[:, channel]
+    angle = raw["theta_d"].values
+    peak = np.nanmean(np.where(np.isfinite(raw.values[0, ..., channel]), raw.values[0, ..., channel], 0), axis=1)
+    peak = peak * np.cos(angle) ** 2
+    middle = (angle > np.radians(10)) & (angle < np.radians(45))
+    used = (theta > 10) & (theta < 45)
+    scale = np.nanmean(fitted[used])
+    with styled():
+        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(
+            np.degrees(angle), peak / peak[middle].mean(), color=VERMILION, label="recorded peak × cos², no masking"
+        )
+        axes.errorbar(
+            theta, fitted / scale, std / scale, color=BLUE, fmt="o", ms=4, label="through the camera, ± 1 std"
+        )
+        degrees_axis(axes, r"difference angle $\theta_d$")
+        axes.set_ylabel("F / mean of F over 10 to 45° [-]")
+        axes.set_ylim(0, None)
+        axes.legend(loc="lower left")
+    return figure
+
+
+def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
+    """BRDF against theta_h at several theta_d, phi_d = 90 degrees, middle channel."""
+    channel, phi = raw.sizes["channel"] // 2, 90
+    theta_h = np.degrees(raw["theta_h"].values)
+    with styled():
+        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+        for axes, j in zip(figure.subplots(2, 2).flat, _SLICES, strict=True):
+            before = raw.values[:, j, phi, channel]
+            after, std = (done.table[v].values[:, j, phi, channel] for v in ("brdf", "brdf_std"))
+            good = done.table["supported"].values[:, j, phi, channel]
+            seen = np.isfinite(before) & (before > 0)
+            axes.plot(theta_h[seen], before[seen], color=VERMILION, label="recorded")
+            axes.plot(theta_h[seen], after[seen], color=BLUE, label="corrected")
+            low = np.maximum(after - std, after * 1e-2)
+            axes.fill_between(theta_h[seen], low[seen], (after + std)[seen], color=BLUE, alpha=0.25, lw=0)
+            axes.plot(theta_h[good], after[good], ".", color=GREEN, ms=5, label="supported")
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            top = np.nanmax(after[seen])
+            axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
+            axes.set_title(rf"$\theta_d$ = {np.degrees(raw['theta_d'].values[j]):.1f}°", loc="left")
+            axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
+            axes.set_ylabel("BRDF [1/sr]")
+        figure.axes[0].legend(loc="lower left")
+    return figure
+
+
+def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
+    """A sphere under one distant lamp 50 degrees from the camera, from the table before and after."""
+    before, after = (_ball(values) for values in (raw.values, done.table["brdf"].values))
+    white = np.nanquantile(after, 0.995)
+    with styled():
+        figure = Figure(figsize=(8.6, 4.4), layout="constrained")
+        for axes, picture, title in zip(
+            figure.subplots(1, 2), (before, after), ("as recorded", "corrected"), strict=True
+        ):
+            shown = np.clip(picture / max(white, 1e-300), 0, 1) ** (1 / 2.2)
+            axes.imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", interpolation="nearest")
+            axes.set_title(title, loc="left")
+            axes.axis("off")
+        figure.supxlabel(
+            "display-encoded, one exposure for both; mirror direction in the lamp's plane", fontsize=8, color=GREY
+        )
+    return figure
+
+
+def _ball(values: np.ndarray) -> np.ndarray:
+    """Radiance of a sphere, (height, width, channels), by the nearest entries of a table."""
+    t = (np.arange(_BALL) + 0.5) / _BALL * 2 - 1
+    x, y = np.meshgrid(t, -t)
+    inside = x**2 + y**2 < 1
+    z = np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
+    half = _LAMP / 2
+    along, up = x * np.cos(half) - z * np.sin(half), x * np.sin(half) + z * np.cos(half)
+    theta_h = np.arccos(np.clip(up, -1, 1))
+    phi_d = np.mod(np.pi - np.arctan2(y, along), np.pi)
+    i = np.clip((90 * np.sqrt(np.clip(theta_h, 0, None) / (np.pi / 2))).astype(int), 0, 89)
+    j, k = int(np.degrees(half)), np.clip((phi_d / np.pi * 180).astype(int), 0, 179)
+    cos_i = np.asarray(jax.jit(lambda a, b: cosines(a, half, jnp.pi - b)[0])(theta_h, np.arctan2(y, along)))
+    light = np.nan_to_num(values[i, j, k]) * np.maximum(cos_i, 0)[..., None]
+    return np.where(inside[..., None], light, 0.0)
+
+
+def _inline(figure: Figure) -> str:
+    stream = io.BytesIO()
+    arguments: dict[str, Any] = {"format": "png", "dpi": 110}
+    with styled():
+        figure.savefig(stream, **arguments)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
