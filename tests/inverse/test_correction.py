@@ -127,7 +127,7 @@ def test_wrong_assumptions(shot, wrong, alpha):
     worst = error[good & peak].max(initial=0)
     relative = np.median((std / value)[peak & np.isfinite(std)])
     print(
-        f"{wrong}, alpha {alpha:g}: peak supported {supported[peak].mean():.2f}, its median error {np.median(error[peak]):.3f}, "
+        f"{wrong}, alpha {alpha:g}: peak supported {supported[peak].mean():.1f}, median error {np.median(error[peak]):.3f}, "
         f"worst where supported {worst:.3f}, median std {relative:.3f}, false support {false:.4f} of {good.sum()}, "
         f"noise {done.shape.noise.relative:.3f}, shape {done.shape.strength:g}"
     )

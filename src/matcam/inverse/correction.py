@@ -17,7 +17,7 @@ from matcam.errors import FitError
 from matcam.inverse import fit_parameters as parameters
 from matcam.inverse.fit_result import MaterialFit
 from matcam.inverse.lobe_operator import Axis, check_rig
-from matcam.inverse.material_fit import FREE_RANGE, fit
+from matcam.inverse.material_fit import fit
 from matcam.inverse.response_lattice import Lattice, lattice, on_table, seen_cells
 from matcam.inverse.shape_correction import ShapeCorrection, shape_correction, shape_records
 from matcam.material.families import FAMILIES
@@ -99,14 +99,14 @@ def correction(
     if _LENS in rig.camera.parameters():
         exact = eqx.tree_at(lambda r: r.camera.uncertainty, rig, None, is_leaf=lambda x: x is None)
         other = fit(brdf, exact, best.family, camera="free", **options)
-        axes = (*(a for a in axes if a.name != _LENS), Axis(_LENS, FREE_RANGE))
     shape = shape_correction(best, noise)
     where = lattice(rig, sampling_of(brdf), axes)
     ratio = _Ratio(where, best, shape, axes)
     log_ratio = on_table(ratio.value, where)
     model_std = np.sqrt(np.maximum(on_table(ratio.variance, where), 0))
     if other is not None:
-        model_std = np.hypot(model_std, on_table(_of_fit(where, other, axes) - ratio.plain, where))
+        there = lattice(_with_lens(rig, other.params[_LENS]), sampling_of(brdf), ())
+        model_std = np.hypot(model_std, on_table(_of_fit(there, other) - ratio.plain, where))
     table = _assembled(brdf, rig, best, shape, log_ratio, model_std, glare)
     table.attrs.update(
         ndf=best.family, masking=masking or "none", glare=glare, sampling=sampling_of(brdf),
@@ -162,12 +162,15 @@ def _log_slopes(
     return jnp.moveaxis(jax.jacfwd(log_ratio)(jnp.concatenate([q, own])), -1, 0)
 
 
-def _of_fit(where: Lattice, found: MaterialFit, axes: tuple[Axis, ...]) -> np.ndarray:
-    """ln(true / recorded) of another fit, at its own lens."""
+def _with_lens(rig: Rig, sigma: float) -> Rig:
+    return eqx.tree_at(lambda r: r.camera, rig, rig.camera.with_parameters({_LENS: sigma}))
+
+
+def _of_fit(where: Lattice, found: MaterialFit) -> np.ndarray:
+    """ln(true / recorded) of another fit, on the lattice of its own lens."""
     layout, p = found.problem.layout, found.solved.p
-    shifts = np.array([p[layout.camera][0] if axis.name == _LENS else 0.0 for axis in axes])
     q = jnp.asarray(p[layout.lobe(0)])
-    recorded, _ = shape_records(where.recorded, layout.family, layout.masking, q, jnp.asarray(shifts))
+    recorded, _ = shape_records(where.recorded, layout.family, layout.masking, q, jnp.zeros(0))
     true, _ = shape_records(where.true, layout.family, layout.masking, q, jnp.zeros(0))
     ok = where.cells.kept
     return np.where(ok, np.log(np.where(ok, np.asarray(true), 1.0) / np.where(ok, np.asarray(recorded), 1.0)), 0.0)
@@ -206,7 +209,7 @@ def _assembled(
     first = brdf.dims[:3]
     return xr.Dataset(
         {
-            "brdf": (brdf.dims, corrected, {"units": "1/sr", "long_name": "BRDF freed from the camera"}),
+            "brdf": (brdf.dims, corrected, {**brdf.attrs, "units": "1/sr", "long_name": "BRDF freed from the camera"}),
             "brdf_std": (brdf.dims, std, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
             "supported": (brdf.dims, supported, {"long_name": "standard deviation under 5 %"}),
             "response": (first, np.exp(-log_ratio), {"long_name": "recorded / true lobe"}),

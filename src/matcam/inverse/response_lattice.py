@@ -1,7 +1,8 @@
 """The camera's response, recorded over true, in every cell of a table: computed on a lattice of cells, read off in between.
 
 Across phi_d a folded cell is even about 0 and pi/2: a cubic spline, level at both ends, holds it. Along theta_h and theta_d
-the logarithm of the response is interpolated by monotone cubics. Where the sphere's last pixels show a cell, nothing is claimed.
+the logarithm of the response is interpolated by monotone cubics. Where the sphere's last pixels show a cell, nothing is
+claimed.
 """
 
 from __future__ import annotations
