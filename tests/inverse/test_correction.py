@@ -125,7 +125,8 @@ def test_wrong_assumptions(shot, wrong, alpha):
     good = supported & np.isfinite(truth)
     false = np.mean(np.abs(value - truth)[good] > 3 * std[good]) if good.any() else 0.0
     worst = error[good & peak].max(initial=0)
-    relative = np.median((std / value)[peak & np.isfinite(std)])
+    known = peak & np.isfinite(std) & (value > 0)
+    relative = np.median(std[known] / value[known])
     print(
         f"{wrong}, alpha {alpha:g}: peak supported {supported[peak].mean():.1f}, median error {np.median(error[peak]):.3f}, "
         f"worst where supported {worst:.3f}, median std {relative:.3f}, false support {false:.4f} of {good.sum()}, "

@@ -7,7 +7,6 @@ import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -17,9 +16,7 @@ from matcam._jax import jax, jnp
 from matcam.angles import cosines
 from matcam.atomic import replacing
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
-
-if TYPE_CHECKING:
-    from matcam.inverse.correction import Correction
+from matcam.inverse.correction import BENT, Correction
 
 _SLICES = (5, 45, 65, 75)
 _BALL, _LAMP = 180, np.radians(50.0)
@@ -66,6 +63,8 @@ def verdict(raw: xr.DataArray, done: Correction) -> str:
     share = float(done.table["supported"].values[there].mean())
     lost = [f"{1 - response[j]:.0%} at {j}°" for j in (5, 45, 75)]
     known = "well determined" if done.fit.determined else "NOT determined by these pictures"
+    if done.fit.determined and done.shape.strength > BENT:
+        known = f"determined only if its lobe is {done.fit.family}, which does not explain the data"
     peak = done.table["supported"].values[0, 5:76].mean()
     return (
         f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
@@ -131,33 +130,34 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """A sphere under one distant lamp 50 degrees from the camera, from the table before and after."""
-    before, after = (_ball(values) for values in (raw.values, done.table["brdf"].values))
-    white = np.nanquantile(after, 0.995)
+    """A sphere under one distant lamp 50 degrees from the camera, from the table before and after, and its highlight 20
+    times closer and as bright as it is."""
     with styled():
-        figure = Figure(figsize=(8.6, 4.4), layout="constrained")
-        for axes, picture, title in zip(
-            figure.subplots(1, 2), (before, after), ("as recorded", "corrected"), strict=True
-        ):
-            shown = np.clip(picture / max(white, 1e-300), 0, 1) ** (1 / 2.2)
-            axes.imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", interpolation="nearest")
-            axes.set_title(title, loc="left")
-            axes.axis("off")
+        figure = Figure(figsize=(8.6, 8.6), layout="constrained")
+        panels = figure.subplots(2, 2)
+        for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
+            before, after = (_ball(values, zoom) for values in (raw.values, done.table["brdf"].values))
+            white = np.quantile(after[after > 0], 0.99) if zoom == 1 else after.max(initial=0)
+            for axes, picture, title in zip(row, (before, after), ("as recorded", "corrected"), strict=True):
+                shown = np.clip(picture / max(white, 1e-300), 0, 1) ** (1 / 2.2)
+                axes.imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", interpolation="nearest")
+                axes.set_title(f"{title}, exposed {exposed}", loc="left")
+                axes.axis("off")
         figure.supxlabel(
-            "display-encoded, one exposure for both; mirror direction in the lamp's plane", fontsize=8, color=GREY
+            "display-encoded, one exposure a row; below, the highlight 20 times closer", fontsize=8, color=GREY
         )
     return figure
 
 
-def _ball(values: np.ndarray) -> np.ndarray:
-    """Radiance of a sphere, (height, width, channels), by the nearest entries of a table."""
-    t = (np.arange(_BALL) + 0.5) / _BALL * 2 - 1
-    x, y = np.meshgrid(t, -t)
+def _ball(values: np.ndarray, zoom: float) -> np.ndarray:
+    """Radiance of a sphere, (height, width, channels), by the nearest entries of a table; zoom about its highlight."""
+    t = ((np.arange(_BALL) + 0.5) / _BALL * 2 - 1) / zoom
+    half = _LAMP / 2
+    x, y = np.meshgrid(t + (np.sin(half) if zoom > 1 else 0), -t)
     inside = x**2 + y**2 < 1
     z = np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
-    half = _LAMP / 2
     along, up = x * np.cos(half) - z * np.sin(half), x * np.sin(half) + z * np.cos(half)
-    theta_h = np.arccos(np.clip(up, -1, 1))
+    theta_h = np.arctan2(np.hypot(along, y), up)
     phi_d = np.mod(np.pi - np.arctan2(y, along), np.pi)
     i = np.clip((90 * np.sqrt(np.clip(theta_h, 0, None) / (np.pi / 2))).astype(int), 0, 89)
     j, k = int(np.degrees(half)), np.clip((phi_d / np.pi * 180).astype(int), 0, 179)
@@ -168,7 +168,6 @@ def _ball(values: np.ndarray) -> np.ndarray:
 
 def _inline(figure: Figure) -> str:
     stream = io.BytesIO()
-    arguments: dict[str, Any] = {"format": "png", "dpi": 110}
     with styled():
-        figure.savefig(stream, **arguments)
+        figure.savefig(stream, format="png", dpi=110)
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

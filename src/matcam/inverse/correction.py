@@ -28,6 +28,9 @@ from matcam.table import checked_table, sampling_of
 SUPPORTED = 0.05
 """Relative standard deviation up to which an entry is supported."""
 
+BENT = 0.05
+"""Strength of a shape's correction beyond which its family does not explain the data."""
+
 _CANDIDATES = ("ggx", "epd")
 _EVERY = 6
 _LENS = "optics.sigma_px"
@@ -240,7 +243,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
 def remarks(found: MaterialFit, other: MaterialFit | None, shape: ShapeCorrection) -> list[str]:
     """What a reader should know of a correction, in plain words."""
     said = list(found.remarks)
-    if shape.strength > 0.05:
+    if shape.strength > BENT:
         said.append(
             f"a {found.family} lobe does not explain the data: its shape was bent (strength {shape.strength:g}), and what "
             "the pixels do not resolve of that shape counts as uncertainty"

@@ -35,9 +35,8 @@ from matcam.sample.sphere import Sphere
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
 
-_AXIS_VALUES = {False: 5, True: 7}
-"""Values of a camera parameter that its axis runs through: narrow axis, wide axis."""
-_WIDE = 0.15
+_AXIS_VALUES = ((0.03, 3), (0.15, 5), (np.inf, 7))
+"""Values of a camera parameter that its axis runs through, for axes up to some half range."""
 _LAMBDA_NODES = 256
 _PERFECT_RADIUS = 256.0
 """Sphere whose pixels are told apart where no rig is given."""
@@ -206,7 +205,7 @@ def operator_of(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], descriptio
 
 def _values(half_range: float) -> tuple[float, ...]:
     """Chebyshev's points, which have the middle among them."""
-    count = _AXIS_VALUES[half_range > _WIDE]
+    count = next(count for largest, count in _AXIS_VALUES if half_range <= largest)
     return tuple(float(v) for v in half_range * np.round(np.cos(np.pi * np.arange(count) / (count - 1)), 15))
 
 

@@ -1,0 +1,88 @@
+"""`fit`, `correct` and `limits` as commands: what they write, and what they refuse, in one process."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+from typer.testing import CliRunner
+
+from matcam import read_merl, write_merl
+from matcam.cli.app import app
+from matcam.inverse.lobe_operator import lobe_operator
+from matcam.material.ggx import GGX
+from matcam.table import brdf_table
+from tests.inverse import recorded
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def merl_file(tmp_path_factory):
+    """A GGX lobe in the cells that a fit of every sixth slice reads, the rest missing."""
+    cells, operator = lobe_operator(recorded.rig(), "centre", 6)
+    one = recorded.table_of(cells, np.asarray(operator.record(GGX(0.004), "smith", ())) * 0.6).values
+    path = tmp_path_factory.mktemp("merl") / "metal.binary"
+    write_merl(path, brdf_table(np.repeat(one, 3, axis=3), "centre"))
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_fit_prints_and_writes(merl_file, tmp_path):
+    out = tmp_path / "fit.json"
+    done = run("fit", merl_file, "--every", 18, "--fresnel", "schlick", "-o", out, "--json")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["params"]["alpha"] == pytest.approx(0.004, rel=1e-3)
+    assert json.loads(out.read_text()) == document
+    again = run("fit", merl_file, "--every", 18, "-o", out)
+    assert "--force" in str(again.exception)
+    assert "contradict" in str(run("fit", merl_file, "--no-camera", "--lens", "free").exception)
+
+
+@pytest.mark.slow
+def test_correct_writes_four_files(merl_file, tmp_path):
+    out = tmp_path / "corrected.binary"
+    done = run("correct", merl_file, "--ndf", "ggx", "-o", out, "--json")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert len(document["files"]) == 4
+    before, after = read_merl(merl_file), read_merl(out)
+    np.testing.assert_array_equal(np.isnan(before.values), np.isnan(after.values))
+    assert float(after.values[0, 75, 90, 1]) > 2 * float(np.nanmax(before.values[0, 75, :, 1])) or np.isnan(
+        after.values[0, 75, 90, 1]
+    )
+    page = out.with_suffix(".html").read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert not re.search(r"(src|href)=['\"]http", page)
+    with xr.open_dataset(out.with_suffix(".nc")) as stored:
+        assert set(stored.data_vars) == {"brdf", "brdf_std", "supported", "response"}
+        assert stored.attrs["ndf"] == "ggx"
+    assert json.loads(out.with_suffix(".json").read_text())["fit"]["params"]["alpha"] == pytest.approx(0.004, rel=2e-3)
+
+
+def test_correct_refuses(merl_file, tmp_path):
+    for arguments, words in (
+        (("-o", tmp_path / "out.exr"), "must end in .binary"),
+        (("-o", merl_file), "is the input itself"),
+    ):
+        assert words in str(run("correct", merl_file, *arguments).exception)
+    there = tmp_path / "out.html"
+    there.write_text("mine")
+    assert "--force" in str(run("correct", merl_file, "-o", tmp_path / "out.binary").exception)
+    assert there.read_text() == "mine"
+
+
+def test_limits_speaks(monkeypatch):
+    done = run("limits", 0.002, "--json")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert 0 < document["width_std"][0] < document["width_std_free"][0] < 1
+    assert document["fresnel_std"]
