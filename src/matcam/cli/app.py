@@ -10,17 +10,19 @@ from matcam.cli import (
     calibrate,
     chart,
     convert,
+    correct,
     data,
     demo,
     edge,
     figures,
+    fit,
     fresnel,
     inspect,
+    limits,
     predict,
     render,
     simulate,
 )
-from matcam.cli import correct, data, demo, edge, figures, fit, fresnel, inspect, limits, predict, simulate
 
 app = typer.Typer(
     no_args_is_help=True,
