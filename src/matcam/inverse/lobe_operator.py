@@ -21,7 +21,7 @@ from matcam.angles import Sampling, azimuth_difference, merl_grid
 from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError
 from matcam.forward.blur import Blur, blur_of
-from matcam.forward.regions import groups_of
+from matcam.forward.kernel_scale import groups_of
 from matcam.inverse import rule_cache
 from matcam.inverse.chosen_cells import ChosenCells, chosen_cells, places
 from matcam.inverse.polar_rule import THROUGH_SAMPLES, Pixels, Window, filled, nodes_of, reach_of, sampled, window
