@@ -13,10 +13,13 @@ from tests.oracle import slanted_edge, slanted_squares
 
 F = np.linspace(0.02, 0.5, 25)
 
+# one worker, because all of these are measured by one compiled program
+pytestmark = pytest.mark.xdist_group("strips")
+
 
 def chart(sigma, half_width=0.5, seed=1, snr=60, **more):
     """16 edges."""
-    picture, _ = slanted_squares.field((420, 440), 140, 84, 5, sigma, half_width, **({"dark": 0.25} | more))
+    picture, _ = slanted_squares.field((420, 440), 140, 74, 5, sigma, half_width, **({"dark": 0.25} | more))
     return np.random.default_rng(seed).poisson(picture * snr**2).astype(float)
 
 
@@ -46,11 +49,11 @@ def test_other_models():
     assert np.max(np.abs(np.asarray(measured.mtf(F)) - truth)) < 0.006
     std = measured.uncertainty.std()
     assert 1e-4 < std["optics.mtf[16]"] < 0.01
-    core, halo = (slanted_squares.field((420, 440), 140, 84, 5, s, dark=0.25)[0] for s in (0.5, 12.0))
+    core, halo = (slanted_squares.field((420, 440), 140, 74, 5, s, dark=0.25)[0] for s in (0.5, 12.0))
     counts = np.random.default_rng(2).poisson((0.9 * core + 0.1 * halo) * 3600).astype(float)
     fit = calibrate([counts], model="halo").channels["grey"]
     assert abs(fit.values[0] - 0.5) < 4 * fit.std[0]
-    # the fit takes edges for endless: a halo of 12 px sees the corners of squares of 84 px
+    # the fit takes edges for endless: a halo of 12 px sees the corners of squares of 74 px
     assert fit.values[1:] == pytest.approx([0.1, 12.0], rel=0.1)
     gaussian = calibrate([counts]).channels["grey"]
     assert not gaussian.consistent
@@ -100,10 +103,10 @@ LENS = {"half_width": None, "wavelength": WAVELENGTH, "pixel_pitch": PITCH}
 
 
 def at_aperture(f_number, sigma, half_width, seed):
-    """108 edges at SNR 100."""
+    """100 edges at SNR 100."""
     response = slanted_squares.diffracted(PITCH / (WAVELENGTH * f_number), sigma, 5, half_width)
-    picture, sides = slanted_squares.field((860, 860), 140, 84, 5, sigma, half_width, dark=0.25, response=response)
-    assert len(sides) == 108
+    picture, sides = slanted_squares.field((1275, 1275), 215, 140, 5, sigma, half_width, dark=0.25, response=response)
+    assert len(sides) == 100
     return np.random.default_rng(seed).poisson(picture * 1e4).astype(float)
 
 
@@ -126,7 +129,7 @@ def test_four_apertures_tell_lens_and_pixel_apart(half_width):
 @pytest.mark.slow
 def test_one_aperture_at_a_wide_blur_is_refused():
     with pytest.raises(
-        FitError, match=r"lens and pixel cannot be told apart: 108 edges know the pixel's half width to \d+%"
+        FitError, match=r"lens and pixel cannot be told apart: 100 edges know the pixel's half width to \d+%"
     ):
         calibrate([at_aperture(5.6, 0.8, 0.4, 1)], f_numbers=5.6, **LENS)
 

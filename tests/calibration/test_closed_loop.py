@@ -14,6 +14,8 @@ from tests.oracle.chart_camera import ChartCamera
 
 WIDTH, HEIGHT = 560, 420
 
+pytestmark = pytest.mark.xdist_group("strips")  # one worker: one compiled program measures them
+
 
 @pytest.fixture(scope="module")
 def chart(tmp_path_factory):
@@ -23,23 +25,23 @@ def chart(tmp_path_factory):
     return json.loads(path.read_text())
 
 
-def photographs(chart, count, cfa, snr=60):
+def photographs(chart, count, cfa, roll, snr=60):
     """Pictures by as many cameras, each in another pose: (photograph, sigma, half width)."""
     rng = np.random.default_rng(1)
     for seed in range(count):
         sigma, fill = rng.uniform(0.4, 1.0), rng.uniform(0.6, 1.0)
         camera = ChartCamera(
             WIDTH, HEIGHT, tuple(chart["page_mm"]), filled=0.93, tilt=tuple(rng.uniform(-0.12, 0.12, 2)),
-            roll=rng.uniform(-0.06, 0.06), distortion=0.02, vignetting=0.3, sigma=sigma, fill=fill,
+            roll=rng.uniform(-roll, roll), distortion=0.02, vignetting=0.3, sigma=sigma, fill=fill,
         )  # fmt: skip
         picture = camera.photograph(camera.expected(chart), snr, seed, cfa)
         yield Photograph(picture, cfa, np.inf, True, Exif()), sigma, fill / 2
 
 
-def errors(chart, count, cfa):
+def errors(chart, count, cfa, roll):
     """Relative errors of sigma and pulls, (pictures, channels), and the fewest edges."""
     relative, pulls, edges = [], [], []
-    for photograph, sigma, half_width in photographs(chart, count, cfa):
+    for photograph, sigma, half_width in photographs(chart, count, cfa, roll):
         found = calibrate([photograph], half_width=half_width).channels
         value, std = (np.array([getattr(fit, name)[0] for fit in found.values()]) for name in ("values", "std"))
         relative.append(value / sigma - 1)
@@ -49,16 +51,16 @@ def errors(chart, count, cfa):
 
 
 def test_sigma_of_a_grey_camera(chart):
-    relative, pulls, edges = errors(chart, 6, None)
+    relative, pulls, edges = errors(chart, 4, None, 0.01)
     assert edges.min() >= 24
     assert np.sqrt((relative**2).mean()) < 0.01
     assert np.abs(pulls).max() < 4
-    assert np.sqrt((pulls**2).mean()) < 1.7  # of 6: 0.3 % chance
+    assert np.sqrt((pulls**2).mean()) < 1.9  # of 4: 0.6 % chance
 
 
 @pytest.mark.slow
 def test_sigma_of_a_bayer_camera_at_length(chart):
-    relative, pulls, edges = errors(chart, 200, "RGGB")
+    relative, pulls, edges = errors(chart, 200, "RGGB", 0.06)
     inside = (np.abs(pulls) < 2).mean(0)
     print(
         "edges", np.median(edges, 0), "rms", np.sqrt((relative**2).mean(0)), "bias", relative.mean(0), "inside", inside

@@ -1,5 +1,7 @@
 """Edges are found without help, each where it is, and strips along them say what rectangles round them say."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,11 @@ from matcam.calibration.edge import edge_mtf_stack
 from matcam.calibration.edge_search import find_edges
 from matcam.calibration.maximum_likelihood import Noise
 from matcam.calibration.profiles import Gaussian
+from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge, slanted_squares
+
+# one worker, because all strips are measured by one compiled program
+pytestmark = pytest.mark.xdist_group("strips")
 
 EVERY = np.ones((2, 2), bool)
 UNKNOWN = Noise(np.float64(np.nan), np.float64(np.nan))
@@ -59,7 +65,7 @@ def test_nothing_is_found_in_noise():
 
 @pytest.fixture(scope="module")
 def chart():
-    picture, sides = slanted_squares.field((420, 440), 140, 84, 5, 0.5, dark=0.25)
+    picture, sides = slanted_squares.field((420, 440), 140, 74, 5, 0.5, dark=0.25)
     return np.random.default_rng(3).poisson(picture * 1e4).astype(float), sides
 
 
@@ -91,12 +97,10 @@ def test_a_strip_is_a_rectangle_that_leans(chart):
     assert rectangles.angle == pytest.approx(result.angle[upright], abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    "channel", ["R", pytest.param("G", marks=pytest.mark.slow), pytest.param("B", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("channel", [pytest.param(c, marks=pytest.mark.slow) for c in "RGB"])
 def test_strips_of_a_mosaic_hold_one_colour(channel):
     sigmas = {"R": 0.6, "G": 0.45, "B": 0.8}
-    planes = [slanted_squares.field((420, 440), 140, 84, 5, s, dark=0.25)[0] for s in sigmas.values()]
+    planes = [slanted_squares.field((420, 440), 140, 74, 5, s, dark=0.25)[0] for s in sigmas.values()]
     cfa = "GRBG"
     picture = np.random.default_rng(4).poisson(slanted_squares.mosaic(planes, cfa) * 1e4).astype(float)
     result = measured(picture, (np.array(list(cfa)) == channel).reshape(2, 2), mosaic=True)
@@ -104,3 +108,18 @@ def test_strips_of_a_mosaic_hold_one_colour(channel):
     pulls = (result.mtf50 - slanted_edge.gaussian_half(sigmas[channel])) / result.mtf50_std
     assert abs(pulls.mean()) < 4 / np.sqrt(pulls.size)
     assert 0.6 < pulls.std() < 1.4
+
+
+def test_the_squares_of_a_real_chart_are_found_and_measured_as_published(real_data):
+    picture = read_photograph(real_data / "edges" / "chart_squares.png")
+    result = measured(picture)
+    published = json.loads((real_data / "edges" / "chart_squares.json").read_text())["rois"]
+    # nine whole squares, and what the picture's corners show of four more
+    assert len(result) >= 36
+    for roi in published:
+        # named centres, but upper left corners; the edge runs through the middle of its region
+        middle = roi["centre_x"] + roi["width"] / 2, roi["centre_y"] + roi["height"] / 2
+        away = np.hypot(result.place[0] - middle[0], result.place[1] - middle[1])
+        nearest = np.nanargmin(away)
+        assert away[nearest] < 8, roi
+        assert result.mtf50[nearest] == pytest.approx(roi["mtf50"], rel=0.1)
