@@ -30,6 +30,9 @@ def test_tables(tmp_path, real_data):
     three = np.stack([table, 2 * table, 3 * table], 1)
     np.testing.assert_array_equal(linearised(codes, three, 2), [[0, 27, 195075]])
     np.testing.assert_array_equal(linearised(codes.reshape(1, 1, 3), three), [[[0, 18, 195075]]])
+    np.testing.assert_array_equal(
+        linearised(np.tile(codes.reshape(1, 1, 1, 3), (2, 1, 1, 1)), three)[1], [[[0, 18, 195075]]]
+    )
     np.savetxt(tmp_path / "one.dat", table, header="squares")
     np.testing.assert_allclose(read_tone_curve(tmp_path / "one.dat"), table)
     (tmp_path / "two.csv").write_text("0, 0\n100; 50\n\n200, 200\n")

@@ -47,7 +47,7 @@ def linearised(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.
         return table[codes]
     if channel is not None:
         return table[codes, channel]
-    if codes.ndim != 3:
+    if codes.ndim < 3 or codes.shape[-1] != 3:
         raise ArgumentError("tone has three columns, the image one channel")
     return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
 
