@@ -67,3 +67,16 @@ def test_sigma_of_a_bayer_camera_at_length(chart):
     )
     assert np.sqrt((relative**2).mean(0)).max() <= 0.02
     assert inside.mean() >= 0.93
+
+
+@pytest.mark.slow
+def test_edges_and_a_star_of_one_picture_are_one_camera(tmp_path):
+    write_chart(tmp_path / "chart.json", design_chart(("squares", "star"), page=(300.0, 210.0), pixels_across=800))
+    drawn = json.loads((tmp_path / "chart.json").read_text())
+    camera = ChartCamera(
+        800, 560, tuple(drawn["page_mm"]), filled=0.95, tilt=(0.05, -0.04), roll=0.01, sigma=0.55, fill=0.9
+    )
+    picture = camera.photograph(camera.expected(drawn), 60, 1, None)
+    fit = calibrate([picture], chart=tmp_path / "chart.json", half_width=0.45).channels["grey"]
+    assert abs(fit.values[0] - 0.55) < 4 * fit.std[0] < 0.005
+    assert [kind.split("(")[1] for kind in fit.measurements] == ["edges)", "star)"]
