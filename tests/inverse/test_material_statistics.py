@@ -77,7 +77,9 @@ def test_coverage_with_an_uncertain_camera():
         sigma = 0.5 * (1 + 0.03 * ndtri((number + 0.5) / lenses))
         shot = recorded.made(EVERY, Setup(sigma=sigma))
         for lobe in (m for m, o in zip(materials, order, strict=True) if o == number):
-            rigs = [recorded.rig(std=0.015), recorded.rig(), None]
+            rigs = [recorded.rig(std=0.015)]
+            if len(pulls) % 6 == 0:  # the others are for comparison
+                rigs += [recorded.rig(), None]
             found, *others = fitted(shot, lobe, random, rigs)
             name = next(iter(found.params))
             f75, f75_std = found.fresnel(recorded.SEVENTY_FIVE)
@@ -85,7 +87,7 @@ def test_coverage_with_an_uncertain_camera():
             judged = 1.0 if found.determined else np.nan
             pulls.append([judged * np.log(found.params[name] / lobe[0]) / (found.std[name] / found.params[name]),
                           (f75 - F75) / f75_std, (lens - sigma) / lens_std])  # fmt: skip
-            for kind, other in zip(apart, others, strict=True):
+            for kind, other in zip(apart, others, strict=False):
                 wrong = other.fresnel(recorded.SEVENTY_FIVE)
                 errors = np.log(other.params[name] / lobe[0]), wrong[0] / F75 - 1
                 stated = other.std[name] / other.params[name], wrong[1] / F75

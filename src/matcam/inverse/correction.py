@@ -19,7 +19,7 @@ from matcam.inverse.fit_result import MaterialFit
 from matcam.inverse.lobe_operator import Axis, check_rig
 from matcam.inverse.material_fit import fit
 from matcam.inverse.response_lattice import Lattice, lattice, on_table, seen_cells
-from matcam.inverse.shape_correction import ShapeCorrection, shape_correction, shape_records
+from matcam.inverse.shape_correction import ShapeCorrection, shape_correction, shape_records, unshaped
 from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -103,6 +103,9 @@ def correction(
         exact = eqx.tree_at(lambda r: r.camera.uncertainty, rig, None, is_leaf=lambda x: x is None)
         other = fit(brdf, exact, best.family, camera="free", **options)
     shape = shape_correction(best, noise)
+    if shape.strength > BENT:  # too far for what is linear: the lobe itself is bent
+        best = fit(brdf, rig, best.family, bend=1.0, **{**options, "every": 3 * _EVERY})
+        shape = unshaped(best, shape.strength)
     where = lattice(rig, sampling_of(brdf), axes)
     ratio = _Ratio(where, best, shape, axes)
     log_ratio = on_table(ratio.value, where)
@@ -206,7 +209,8 @@ def _assembled(
     scattered = glare * _farthest_glare(brdf, rig, found)
     variance += (scattered**2 + (glare * data) ** 2) * np.where(lobe, ratio, 1.0) ** 2
     std = np.where(known & np.isfinite(data), np.sqrt(variance), np.nan)
-    good = found.determined or found.half_width_std < SUPPORTED * found.half_width
+    bent = bool(layout.bends)  # then the shape's own uncertainty says it
+    good = bent or found.determined or found.half_width_std < SUPPORTED * found.half_width
     with np.errstate(invalid="ignore"):
         supported = known & (std < SUPPORTED * corrected) & good
     first = brdf.dims[:3]

@@ -94,6 +94,15 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
     return ShapeCorrection(b, covariance[np.ix_(inner, inner)], strength, assumed, before - after)
 
 
+def unshaped(found: MaterialFit, strength: float) -> ShapeCorrection:
+    """No correction of a fit whose lobe is bent already: its own covariance, no b. strength: what the family had asked for."""
+    layout, covariance = found.problem.layout, found.solved.covariance
+    held = np.r_[layout.lobe(0), layout.camera]
+    whole = np.zeros((held.size + KNOTS, held.size + KNOTS))
+    whole[: held.size, : held.size] = covariance[np.ix_(held, held)]
+    return ShapeCorrection(np.zeros(KNOTS), whole, strength, found.noise, 0.0)
+
+
 def _prior_covariance(found: MaterialFit) -> np.ndarray:
     """Of the camera's shifts, as they were known before; endless where they were free."""
     root = found.prior_root
