@@ -46,6 +46,7 @@ def test_perfect_lenses_in_and_out_of_focus(f_number):
         assert float(np.sum(found.weights)) == pytest.approx(1, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("f_number", "limit"), [(2.8, 1.2e-4), (8.0, 5e-4), (16.0, 2e-3)])
 def test_no_sum_of_gaussians_comes_much_closer(f_number, limit):
     """The smallest possible largest error with sum |w| <= 50, over 70 widths at once, by linear programming."""

@@ -58,7 +58,7 @@ def test_effective_kernels_are_sums(core):
     )
 
 
-@pytest.mark.parametrize("core", ["gaussian", "measured", "halo"])
+@pytest.mark.parametrize("core", ["gaussian", pytest.param("measured", marks=pytest.mark.slow), "halo"])
 @pytest.mark.parametrize("radius", [0.1, 200.0])
 def test_the_whole_lens_can_be_integrated_over_frequencies(core, radius):
     """One rule for core and spike: the line spread of the whole by quadrature against the sum of its parts' own."""

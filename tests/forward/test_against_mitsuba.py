@@ -69,7 +69,8 @@ def through_camera(sigma):
 
 
 @pytest.mark.parametrize(
-    ("degrees", "sigma", "apart"), [(0, 0.2, 1), (75, 0.5, 3), pytest.param(0, 0.5, 3, marks=pytest.mark.slow)]
+    ("degrees", "sigma", "apart"),
+    [(0, 0.2, 1), pytest.param(75, 0.5, 3, marks=pytest.mark.slow), pytest.param(0, 0.5, 3, marks=pytest.mark.slow)],
 )
 def test_highlight_of_a_metal_sphere(degrees, sigma, apart):
     """Pixels around the highlight, `apart` so far that they share hardly any light: Student's t of each with 11 degrees of

@@ -110,7 +110,13 @@ def test_flat_samples_lose_nothing_and_wrong_questions_are_told():
         peak_response(rig_of(Sphere(0.4), 0.5), GGX(0.1), 0.5, exact=True)
 
 
-@pytest.mark.parametrize("lens", [GaussianOptics, lambda sigma: HaloOptics(GaussianOptics(sigma), 0.05, 20 * sigma)])
+@pytest.mark.parametrize(
+    "lens",
+    [
+        GaussianOptics,
+        pytest.param(lambda sigma: HaloOptics(GaussianOptics(sigma), 0.05, 20 * sigma), marks=pytest.mark.slow),
+    ],
+)
 def test_gradients_against_differences(lens):
     def response(numbers):
         width, sigma, half_width = numbers

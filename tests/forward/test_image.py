@@ -218,7 +218,8 @@ def shiny(numbers):
     )
 
 
-@pytest.mark.parametrize("k", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("k", range(4))
 def test_gradients(k):
     """Of a weighted sum of pixels, to roughness, Fresnel, lens and pixel, against central differences: relative 1e-5. These
     are taken under one plan: a plan's lengths follow the camera, and what it leaves out or not is no derivative."""

@@ -60,6 +60,7 @@ def angles_of(i, j, k):
     return GRID.theta_h[i], GRID.theta_d[j], GRID.phi_d[k]
 
 
+@pytest.mark.slow
 def test_the_oracle_against_golden_values():
     """Twenty-four cells, both ways: two quadratures that share nothing but the model."""
     for row in rows("measure_cells"):
