@@ -88,7 +88,8 @@ def estimate_noise(data: PeakData, record: np.ndarray, fitted: Amplitudes) -> Pi
         expected = variance * pixel_share
         return float((content * (np.log(expected) + squared / (expected * (1 - taken)))).sum() / content.sum())
 
-    best = minimize(objective, np.log(START_NOISE), method="L-BFGS-B", bounds=_NOISE_BOUNDS)
+    start = np.log([START_NOISE.relative, START_NOISE.floor])
+    best = minimize(objective, start, method="L-BFGS-B", bounds=_NOISE_BOUNDS)
     return PixelNoise(*np.exp(best.x).tolist())
 
 
