@@ -17,6 +17,8 @@ from matcam.inverse import fit_parameters as parameters
 from matcam.inverse import picture_noise
 from matcam.inverse.chosen_cells import ChosenCells
 from matcam.inverse.fit_problem import Problem
+from matcam.inverse.fit_remarks import remarks_on
+from matcam.inverse.lobe_width import half_width_of
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf import NDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
@@ -137,7 +139,7 @@ def result_of(
     roughness_std = np.sqrt(
         [solved.covariance[layout.lobe(n).start, layout.lobe(n).start] for n in range(layout.lobes)]
     )
-    half, half_std = _half_width(
+    half, half_std = half_width_of(
         layout.family, solved.p[layout.lobe(0)], solved.covariance[layout.lobe(0), layout.lobe(0)]
     )
     strength, strength_std = _strengths(problem, solved)
@@ -194,7 +196,7 @@ def result_of(
         misfit=solved.misfit,
         log_likelihood=float(likelihood),
         freedom=solved.freedom,
-        remarks=_remarks(rig, prior, solved, determined, at_end, half, noise_given),
+        remarks=remarks_on(rig, prior, solved, determined, at_end, half, noise_given),
         problem=problem,
         solved=solved,
         prior_root=prior.root,
@@ -294,49 +296,3 @@ def _camera(rig: Rig | None, prior: Prior, problem: Problem, solved: Solved) -> 
     moved = rig.camera.with_parameters(values)
     known = Uncertainty(values, (covariance + covariance.T) / 2)
     return Camera(moved.optics, moved.pixel, moved.sensor, uncertainty=known, provenance=moved.provenance)
-
-
-def _half_width(family: str, logs: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Half width at half maximum of D, rad, and its standard deviation, by bisection and by its implicit derivative."""
-
-    def ratio(log_angle: jax.Array, q: jax.Array) -> jax.Array:
-        ndf = parameters.ndf_at(family, q)
-        return jnp.log(2 * ndf.d(jnp.exp(log_angle)) / ndf.d(1e-9))
-
-    q, f = jnp.asarray(logs), jax.jit(ratio)
-    low, high = np.log(1e-9), np.log(1.5)
-    if float(f(high, q)) > 0:
-        return float("nan"), float("nan")
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if float(f(middle, q)) > 0 else (low, middle)
-    slope = jax.grad(ratio, argnums=(0, 1))(jnp.asarray(low), q)
-    by_q = -np.asarray(slope[1]) / float(slope[0])
-    angle = float(np.exp(low))
-    return angle, angle * float(np.sqrt(by_q @ covariance @ by_q))
-
-
-def _remarks(
-    rig: Rig | None, prior: Prior, solved: Solved, determined: bool, at_end: float, half: float, noise_given: bool
-) -> tuple[str, ...]:
-    said = []
-    if rig is None:
-        said.append("no rig: fitted as if the camera were perfect")
-    elif not prior.axes:
-        said.append(
-            "the camera is assumed exact" + ("" if rig.camera.uncertainty else ": its profile states no uncertainty")
-        )
-    if at_end <= 0.05:
-        said.append(
-            "the lobe is narrower than this camera can tell, or than it could have recorded: the width is a bound; "
-            "check that rig and data belong together"
-        )
-    elif not determined:
-        said.append("the roughness is not determined: its standard deviation exceeds 5 %")
-    if noise_given and solved.misfit > 1 + 5 * np.sqrt(2 / max(solved.freedom, 1)):
-        said.append(f"the data miss the model by {np.sqrt(solved.misfit):.1f} times the stated noise")
-    if not noise_given and max(solved.noise.relative, 20 * solved.noise.floor) > 0.05:
-        said.append(
-            "the data miss the model by more than any pixel's noise: the camera or the family of the lobe is wrong"
-        )
-    return tuple(said)

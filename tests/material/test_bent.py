@@ -1,0 +1,48 @@
+"""Bent lobes and sampled Fresnel terms."""
+
+import numpy as np
+import pytest
+
+from matcam import GGX, Sampled
+from matcam._jax import jax, jnp
+from matcam.errors import ArgumentError
+from matcam.material.bent import KNOTS, BentNDF, bend_basis
+
+THETA = np.concatenate([[0.0], np.geomspace(1e-5, 1.5, 40)])
+
+
+def test_no_bend_is_the_base():
+    base = GGX(0.01)
+    bent = BentNDF(base, jnp.zeros(KNOTS))
+    np.testing.assert_allclose(bent.d(THETA), base.d(THETA), rtol=1e-7)
+    np.testing.assert_allclose(bent.g1(THETA), base.g1(THETA), rtol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [0.001, 0.05, 0.3])
+def test_a_bent_lobe_keeps_its_integral(alpha):
+    """The integral of D cos over the hemisphere, by the trapezoid rule over the logarithm of the slope."""
+    bends = jnp.asarray(np.random.default_rng(1).normal(0, 0.5, KNOTS))
+    log_slope = np.linspace(np.log(alpha) - 14, np.log(alpha) + 14, 20001)
+    slope = np.exp(log_slope)
+    inside = 2 * np.pi * slope**2 * np.asarray(BentNDF(GGX(alpha), bends).slope_density(jnp.asarray(slope**2)))
+    assert np.trapezoid(inside, log_slope) == pytest.approx(1, abs=1e-5)
+
+
+def test_the_basis_sums_to_one_and_is_level_at_the_peak():
+    slope2 = jnp.asarray(np.geomspace(1e-12, 1e3, 50))
+    np.testing.assert_allclose(sum(bend_basis(slope2)), 1, atol=1e-12)
+    slope = jax.grad(lambda s: bend_basis(s**2)[1])(1e-6)
+    assert abs(float(slope)) < 5.0  # per unit of slope; elsewhere it is some hundreds
+
+
+def test_sampled_reflectance():
+    term = Sampled([0.1, 0.5, 1.0], [[0.5, 0.6], [0.7, 0.8], [0.9, 1.0]])
+    np.testing.assert_allclose(term.at(jnp.array([0.0, 0.3, 1.2])), [[0.5, 0.6], [0.6, 0.7], [0.9, 1.0]])
+    assert Sampled([0.1, 0.5], [0.5, 0.7]).at(jnp.asarray(0.3)).shape == ()
+    for theta, values, words in (
+        ([0.5, 0.1], [0.5, 0.7], "must ascend"),
+        ([0.1, 0.5], [0.5], "must have shape"),
+        ([0.1, 0.5], [-0.5, 0.1], "values must lie in"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            Sampled(theta, values)
