@@ -31,6 +31,10 @@ SUPPORTED = 0.05
 BENT = 0.05
 """Strength of a shape's correction beyond which its family does not explain the data."""
 
+DOUBT = 3.0
+"""How often a change that a free lens would make counts, where rig and data contradict each other: the lens need not be what
+is wrong."""
+
 _CANDIDATES = ("ggx", "epd")
 _EVERY = 6
 _LENS = "optics.sigma_px"
@@ -112,7 +116,8 @@ def correction(
     model_std = np.sqrt(np.maximum(on_table(ratio.variance, where), 0))
     if other is not None:
         there = lattice(_with_lens(rig, other.params[_LENS]), sampling_of(brdf), ())
-        model_std = np.hypot(model_std, on_table(_of_fit(there, other) - ratio.plain, where))
+        change = on_table(_of_fit(there, other) - ratio.plain, where)
+        model_std = np.hypot(model_std, (DOUBT if contradicts(best, other) else 1.0) * change)
     table = _assembled(brdf, rig, best, shape, log_ratio, model_std, glare)
     table.attrs.update(
         ndf=best.family, masking=masking or "none", glare=glare, sampling=sampling_of(brdf),
@@ -252,14 +257,21 @@ def remarks(found: MaterialFit, other: MaterialFit | None, shape: ShapeCorrectio
             f"a {found.family} lobe does not explain the data: its shape was bent (strength {shape.strength:g}), and what "
             "the pixels do not resolve of that shape counts as uncertainty"
         )
-    if other is not None:
+    if other is not None and found.camera and contradicts(found, other):
         lens, std = other.params[_LENS], other.std[_LENS]
-        assumed = float(found.camera.parameters()[_LENS]) if found.camera else lens
-        known = found.camera.uncertainty if found.camera else None
-        spread = np.hypot(std, known.std().get(_LENS, 0.0) if isinstance(known, Uncertainty) else 0.0)
-        if abs(lens - assumed) > 4 * max(spread, 0.002 * assumed):
-            said.append(
-                f"left free, the lens would be {lens:.3f} +- {std:.1g} px instead of {assumed:.3f} px: camera, lamp or family "
-                "contradict the data; the difference counts as uncertainty"
-            )
+        assumed = float(found.camera.parameters()[_LENS])
+        said.append(
+            f"left free, the lens would be {lens:.3f} +- {std:.1g} px instead of {assumed:.3f} px: camera, lamp or family "
+            f"contradict the data; {DOUBT:g} times the difference counts as uncertainty"
+        )
     return said
+
+
+def contradicts(found: MaterialFit, other: MaterialFit) -> bool:
+    """Whether a lens left free moves by more than 4 standard deviations of both, and by more than 0.2 %."""
+    if found.camera is None:
+        return False
+    known = found.camera.uncertainty
+    assumed = float(found.camera.parameters()[_LENS])
+    spread = np.hypot(other.std[_LENS], known.std().get(_LENS, 0.0) if isinstance(known, Uncertainty) else 0.0)
+    return bool(abs(other.params[_LENS] - assumed) > 4 * max(spread, 0.002 * assumed / 4))
