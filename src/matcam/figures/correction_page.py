@@ -81,7 +81,9 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     theta = np.degrees(curves["theta_d"].values)
     fitted, std = curves["fresnel"].values[:, channel], curves["fresnel_std"].values[:, channel]
     angle = raw["theta_d"].values
-    peak = np.nanmean(np.where(np.isfinite(raw.values[0, ..., channel]), raw.values[0, ..., channel], 0), axis=1)
+    top = raw.values[0, ..., channel]
+    there = np.isfinite(top)
+    peak = np.where(there.any(1), np.where(there, top, 0).sum(1) / np.maximum(there.sum(1), 1), np.nan)
     peak = peak * np.cos(angle) ** 2
     middle = (angle > np.radians(10)) & (angle < np.radians(45))
     used = (theta > 10) & (theta < 45)
@@ -90,7 +92,10 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
         axes = figure.subplots()
         axes.plot(
-            np.degrees(angle), peak / peak[middle].mean(), color=VERMILION, label="recorded peak × cos², no masking"
+            np.degrees(angle),
+            peak / np.nanmean(peak[middle]),
+            color=VERMILION,
+            label="recorded peak × cos², no masking",
         )
         axes.errorbar(
             theta, fitted / scale, std / scale, color=BLUE, fmt="o", ms=4, label="through the camera, ± 1 std"
@@ -113,6 +118,9 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
             after, std = (done.table[v].values[:, j, phi, channel] for v in ("brdf", "brdf_std"))
             good = done.table["supported"].values[:, j, phi, channel]
             seen = np.isfinite(before) & (before > 0)
+            if not seen.any():
+                axes.text(0.5, 0.5, "missing in this table", transform=axes.transAxes, ha="center", color=GREY)
+                continue
             axes.plot(theta_h[seen], before[seen], color=VERMILION, label="recorded")
             axes.plot(theta_h[seen], after[seen], color=BLUE, label="corrected")
             low = np.maximum(after - std, after * 1e-2)
@@ -125,7 +133,9 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
             axes.set_title(rf"$\theta_d$ = {np.degrees(raw['theta_d'].values[j]):.1f}°", loc="left")
             axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
             axes.set_ylabel("BRDF [1/sr]")
-        figure.axes[0].legend(loc="lower left")
+        drawn = [axes for axes in figure.axes if axes.lines]
+        if drawn:
+            drawn[0].legend(loc="lower left")
     return figure
 
 
@@ -137,7 +147,8 @@ def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
         panels = figure.subplots(2, 2)
         for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
             before, after = (_ball(values, zoom) for values in (raw.values, done.table["brdf"].values))
-            white = np.quantile(after[after > 0], 0.99) if zoom == 1 else after.max(initial=0)
+            lit = after[after > 0]
+            white = np.quantile(lit, 0.99) if zoom == 1 and lit.size else after.max(initial=0)
             for axes, picture, title in zip(row, (before, after), ("as recorded", "corrected"), strict=True):
                 shown = np.clip(picture / max(white, 1e-300), 0, 1) ** (1 / 2.2)
                 axes.imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", interpolation="nearest")
