@@ -190,7 +190,7 @@ def bad_calls(folder, measured):
         (("predict", "0"), "alpha must lie in (0, 1], got 0"),
         (("predict", "--radius", "-3"), "radius must lie in"),
         (("predict", "--lamp", "80"), "lamp_radius must lie in"),
-        (("inspect", "file"), "neither a MERL file"),
+        (("inspect", "file"), "none of what matcam reads"),
         (("figures", "short.binary"), "truncated"),
         (("frensel",), "No such command 'frensel'"),
         (("figures", "same.binary", measured.parent / "same.binary"), "two files of one name"),
@@ -235,7 +235,7 @@ def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, t
 
 def test_a_fault_of_ours_is_code_70_with_traceback(environment, tmp_path):
     code = (
-        "import sys, matcam.cli as c, matcam.inspection as i\n"
+        "import sys, matcam.cli as c, matcam.files.recognition as i\n"
         "def broken(path): raise ZeroDivisionError('oops')\n"
         "i.identify = broken\nsys.exit(c._run(['inspect', 'x']))"
     )
