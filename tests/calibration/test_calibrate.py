@@ -75,6 +75,7 @@ def samples_of(sigma, half_width, seed, count=12, std=0.003, **more):
     return made
 
 
+@pytest.mark.slow
 def test_values_of_other_targets_alone_and_with_edges():
     alone = calibrate([], samples=samples_of(0.6, 0.45, 1), half_width=0.45).channels["grey"]
     assert abs(alone.values[0] - 0.6) < 4 * alone.std[0] < 0.01
@@ -142,6 +143,7 @@ def test_one_aperture_at_a_wide_blur_is_refused():
         calibrate([at_aperture(5.6, 0.8, 0.4, 1)], f_numbers=5.6, **LENS)
 
 
+@pytest.mark.slow
 def test_few_edges_do_not_tell_lens_and_pixel_apart():
     with pytest.raises(
         FitError, match=r"cannot be told apart: 16 edges know the pixel's half width to .* give the fill"

@@ -50,6 +50,7 @@ def errors(chart, count, cfa, roll):
     return np.array(relative), np.array(pulls), np.array(edges)
 
 
+@pytest.mark.slow
 def test_sigma_of_a_grey_camera(chart):
     relative, pulls, edges = errors(chart, 4, None, 0.01)
     assert edges.min() >= 24

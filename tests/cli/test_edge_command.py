@@ -62,8 +62,8 @@ def test_verdict_figure_and_columns(edge, photograph, tmp_path):
 
 BAD = [
     (("none.tif",), "none.tif: no such file"),
-    (("text.tif",), "neither TIFF, PNG nor JPEG"),
-    (("cut.tif",), "damaged picture"),
+    (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
+    (("cut.tif",), "more than its 3000 bytes can hold: damaged"),
     (("chart.tif", "--roi", 100, 0, 80, 160), "roi must lie inside the picture of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),

@@ -143,6 +143,7 @@ def check_drawn(cells):
     assert missed.max() < 1, report
 
 
+@pytest.mark.slow
 def test_random_cells():
     """56 cells of eight roughnesses."""
     check_drawn(drawn_cells(roughnesses(8, seed=5), 1, seed=6))
