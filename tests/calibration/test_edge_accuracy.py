@@ -54,7 +54,7 @@ def test_esf_and_lsf(straight):
     [
         pytest.param(2.8, marks=pytest.mark.slow),
         pytest.param(5.6, marks=pytest.mark.slow),
-        8,
+        pytest.param(8, marks=pytest.mark.slow),
         pytest.param(16, marks=pytest.mark.slow),
     ],
 )
@@ -83,7 +83,9 @@ def test_every_angle():
         assert np.max(np.abs(relative(result.parametric.mtf50, truth))) <= 1e-3
 
 
-@pytest.mark.parametrize("turn", ["as it is", "mirrored", "transposed", "upside down", "both"])
+@pytest.mark.parametrize(
+    "turn", [pytest.param("as it is", marks=pytest.mark.slow), "mirrored", "transposed", "upside down", "both"]
+)
 def test_orientation(turn):
     image = oracle.picture(oracle.gaussian(0.5, 7)) * ELECTRONS
     turned, degrees = {

@@ -25,7 +25,7 @@ def noisy():
 
 
 MOSAICS = [
-    pytest.param("R"),
+    pytest.param("R", marks=pytest.mark.slow),
     pytest.param("B", marks=pytest.mark.slow),
     pytest.param("G", marks=pytest.mark.slow),
 ]

@@ -57,7 +57,17 @@ def test_golden_diffraction(row):
     assert float(camera.mtf(row["f"])) == pytest.approx(row["total_mtf"], rel=1e-8, abs=1e-15)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-4, pytest.param(0.3, marks=pytest.mark.slow), np.pi / 4, 1.2, np.pi / 2])
+@pytest.mark.parametrize(
+    "angle",
+    [
+        0.0,
+        1e-4,
+        pytest.param(0.3, marks=pytest.mark.slow),
+        pytest.param(np.pi / 4, marks=pytest.mark.slow),
+        1.2,
+        np.pi / 2,
+    ],
+)
 def test_closed_forms_agree_with_fourier_quadrature(angle):
     x = jnp.linspace(-5, 5, 201)
     for sigma in (0.05, 0.3, 1.7):

@@ -211,7 +211,9 @@ def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, tmp_
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
 
-@pytest.mark.parametrize("delay", [0.3, 1.0, 1.8, 2.6])
+@pytest.mark.parametrize(
+    "delay", [0.3, pytest.param(1.0, marks=pytest.mark.slow), 1.8, pytest.param(2.6, marks=pytest.mark.slow)]
+)
 def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, tmp_path, delay):
     command = [sys.executable, "-m", "matcam", "fresnel", str(measured)]
     with subprocess.Popen(

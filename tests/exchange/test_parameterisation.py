@@ -53,7 +53,7 @@ def relative_errors(path, material, pairs):
 @pytest.mark.parametrize(
     ("alpha", "diffuse"),
     [
-        (0.02, 0.2),
+        pytest.param(0.02, 0.2, marks=pytest.mark.slow),
         pytest.param(0.02, 0.0, marks=pytest.mark.slow),
         pytest.param(0.1, 0.1, marks=pytest.mark.slow),
         pytest.param(0.4, 0.0, marks=pytest.mark.slow),

@@ -87,6 +87,7 @@ def test_cylinder_by_one_integral():
     )
 
 
+@pytest.mark.slow
 def test_a_halo_keeps_what_its_core_keeps():
     """The halo's own share of the peak is small but there; the core's is the core's."""
     ndf, theta = GGX(0.01), np.array([0.5])

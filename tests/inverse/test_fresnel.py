@@ -196,6 +196,7 @@ def test_pulls_of_a_wrong_camera_grow():
     assert np.mean(grown[1::2]) > 6
 
 
+@pytest.mark.slow
 def test_ggx_lobes_are_told_from_gaussian_ones():
     """A GGX lobe drawn by the oracle's mixture of Gaussian records."""
     t = np.exp(np.linspace(-12, 3.9, 60))

@@ -24,7 +24,9 @@ def noisy(lobe, seed, **noise):
     return shot.table(shot.rule.noisy(ways, np.random.default_rng(seed), **noise))
 
 
-@pytest.mark.parametrize("lobe", [oracle.GGX(0.001), oracle.GGX(0.15), oracle.EPD(0.004, 0.6)])
+@pytest.mark.parametrize(
+    "lobe", [oracle.GGX(0.001), oracle.GGX(0.15), pytest.param(oracle.EPD(0.004, 0.6), marks=pytest.mark.slow)]
+)
 def test_exact_data_give_the_truth(lobe):
     """No noise in the data, little assumed: what is left is the operator's own error."""
     shot, ways = light(lobe)
