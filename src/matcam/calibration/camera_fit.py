@@ -181,13 +181,11 @@ def _mean_curve(
     table: EdgeTable | None, edges: Any, lens: LensModel, parameters: np.ndarray, half: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The edges' mean MTF, its standard deviation by their scatter, and the same mean of the camera's."""
-    f, theta = jnp.asarray(FREQUENCIES), jnp.asarray(parameters)
+    theta = jnp.asarray(parameters)
     if table is None:
         nothing = np.full(FREQUENCIES.size, np.nan)
-        return nothing, nothing, np.asarray(lens.mtf(theta, f, jnp.zeros(()), jnp.asarray(half)))
-    models = np.asarray(
-        jax.lax.map(lambda e: e[0].mtf(theta, f, e[1], jnp.asarray(half)), (edges.lens, jnp.asarray(edges.angle)))
-    )
+        return nothing, nothing, np.asarray(lens.mtf(theta, jnp.asarray(FREQUENCIES), jnp.zeros(()), jnp.asarray(half)))
+    models = np.asarray(_curves(lens, edges, theta, jnp.asarray(half)))
     weight = lens_curve.weights(table)
     mean, expected = (weight * table.mtf).sum(0), (weight * np.abs(models)).sum(0)
     count = table.x.size
@@ -196,6 +194,12 @@ def _mean_curve(
     scatter = np.sqrt((weight**2 * apart**2).sum(0) * count / max(count - 1, 1))
     stated = np.sqrt((weight**2 * table.mtf_std**2).sum(0))
     return mean, np.maximum(scatter, stated) if count > 1 else stated, expected
+
+
+@jax.jit
+def _curves(lens: LensModel, edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
+    """(edges, frequencies) the camera's MTF, signed, at each edge."""
+    return jax.lax.map(lambda e: e[0].mtf(theta, FREQUENCIES, e[1], half), (edges.lens, jnp.asarray(edges.angle)))
 
 
 def _camera(

@@ -50,14 +50,11 @@ def _divided(region: Region, found: np.ndarray, middle: tuple[float, float], sca
     )
     dx, dy = columns.turned(across, np.broadcast_to(region.y[..., None], across.shape))
     x, y = (np.asarray(a)[:, None, None] for a in (frame.x, frame.y))
-    here, there = (
-        ((x - middle[0]) / scale, (y - middle[1]) / scale),
-        (
-            (x + dx - middle[0]) / scale,
-            (y + dy - middle[1]) / scale,
-        ),
-    )
-    return region._replace(value=region.value / np.exp(_powers(*there) @ found - _powers(*here) @ found))
+    dx, dy, x, y = dx / scale, dy / scale, (x - middle[0]) / scale, (y - middle[1]) / scale
+    # the difference of the quadratic between a place and the centre
+    _, fx, fy, fxx, fxy, fyy = found
+    bend = (fx + fxx * (2 * x + dx) + fxy * (y + dy)) * dx + (fy + fxy * x + fyy * (2 * y + dy)) * dy
+    return region._replace(value=region.value * np.exp(-bend))
 
 
 def _bright(value: np.ndarray) -> np.ndarray:
