@@ -11,8 +11,9 @@ from matcam.errors import ArgumentError
 from matcam.forward.blur import blur_of
 from matcam.inverse import rule_cache
 from matcam.inverse.chosen_cells import chosen_cells, places
-from matcam.inverse.lobe_operator import Axis, lobe_operator
+from matcam.inverse.lobe_operator import lobe_operator
 from matcam.inverse.polar_rule import THROUGH_SAMPLES, Pixels, filled, nodes_of, reach_of, sampled, window
+from matcam.inverse.rig_axes import free_axis, known_axis, moved
 from tests.golden import rows
 from tests.inverse.recorded import pictures, rig
 from tests.oracle import sphere_cells as oracle
@@ -79,15 +80,43 @@ def test_no_two_cells_share_a_pixel():
     assert cells.kept[:60].sum(1).min() > 60
 
 
+def followed(axis, coordinate, other_rig, ndf):
+    """(relative error, in standard deviations of 1 % and 1e-4 of the peak, of the operator followed along an axis)."""
+    _, along = lobe_operator(rigs.merl(), "centre", EVERY, (axis,))
+    cells, there = lobe_operator(other_rig, "centre", EVERY)
+    ours, truth = (np.asarray(o.record(ndf, "smith", s)) for o, s in ((along, jnp.array([coordinate])), (there, ())))
+    inner = cells.kept & (cells.cos_i.min(-1) > 0.2)
+    peak = np.max(truth, axis=1, keepdims=True, where=inner, initial=0)
+    return np.abs(ours - truth)[inner], np.hypot(truth, 0.01 * peak)[inner]
+
+
 def test_the_camera_is_followed():
     """Along its axis the operator is that of a rig with the other lens."""
-    _, along = lobe_operator(rigs.merl(), "centre", EVERY, (Axis("optics.sigma_px", 0.1),))
+    axis = known_axis("optics.sigma_px", 0.5, 0.02)
     for shift in (-0.04, 0.03):
-        cells, there = lobe_operator(rig(0.5 * np.exp(shift)), "centre", EVERY)
-        ndf = GGX(0.003)
-        ours, truth = (np.asarray(o.record(ndf, "smith", s)) for o, s in ((along, jnp.array([shift])), (there, ())))
-        inner = cells.kept & (np.minimum(cells.cos_i, 1).min(-1) > 0.2)
-        np.testing.assert_allclose(ours[inner], truth[inner], rtol=3e-5)
+        off, scale = followed(axis, shift, rig(0.5 * np.exp(shift)), GGX(0.003))
+        assert np.max(off / scale) < 3e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "alpha", "most"),
+    [
+        ("optics.sigma_px", (0.05, 0.2, 0.4, 0.7), 0.02, 1e-3),
+        ("optics.sigma_px", (0.15, 0.4, 0.7), 0.003, 1e-3),
+        ("lamp_radius", (0.002, 0.0044), 0.003, 5e-4),
+        ("lamp_radius", (0.002, 0.0044), 0.02, 1e-4),
+        ("jitter", (0.1, 0.25), 0.003, 1e-4),
+    ],
+)
+def test_widths_are_followed_over_their_range(name, values, alpha, most):
+    """A lens down to none at all, a lamp from a point up."""
+    axis = free_axis(name, rigs.merl())
+    for value in values:
+        coordinate = 0.5 * np.log((value**2 + axis.softening**2) / (axis.base**2 + axis.softening**2))
+        assert axis.value(coordinate) == pytest.approx(value, abs=1e-7)
+        off, scale = followed(axis, coordinate, moved(rigs.merl(), {name: value}), GGX(alpha))
+        print(f"{name} {value:g}, alpha {alpha:g}: worst {np.max(off / scale):.1e}")
+        assert np.max(off / scale) < most
 
 
 def test_a_perfect_camera_reads_the_material():

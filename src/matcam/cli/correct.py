@@ -72,7 +72,7 @@ def _compute(file, ndf, glare, masking, camera, radius, lamp, sampling):  # type
 
     kept_rules()
     from matcam.files.merl import read_merl
-    from matcam.inverse.correction import correction, remarks
+    from matcam.inverse.correction import correction
 
     rig = rig_of(camera, radius, lamp, cell_value=sampling)
     table = read_merl(file, sampling=sampling)
@@ -82,12 +82,12 @@ def _compute(file, ndf, glare, masking, camera, radius, lamp, sampling):  # type
         "file": str(file),
         "camera": rig.camera.profile(),
         "fit": done.fit.summary(),
-        "fit_with_free_lens": done.other.summary() if done.other else None,
+        "doubts": {doubt.axis.name: {**doubt.fit.summary(), "contradicts": doubt.contradicts} for doubt in done.doubts},
         "shape": {"strength": done.shape.strength, "b": done.shape.b},
         "glare": glare,
         "supported_share": float(done.table["supported"].values[there].mean()),
         "peak_gain_75": float(1 / done.table["response"].values[0, 75, 90]),
-        "remarks": remarks(done.fit, done.other, done.shape),
+        "remarks": done.remarks,
     }
     return table, done, document
 

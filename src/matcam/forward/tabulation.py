@@ -15,6 +15,7 @@ from matcam.angles import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edge
 from matcam.errors import ArgumentError
 from matcam.forward.blur import Blur
 from matcam.forward.plan import Plan, Targets, planned
+from matcam.keyed import Keyed
 from matcam.rigs import CellValue
 from matcam.sample.sphere import Sphere
 
@@ -54,26 +55,13 @@ def tabulation(sphere: Sphere, blur: Blur, cell_value: CellValue, crop: tuple[in
     numbers, tree = jax.tree.flatten(rig)
     if not all(is_concrete(number) for number in numbers):
         raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
-    return _tabulation(_Key(tree, tuple(np.asarray(number).tobytes() for number in numbers), rig), cell_value, crop)
-
-
-class _Key(NamedTuple):
-    """A rig's numbers, by which two are told apart."""
-
-    tree: object
-    numbers: tuple[bytes, ...]
-    rig: tuple[Sphere, Blur]
-
-    def __hash__(self) -> int:
-        return hash(self.numbers)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self[:2] == other[:2]
+    key = tree, tuple(np.asarray(number).tobytes() for number in numbers)
+    return _tabulation(Keyed(key, rig), cell_value, crop)
 
 
 @lru_cache(maxsize=1)
-def _tabulation(key: _Key, cell_value: CellValue, crop: tuple[int, int] | None) -> Tabulation:
-    sphere, blur = key.rig
+def _tabulation(rig: Keyed[tuple[Sphere, Blur]], cell_value: CellValue, crop: tuple[int, int] | None) -> Tabulation:
+    sphere, blur = rig.thing
     cells = _cells(sphere, cell_value, crop)
     theta_d = merl_grid(sampling_of(cell_value)).theta_d
     return Tabulation(cells, planned(sphere, blur, np.asarray(sphere.lamp_angle(jnp.asarray(theta_d))), cells.targets))

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 import xarray as xr
 
 from matcam import checks
-from matcam._jax import jax, jnp
 from matcam.angles import merl_grid
 from matcam.camera.noise import PixelNoise
-from matcam.camera.uncertainty import Uncertainty
 from matcam.errors import FitError
-from matcam.inverse import fit_parameters as parameters
+from matcam.inverse.doubts import Doubt, doubts
 from matcam.inverse.fit_result import MaterialFit
-from matcam.inverse.lobe_operator import Axis, check_rig
+from matcam.inverse.lobe_operator import check_rig
+from matcam.inverse.lobe_ratio import LobeRatio, lobe_ratio
 from matcam.inverse.material_fit import fit
-from matcam.inverse.response_lattice import Lattice, lattice, on_table, seen_cells
-from matcam.inverse.shape_correction import ShapeCorrection, shape_correction, shape_records, unshaped
+from matcam.inverse.refit import bent
+from matcam.inverse.response_lattice import seen_cells
+from matcam.inverse.shape_correction import ShapeCorrection, shape_correction, unshaped
 from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -31,25 +30,21 @@ SUPPORTED = 0.05
 BENT = 0.05
 """Strength of a shape's correction beyond which its family does not explain the data."""
 
-DOUBT = 3.0
-"""How often a change that a free lens would make counts, where rig and data contradict each other: the lens need not be what
-is wrong."""
-
 _CANDIDATES = ("ggx", "epd")
 _EVERY = 6
-_LENS = "optics.sigma_px"
 _NEAREST_GLARE = 8.0
 """px; a halo closer to the highlight than this is the lens's core, and told by its profile."""
 
 
 class Correction(NamedTuple):
-    """`table`: Dataset of `correct`. fit: of the lobe through the camera. other: the same with the lens free, None where
-    the lens has no single width. shape: what was changed of the family's lobe."""
+    """`table`: Dataset of `correct`. fit: of the lobe through the camera. doubts: the same with a number of the rig free.
+    shape: what was changed of the family's lobe. remarks: what a reader should know, in plain words."""
 
     table: xr.Dataset
     fit: MaterialFit
-    other: MaterialFit | None
+    doubts: tuple[Doubt, ...]
     shape: ShapeCorrection
+    remarks: tuple[str, ...]
 
 
 def correct(
@@ -84,8 +79,8 @@ def correction(
     (`shape_correction`). Each entry's part above the Lambertian one is multiplied by true over recorded lobe: the ratio
     carries the measurement's own detail. Dataset over the table's dims:
       brdf        1/sr; missing stays missing, negative noise becomes 0; reciprocal as the table is
-      brdf_std    standard deviation: pixel noise, fitted numbers, camera's stated uncertainty, shape, what a lens left free
-                  would change, glare. NaN where the sphere's last pixels show the entry: there it is left as it was
+      brdf_std    standard deviation: pixel noise, fitted numbers, camera's stated uncertainty, shape, what a lens or a
+                  lamp left free would change, glare. NaN where the sphere's last pixels show the entry: left as it was
       supported   whether brdf_std is under 5 % of brdf
       response    recorded / true lobe, over the first three dims
 
@@ -98,93 +93,23 @@ def correction(
     checks.within("glare", glare, 0, 0.5)
     options: dict[str, Any] = {"fresnel": "free", "diffuse": True, "masking": masking, "noise": noise, "every": _EVERY}
     fits = []
-    for family in _CANDIDATES if ndf == "auto" else (ndf,):
-        fits.append(fit(brdf, rig, family, **options))
-    best = max(fits, key=lambda found: found.log_likelihood)
-    other = None
-    axes = tuple(Axis(name, float(half)) for name, half in _axes(best))
-    if _LENS in rig.camera.parameters():
-        exact = eqx.tree_at(lambda r: r.camera.uncertainty, rig, None, is_leaf=lambda x: x is None)
-        other = fit(brdf, exact, best.family, camera="free", **options)
+    for candidate in _CANDIDATES if ndf == "auto" else (ndf,):
+        fits.append(fit(brdf, rig, candidate, **options))
+    best = family = max(fits, key=lambda found: found.log_likelihood)
+    doubted = doubts(family, brdf, rig, noise, _EVERY)
     shape = shape_correction(best, noise)
     if shape.strength > BENT:  # too far for what is linear: the lobe itself is bent
-        best = fit(brdf, rig, best.family, bend=1.0, **{**options, "every": 3 * _EVERY})
+        best = bent(family, brdf, rig, 1.0, noise, 3 * _EVERY)
         shape = unshaped(best, shape.strength)
-    where = lattice(rig, sampling_of(brdf), axes)
-    ratio = _Ratio(where, best, shape, axes)
-    log_ratio = on_table(ratio.value, where)
-    model_std = np.sqrt(np.maximum(on_table(ratio.variance, where), 0))
-    if other is not None:
-        there = lattice(_with_lens(rig, other.params[_LENS]), sampling_of(brdf), ())
-        change = on_table(_of_fit(there, other) - ratio.plain, where)
-        model_std = np.hypot(model_std, (DOUBT if contradicts(best, other) else 1.0) * change)
-    table = _assembled(brdf, rig, best, shape, log_ratio, model_std, glare)
+    ratio = lobe_ratio(rig, sampling_of(brdf), best, shape, family, doubted)
+    table = _assembled(brdf, rig, best, shape, ratio, glare)
+    remarks = _remarks(best, doubted, shape)
     table.attrs.update(
         ndf=best.family, masking=masking or "none", glare=glare, sampling=sampling_of(brdf),
-        source=str(brdf.attrs.get("source", "")), remarks="; ".join(remarks(best, other, shape)),
+        source=str(brdf.attrs.get("source", "")), remarks="; ".join(remarks),
         camera_uncertainty="stated" if rig.camera.uncertainty else "none stated: taken as exact",
     )  # fmt: skip
-    return Correction(table, best, other, shape)
-
-
-def _axes(found: MaterialFit) -> list[tuple[str, float]]:
-    """Names and ranges of the camera numbers that a fit freed."""
-    operator = found.problem.operator
-    return [(name, max(values)) for name, values in zip(found.axis_names, operator.values, strict=True)]
-
-
-class _Ratio:
-    """ln(true / recorded) on the lattice: shape corrected, its variance, and without the shape's correction."""
-
-    def __init__(self, where: Lattice, found: MaterialFit, shape: ShapeCorrection, axes: tuple[Axis, ...]):
-        layout, p = found.problem.layout, found.solved.p
-        q, own = jnp.asarray(p[layout.lobe(0)]), jnp.asarray(p[layout.camera])
-        names = [axis.name for axis in axes]
-        place = np.array([[name == n for n in names] for name in found.axis_names], dtype=float)
-        place = place.reshape(len(found.axis_names), len(names))
-        lobe = (layout.family, layout.masking)
-        recorded, parts = shape_records(where.recorded, *lobe, q, own @ place)
-        true, true_parts = shape_records(where.true, *lobe, q, jnp.zeros(0))
-        slopes = _log_slopes(where, *lobe, q, own, jnp.asarray(place))
-        ok = where.cells.kept
-        safe = [np.where(ok, np.asarray(a), 1.0) for a in (recorded, true)]
-        share = [np.asarray(a) / s for a, s in zip((parts, true_parts), safe, strict=True)]
-        lift = [np.maximum(1 + np.tensordot(shape.b, s, 1), 1e-3) for s in share]
-        self.plain = np.where(ok, np.log(safe[1] / safe[0]), 0.0)
-        self.value = self.plain + np.where(ok, np.log(lift[1] / lift[0]), 0.0)
-        by_shape = share[1] / lift[1] - share[0] / lift[0]
-        columns = np.concatenate([np.where(ok, np.asarray(slopes), 0.0), np.where(ok, by_shape, 0.0)])
-        self.variance = np.einsum("psn,pq,qsn->sn", columns, shape.covariance, columns)
-
-
-@eqx.filter_jit
-def _log_slopes(
-    where: Lattice, family: str, masking: Masking, q: jax.Array, own: jax.Array, place: jax.Array
-) -> jax.Array:
-    """Derivatives of ln(true / recorded) by the lobe's and the camera's numbers, (numbers, slices, cells)."""
-
-    def log_ratio(v: jax.Array) -> jax.Array:
-        ndf = parameters.ndf_at(family, v[: q.size])
-        recorded = where.recorded.record(ndf, masking, v[q.size :] @ place)
-        true = where.true.record(ndf, masking, jnp.zeros(0))
-        ok = where.cells.kept
-        return jnp.log(jnp.where(ok, true, 1.0)) - jnp.log(jnp.where(ok, recorded, 1.0))
-
-    return jnp.moveaxis(jax.jacfwd(log_ratio)(jnp.concatenate([q, own])), -1, 0)
-
-
-def _with_lens(rig: Rig, sigma: float) -> Rig:
-    return eqx.tree_at(lambda r: r.camera, rig, rig.camera.with_parameters({_LENS: sigma}))
-
-
-def _of_fit(where: Lattice, found: MaterialFit) -> np.ndarray:
-    """ln(true / recorded) of another fit, on the lattice of its own lens."""
-    layout, p = found.problem.layout, found.solved.p
-    q = jnp.asarray(p[layout.lobe(0)])
-    recorded, _ = shape_records(where.recorded, layout.family, layout.masking, q, jnp.zeros(0))
-    true, _ = shape_records(where.true, layout.family, layout.masking, q, jnp.zeros(0))
-    ok = where.cells.kept
-    return np.where(ok, np.log(np.where(ok, np.asarray(true), 1.0) / np.where(ok, np.asarray(recorded), 1.0)), 0.0)
+    return Correction(table, best, doubted, shape, remarks)
 
 
 def _assembled(
@@ -192,8 +117,7 @@ def _assembled(
     rig: Rig,
     found: MaterialFit,
     shape: ShapeCorrection,
-    log_ratio: np.ndarray,
-    model_std: np.ndarray,
+    ratio_of_lobes: LobeRatio,
     glare: float,
 ) -> xr.Dataset:
     data = brdf.values
@@ -201,7 +125,7 @@ def _assembled(
     channels = range(data.shape[3])
     body = np.array([p[layout.unit(u)][-1] for u in channels]) / np.pi
     known = seen_cells(sampling_of(brdf))[..., None]
-    ratio = np.where(known, np.exp(log_ratio)[..., None], 1.0)
+    ratio = np.where(known, np.exp(ratio_of_lobes.log)[..., None], 1.0)
     above = data - body
     lobe = above > 0
     corrected = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
@@ -210,7 +134,7 @@ def _assembled(
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
     variance = (noise.relative**2 + noise.gain**2) * data**2 + (noise.floor * peak) ** 2
     variance = variance * np.where(lobe, ratio, 1.0) ** 2
-    variance += np.where(lobe, above * ratio * model_std[..., None], 0.0) ** 2
+    variance += np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
     scattered = glare * _farthest_glare(brdf, rig, found)
     variance += (scattered**2 + (glare * data) ** 2) * np.where(lobe, ratio, 1.0) ** 2
     std = np.where(known & np.isfinite(data), np.sqrt(variance), np.nan)
@@ -224,7 +148,7 @@ def _assembled(
             "brdf": (brdf.dims, corrected, {**brdf.attrs, "units": "1/sr", "long_name": "BRDF freed from the camera"}),
             "brdf_std": (brdf.dims, std, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
             "supported": (brdf.dims, supported, {"long_name": "standard deviation under 5 %"}),
-            "response": (first, np.exp(-log_ratio), {"long_name": "recorded / true lobe"}),
+            "response": (first, np.exp(-ratio_of_lobes.log), {"long_name": "recorded / true lobe"}),
         },
         coords=brdf.coords,
     )
@@ -249,7 +173,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
     return f[None, :, None, :] * (radius**2 / 4 / (np.pi * np.e * distance2 * cos_i))[..., None]
 
 
-def remarks(found: MaterialFit, other: MaterialFit | None, shape: ShapeCorrection) -> list[str]:
+def _remarks(found: MaterialFit, doubted: tuple[Doubt, ...], shape: ShapeCorrection) -> tuple[str, ...]:
     """What a reader should know of a correction, in plain words."""
     said = list(found.remarks)
     if shape.strength > BENT:
@@ -257,21 +181,4 @@ def remarks(found: MaterialFit, other: MaterialFit | None, shape: ShapeCorrectio
             f"a {found.family} lobe does not explain the data: its shape was bent (strength {shape.strength:g}), and what "
             "the pixels do not resolve of that shape counts as uncertainty"
         )
-    if other is not None and found.camera and contradicts(found, other):
-        lens, std = other.params[_LENS], other.std[_LENS]
-        assumed = float(found.camera.parameters()[_LENS])
-        said.append(
-            f"left free, the lens would be {lens:.3f} +- {std:.1g} px instead of {assumed:.3f} px: camera, lamp or family "
-            f"contradict the data; {DOUBT:g} times the difference counts as uncertainty"
-        )
-    return said
-
-
-def contradicts(found: MaterialFit, other: MaterialFit) -> bool:
-    """Whether a lens left free moves by more than 4 standard deviations of both, and by more than 0.2 %."""
-    if found.camera is None:
-        return False
-    known = found.camera.uncertainty
-    assumed = float(found.camera.parameters()[_LENS])
-    spread = np.hypot(other.std[_LENS], known.std().get(_LENS, 0.0) if isinstance(known, Uncertainty) else 0.0)
-    return bool(abs(other.params[_LENS] - assumed) > 4 * max(spread, 0.002 * assumed / 4))
+    return (*said, *(doubt.remark for doubt in doubted if doubt.contradicts))

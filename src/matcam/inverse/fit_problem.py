@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 
 from matcam._jax import jax, jnp
+from matcam.camera.noise import PixelNoise
 from matcam.inverse import fit_parameters as parameters
 from matcam.inverse.fit_data import FitData
 from matcam.inverse.fit_parameters import FresnelModel
@@ -22,7 +23,7 @@ from matcam.material.masking import Masking
 
 
 class Layout(NamedTuple):
-    """Where everything lies in the vector: lobes, then the camera, then each unit's Fresnel term and diffuse part."""
+    """Where everything lies in the vector: lobes, then the rig, then each unit's Fresnel term and diffuse part."""
 
     family: str
     masking: Masking
@@ -121,6 +122,10 @@ class Problem:
     def __init__(self, data: FitData, operator: LobeOperator, theta_d: np.ndarray, layout: Layout):
         self.data, self.operator, self.theta_d, self.layout = data, operator, theta_d, layout
 
+    def residual(self, model: Model) -> np.ndarray:
+        """Data - model, (u, s, n); 0 where unused."""
+        return np.where(self.data.used, self.data.values - model.value, 0.0)
+
     def lobe_record(self, q: np.ndarray) -> np.ndarray:
         """A of one lobe, (slices, cells); q: its logarithms and the camera's shifts."""
         layout = self.layout
@@ -171,6 +176,10 @@ class Problem:
                 if layout.diffuse:
                     derivative[place.stop - 1, u] = 1 / np.pi
         return Model(value, derivative, lobe, strength, std)
+
+    def gain(self, noise: PixelNoise) -> float:
+        """Standard deviation of a picture's strength beside its model: endless where strengths are free."""
+        return np.inf if self.layout.fresnel == "free" else noise.gain
 
     def whitening(self, model: Model, weight: np.ndarray, gain: float) -> Whitening:
         """Free strengths drop what lies along the lobe; known gains shorten what lies along the picture."""

@@ -18,7 +18,9 @@ from matcam.inverse import picture_noise
 from matcam.inverse.chosen_cells import ChosenCells
 from matcam.inverse.fit_problem import Problem
 from matcam.inverse.fit_remarks import remarks_on
+from matcam.inverse.lobe_operator import radius_of
 from matcam.inverse.lobe_width import half_width_of
+from matcam.inverse.rig_axes import WIDTHS
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf import NDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
@@ -65,8 +67,7 @@ class MaterialFit:
     remarks: tuple[str, ...]
     problem: Problem
     solved: Solved
-    prior_root: np.ndarray
-    axis_names: tuple[str, ...]
+    prior: Prior
 
     @property
     def material(self) -> Microfacet:
@@ -133,7 +134,7 @@ def result_of(
 ) -> MaterialFit:
     """Gather a fit's result."""
     layout, data = problem.layout, problem.data
-    names, values, slopes = _named(problem, solved, rig, prior, channels)
+    names, values, slopes = _named(problem, solved, prior, channels)
     covariance = solved.covariance * np.outer(slopes, slopes)
     std = np.sqrt(np.diag(covariance))
     roughness_std = np.sqrt(
@@ -151,10 +152,8 @@ def result_of(
     curves = xr.Dataset(
         {"fresnel": (labels, strength.T), "fresnel_std": (labels, strength_std.T)}, coords=coords
     )  # fmt: skip
-    rest = np.where(data.used, data.values - solved.model.value, 0.0)
-    free = layout.fresnel == "free"
     scaled = picture_noise.without_gain(
-        data, rest, solved.model.value, solved.noise._replace(gain=1e6) if free else solved.noise
+        data, problem.residual(solved.model), solved.model.value, solved.noise, problem.gain(solved.noise)
     )
     residual = xr.Dataset(
         {"residual": (("channel", "theta_d", "cell"), np.where(data.used, scaled, np.nan))},
@@ -167,8 +166,7 @@ def result_of(
     )
     variance = picture_noise.variance(data, solved.model.value, solved.noise)
     likelihood = -0.5 * (np.log(variance[data.used]).sum() + (scaled[data.used] ** 2).sum())
-    radius = 256.0 if rig is None else float(rig.sample.radius)  # type: ignore[attr-defined]
-    at_end = float(solved.p[0]) - parameters.lobe_bounds(layout.family, radius)[0][0]
+    at_end = float(solved.p[0]) - parameters.lobe_bounds(layout.family, radius_of(rig))[0][0]
     own = len(parameters.lobe_names(layout.family))
     last = [layout.lobe(n).start + own - 1 for n in range(layout.lobes)]
     linear = own == 1 or bool(np.all(np.sqrt(np.diag(solved.covariance)[last]) < LINEAR))
@@ -199,13 +197,12 @@ def result_of(
         remarks=remarks_on(rig, prior, solved, determined, at_end, half, noise_given),
         problem=problem,
         solved=solved,
-        prior_root=prior.root,
-        axis_names=tuple(axis.name for axis in prior.axes),
+        prior=prior,
     )
 
 
 def _named(
-    problem: Problem, solved: Solved, rig: Rig | None, prior: Prior, channels: list[int]
+    problem: Problem, solved: Solved, prior: Prior, channels: list[int]
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names, values and derivatives by the fit's coordinates of all its numbers."""
     layout, labels = problem.layout, problem.data.labels
@@ -228,11 +225,9 @@ def _named(
         plain += own
     pairs = np.array([parameters.natural(name, q) for name, q in zip(plain, solved.p, strict=True)])
     values, slopes = pairs.T if pairs.size else (np.zeros(0), np.zeros(0))
-    if rig is not None and layout.axes:
-        base = rig.camera.parameters()
-        scale = np.array([float(base[axis.name]) for axis in prior.axes])
-        values[layout.camera] *= scale
-        slopes[layout.camera] *= scale
+    for number, axis in enumerate(prior.axes, layout.camera.start):
+        std = float(np.sqrt(solved.covariance[number, number]))
+        values[number], slopes[number] = axis.value(solved.p[number]), axis.slope(solved.p[number], std)
     return names, values, slopes
 
 
@@ -283,16 +278,15 @@ def _material(problem: Problem, solved: Solved, ndf: NDF, units: range, strength
 def _camera(rig: Rig | None, prior: Prior, problem: Problem, solved: Solved) -> Camera | None:
     if rig is None:
         return None
-    if not prior.axes:
-        return rig.camera
     place = problem.layout.camera
-    base = rig.camera.parameters()
-    values = {
-        axis.name: float(base[axis.name]) * float(np.exp(s))
-        for axis, s in zip(prior.axes, solved.p[place], strict=True)
-    }
-    scale = np.array(list(values.values()))
-    covariance = solved.covariance[place, place] * np.outer(scale, scale)
-    moved = rig.camera.with_parameters(values)
+    lens = [n for n, axis in enumerate(prior.axes) if axis.name not in WIDTHS]
+    if not lens:
+        return rig.camera
+    numbers = [(prior.axes[n], float(solved.p[place][n]), n) for n in lens]
+    values = {axis.name: axis.value(s) for axis, s, _ in numbers}
+    covariance = solved.covariance[place, place][np.ix_(lens, lens)]
+    slopes = [axis.slope(s, float(np.sqrt(covariance[m, m]))) for m, (axis, s, _) in enumerate(numbers)]
+    covariance = covariance * np.outer(slopes, slopes)
+    fitted = rig.camera.with_parameters(values)
     known = Uncertainty(values, (covariance + covariance.T) / 2)
-    return Camera(moved.optics, moved.pixel, moved.sensor, uncertainty=known, provenance=moved.provenance)
+    return Camera(fitted.optics, fitted.pixel, fitted.sensor, uncertainty=known, provenance=fitted.provenance)

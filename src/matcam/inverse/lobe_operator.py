@@ -3,14 +3,15 @@
 `record` is the integral of MODEL 3 without F: a table reads F(theta_d) times it, because a picture of a distant sphere under
 a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and kept.
 
-A camera's uncertain numbers move the weights of the rule. Each is followed along its own axis through a few values, by the
-polynomial through them; how two of them act together beyond their sum is left out (a product of two small errors).
+Numbers of the rig that are not known move the weights of the rule. Each is followed along its own axis (`rig_axes`) through a
+few values, by the polynomial through them; how two of them act together beyond their sum is left out (a product of two
+small errors).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import lru_cache, partial
+import dataclasses
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,13 +19,14 @@ import numpy as np
 
 from matcam._jax import jax, jnp
 from matcam.angles import Sampling, azimuth_difference, merl_grid
-from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError
-from matcam.forward.blur import Blur, blur_of
+from matcam.forward.blur import blur_of
 from matcam.forward.kernel_scale import groups_of
 from matcam.inverse import rule_cache
 from matcam.inverse.chosen_cells import ChosenCells, chosen_cells, places
-from matcam.inverse.polar_rule import THROUGH_SAMPLES, Pixels, Window, filled, nodes_of, reach_of, sampled, window
+from matcam.inverse.polar_rule import THROUGH_SAMPLES, Pixels, filled, nodes_of, reach_of, sampled, transferred, window
+from matcam.inverse.rig_axes import Axis, moved
+from matcam.keyed import Keyed
 from matcam.material.beckmann import Beckmann
 from matcam.material.ggx import GGX
 from matcam.material.masking import Masking, cot_of, g2, interpolated_lambda
@@ -35,19 +37,9 @@ from matcam.sample.sphere import Sphere
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
 
-_AXIS_VALUES = ((0.03, 3), (0.15, 5), (np.inf, 7))
-"""Values of a camera parameter that its axis runs through, for axes up to some half range."""
 _LAMBDA_NODES = 256
 _PERFECT_RADIUS = 256.0
-"""Sphere whose pixels are told apart where no rig is given."""
-
-
-class Axis(NamedTuple):
-    """One camera parameter, as the logarithm of its ratio to the rig's value."""
-
-    name: str
-    half_range: float
-    """Largest |ln(value / rig's)| that the weights are good for."""
+"""px; sphere whose pixels are told apart where no rig is given."""
 
 
 class LobeOperator(eqx.Module):
@@ -56,21 +48,20 @@ class LobeOperator(eqx.Module):
     theta: jax.Array
     weight: jax.Array
     along: tuple[jax.Array, ...]
-    """For each camera parameter, by how much the weights differ at its values: (values, cells, ways, nodes)."""
+    """For each axis, by how much the weights differ at its points: (points, cells, ways, nodes)."""
     cos_i: jax.Array
     """(cells, ways, groups of nodes, samples, 2), as are the others of masking."""
     cos_o: jax.Array
     azimuth: jax.Array
     through_samples: jax.Array
     """(nodes of a group, samples)."""
-    values: tuple[tuple[float, ...], ...] = eqx.field(static=True)
-    """For each camera parameter, ln(value / rig's) where the weights are known."""
+    axes: tuple[Axis, ...] = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
 
     def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
         """Integral of D G through the camera over cos_i, 1/sr at F = 1, mean of both ways; shape (slices, cells).
 
-        shifts: (parameters,), ln(value / rig's) of each followed camera parameter.
+        shifts: (axes,), coordinates along them.
         """
         return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
 
@@ -82,8 +73,8 @@ class LobeOperator(eqx.Module):
     def _weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
         """D G at the nodes with their weights."""
         weight = self.weight
-        for values, differences, shift in zip(self.values, self.along, shifts, strict=True):
-            weight = weight + jnp.tensordot(_lagrange(np.array(values), shift), differences, 1)
+        for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
+            weight = weight + jnp.tensordot(_lagrange(np.array(axis.points), shift), differences, 1)
         light = ndf.d(self.theta)
         if masking is not None:
             lambda_i, lambda_o = (_smith_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
@@ -101,7 +92,7 @@ class _Rules(NamedTuple):
     sample_cos_psi: np.ndarray
     along: tuple[np.ndarray, ...]
 
-    def operator(self, cells: ChosenCells, through: np.ndarray, values: tuple) -> LobeOperator:
+    def operator(self, cells: ChosenCells, through: np.ndarray, axes: tuple[Axis, ...]) -> LobeOperator:
         """With the angles that masking needs."""
         theta = self.sample_theta[..., None]
         theta_d = np.repeat(cells.theta_d, cells.kept.shape[1]).reshape(-1, *[1] * (theta.ndim - 1))
@@ -118,7 +109,7 @@ class _Rules(NamedTuple):
             cos_o=cos_o,
             azimuth=azimuth,
             through_samples=jnp.asarray(through),
-            values=values,
+            axes=axes,
             shape=(slices, count),
         )
 
@@ -148,7 +139,7 @@ def lobe_operator(
     with the same numbers."""
     if rig is None:
         return _perfect(sampling, every)
-    return _of_key(_Described((*described(rig), sampling, every, axes), rig))
+    return _operator(Keyed(described(rig), rig), sampling, every, axes)
 
 
 def described(rig: Rig) -> tuple:
@@ -160,17 +151,9 @@ def described(rig: Rig) -> tuple:
     return repr(camera), tuple(sorted(numbers.items())), rest
 
 
-class _Described:
-    """A rig that is the same as another if its numbers are."""
-
-    def __init__(self, key: tuple, rig: Rig):
-        self.key, self.rig = key, rig
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Described) and self.key == other.key
+def radius_of(rig: Rig | None) -> float:
+    """The sphere's, px."""
+    return _PERFECT_RADIUS if rig is None else float(rig.sample.radius)  # type: ignore[attr-defined]
 
 
 def check_rig(rig: Rig) -> None:
@@ -188,39 +171,35 @@ def check_rig(rig: Rig) -> None:
 
 
 @lru_cache(maxsize=6)
-def _of_key(rig_and_key: _Described) -> tuple[ChosenCells, LobeOperator]:
-    _, _, (radius, *_), sampling, every, axes = rig_and_key.key
-    rig = rig_and_key.rig
-    cells = chosen_cells(radius, sampling, every)
-    return cells, operator_of(rig, cells, axes, repr(rig_and_key.key))
+def _operator(
+    rig: Keyed[Rig], sampling: Sampling, every: int, axes: tuple[Axis, ...]
+) -> tuple[ChosenCells, LobeOperator]:
+    cells = chosen_cells(radius_of(rig.thing), sampling, every)
+    return cells, operator_of(rig.thing, cells, axes, repr((rig.key, sampling, every, axes)))
 
 
 def operator_of(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str) -> LobeOperator:
     """The rule of any cells; description: of all that it depends on, under which it is kept on disk."""
-    values = tuple(_values(axis.half_range) for axis in axes)
-    stored = rule_cache.kept(description, lambda: _rules(rig, cells, axes, values))
+    stored = rule_cache.kept(description, lambda: _rules(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
-    return _Rules(along=along, **stored).operator(cells, THROUGH_SAMPLES, values)
+    return _Rules(along=along, **stored).operator(cells, THROUGH_SAMPLES, axes)
 
 
-def _values(half_range: float) -> tuple[float, ...]:
-    """Chebyshev's points, which have the middle among them."""
-    count = next(count for largest, count in _AXIS_VALUES if half_range <= largest)
-    return tuple(float(v) for v in half_range * np.round(np.cos(np.pi * np.arange(count) / (count - 1)), 15))
-
-
-def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], values: tuple) -> dict[str, np.ndarray]:
-    """The arrays of `_Rules` by name; those of the camera's parameters as along0, along1 ..."""
+def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
+    """The arrays of `_Rules` by name; those of the axes as along0, along1 ..."""
     radius = float(rig.sample.radius)  # type: ignore[attr-defined]
     flat = np.flatnonzero(np.repeat(cells.kept.ravel(), 2))
     theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
     pixels = Pixels(*(filled(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, 0.5 / cells.cos_i)))
     depth = np.sqrt(np.maximum(1 - (pixels.x**2 + pixels.y**2) / radius**2, 0))
-    blur = blur_of(rig)
-    cameras = [
-        _with(rig.camera, {axis.name: shift}) for axis, shifts in zip(axes, values, strict=True) for shift in shifts
+    rigs = [rig, *(moved(rig, {a.name: a.value(point)}) for a in axes for point in a.points if point)]
+    blurs = [blur_of(r) for r in rigs]
+    if any(blur.varies for blur in blurs):  # one program for all
+        blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]
+    spreads = [
+        [np.broadcast_to(v, pixels.x.shape) for v in blur.spread(rig.sample, depth, 2 * pixels.theta_d)]  # type: ignore[arg-type]
+        for blur in blurs
     ]
-    blurs = [blur_of(eqx.tree_at(lambda r: r.camera, rig, camera)) for camera in cameras]
 
     def full(part: np.ndarray) -> np.ndarray:
         whole = np.zeros((cells.x.size, *part.shape[1:]))
@@ -228,33 +207,35 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], values: tuple) 
         return whole.reshape(-1, 2, *part.shape[1:])
 
     columns: list[list[np.ndarray]] = []
-    for terms, _ in groups_of(blur, rig.sample):  # type: ignore[arg-type]
-        spread = [np.broadcast_to(v, pixels.x.shape) for v in blur.spread(rig.sample, depth, 2 * pixels.theta_d)]  # type: ignore[arg-type]
-        widest = np.max([np.asarray(b.stds)[list(terms)].max() for b in (blur, *blurs)])
-        reach = reach_of(float(rig.camera.pixel.half_width), np.sqrt(widest**2 + np.maximum(*spread)))
-        seen = window(radius, pixels, reach)
-        rule = partial(_rule, radius, terms, spread, pixels, seen, reach)
-        theta, weight, cos_psi = (np.asarray(a) for a in rule(blur))
-        others = [np.asarray(rule(b).weight) - weight for b in blurs]
-        samples = (a[:, None] for a in sampled(theta, cos_psi))
-        columns.append([full(part) for part in (theta, weight, *samples, *others)])
+    for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
+        reaches = [
+            reach_of(
+                float(rig.camera.pixel.half_width),
+                np.sqrt(np.asarray(blur.stds)[list(terms)].max() ** 2 + np.maximum(*s)),
+            )
+            for blur, s in zip(blurs, spreads, strict=True)
+        ]
+        rules = [
+            nodes_of(jnp.asarray(radius), blur, tuple(spread), terms, pixels, window(radius, pixels, reach), reach)
+            for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
+        ]
+        shown, weights = rules[0], [rules[0].weight]
+        if axes:  # all on the nodes of the widest
+            seen = window(radius, pixels, np.max(reaches, axis=0))
+            shown = nodes_of(jnp.asarray(radius), blurs[0], tuple(spreads[0]), terms, pixels, seen, reaches[0])
+            weights = [transferred(rule, seen) for rule in rules]
+        weight, *others = (np.asarray(w) for w in weights)
+        theta, cos_psi = np.asarray(shown.theta), np.asarray(shown.cos_psi)
+        changes = (other - weight for other in others)
+        along = [next(changes) if point else 0 * weight for axis in axes for point in axis.points]
+        columns.append([full(part) for part in (theta, weight, *(a[:, None] for a in sampled(theta, cos_psi)), *along)])
     named = [np.concatenate(c, axis=2) for c in zip(*columns, strict=True)]
     arrays: dict[str, np.ndarray] = dict(zip(_Rules._fields[:4], named, strict=False))
     first = 4
-    for n, shifts in enumerate(values):
-        arrays[f"along{n}"] = np.stack(named[first : first + len(shifts)])
-        first += len(shifts)
+    for n, axis in enumerate(axes):
+        arrays[f"along{n}"] = np.stack(named[first : first + len(axis.points)])
+        first += len(axis.points)
     return arrays
-
-
-def _rule(radius: float, terms: tuple, spread: list, pixels: Pixels, seen: Window, reach: np.ndarray, blur: Blur):  # type: ignore[no-untyped-def]
-    return nodes_of(jnp.asarray(radius), blur, tuple(spread), terms, pixels, seen, jnp.asarray(reach))
-
-
-def _with(camera: Camera, shifts: Mapping[str, float]) -> Camera:
-    """The camera with some of its numbers multiplied by e^shift."""
-    numbers = camera.parameters()
-    return camera.with_parameters({name: numbers[name] * np.exp(shift) for name, shift in shifts.items()})
 
 
 @lru_cache(maxsize=4)

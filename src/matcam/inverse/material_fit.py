@@ -18,7 +18,8 @@ from matcam.inverse.fit_data import fit_data, joined
 from matcam.inverse.fit_parameters import FRESNEL_MODELS, FresnelModel
 from matcam.inverse.fit_problem import Layout, Model, Problem
 from matcam.inverse.fit_result import MaterialFit, result_of
-from matcam.inverse.lobe_operator import Axis, check_rig, lobe_operator
+from matcam.inverse.lobe_operator import check_rig, lobe_operator, radius_of
+from matcam.inverse.rig_axes import Axis, free_axis, known_axis
 from matcam.material.bent import KNOTS, bend_differences
 from matcam.material.families import FAMILIES, WITH_POWER
 from matcam.material.masking import MASKINGS, Masking
@@ -31,14 +32,10 @@ _STARTS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _ROUNDS = 6
 _SETTLED = 0.02
 """Change of the numbers, in their standard deviations, below which weights need no further round."""
-FREE_RANGE = 0.5
-"""Of ln(value / rig's), for a camera number that nothing is known of."""
-_PRIOR_RANGE = 5.0
-"""The same in standard deviations, where something is."""
 
 
 class Prior(NamedTuple):
-    """What is known of the free camera numbers besides: root of the information matrix of ln(value / rig's)."""
+    """What is known of the rig's free numbers besides: root of the information matrix of their coordinates."""
 
     root: np.ndarray
     axes: tuple[Axis, ...]
@@ -68,7 +65,8 @@ def fit(
 
     camera: "fixed" as the rig says; "prior": its uncertain numbers are fitted, with their covariance as what is known of
     them; "free": the numbers named in `free` are fitted with nothing known. None: "prior" if the camera states an
-    uncertainty, else "fixed", and the result says that it is assumed exact.
+    uncertainty, else "fixed", and the result says that it is assumed exact. A free width - "optics.sigma_px", or the rig's
+    "lamp_radius", "jitter" or "aperture" - may come down to 0.
 
     bend: how far D may depart from the family, smoothly: standard deviation of the second differences of ln D between knots
     that are half a power of e apart; 0 keeps the family, 1 is as good as no family (a non-parametric D).
@@ -99,8 +97,7 @@ def fit(
     checks.within("bend", bend, 0, 10)
     layout = Layout(ndf, masking, fresnel, diffuse, tuple(int(n) for n in lobes), len(prior.axes), KNOTS if bend else 0)
     problem = Problem(data, operator, cells.theta_d, layout)
-    radius = 256.0 if rig is None else float(rig.sample.radius)  # type: ignore[attr-defined]
-    solved = Search(problem, prior, noise and noise.checked(), radius, bend).best()
+    solved = Search(problem, prior, noise and noise.checked(), radius_of(rig), bend).best()
     return result_of(problem, solved, tables, rig, prior, channels, cells, noise is not None)
 
 
@@ -116,16 +113,11 @@ def _prior(rig: Rig | None, camera: CameraUse | None, free: Sequence[str]) -> Pr
     checks.choice("camera", camera, ("fixed", "prior", "free"))
     if camera == "fixed":
         return Prior(np.zeros((0, 0)), ())
-    numbers = rig.camera.parameters()
     if camera == "free":
-        for name in free:
-            if name not in numbers:
-                raise ArgumentError(
-                    f"free names {name!r}, which this camera has not; it has {', '.join(sorted(numbers))}"
-                )
-        return Prior(np.zeros((len(free), len(free))), tuple(Axis(name, FREE_RANGE) for name in free))
+        return Prior(np.zeros((len(free), len(free))), tuple(free_axis(name, rig) for name in free))
     if known is None or not known.names:
         raise ArgumentError("camera='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))")
+    numbers = rig.camera.parameters()
     value = np.array([float(numbers[name]) for name in known.names])
     covariance = np.asarray(known.covariance)
     felt = (np.diag(covariance) > 0) & (value > 0)
@@ -133,8 +125,8 @@ def _prior(rig: Rig | None, camera: CameraUse | None, free: Sequence[str]) -> Pr
     relative = covariance[np.ix_(felt, felt)] / np.outer(value[felt], value[felt])
     variances, axes = np.linalg.eigh(relative)
     root = (axes / np.sqrt(np.maximum(variances, 1e-12))).T
-    ranges = np.clip(_PRIOR_RANGE * np.sqrt(np.diag(relative)), 0.02, FREE_RANGE)
-    return Prior(root, tuple(Axis(name, round(float(r), 6)) for name, r in zip(names, ranges, strict=True)))
+    stds = np.sqrt(np.diag(relative))
+    return Prior(root, tuple(known_axis(*one) for one in zip(names, value[felt].tolist(), stds.tolist(), strict=True)))
 
 
 class Solved(NamedTuple):
@@ -158,7 +150,7 @@ class Search:
         layout = problem.layout
         self.known = prior_rows(layout, prior, bend)
         bounds = parameters.lobe_bounds(layout.family, radius, layout.bends) * layout.lobes
-        bounds += [(-axis.half_range, axis.half_range) for axis in prior.axes]
+        bounds += [(axis.low, axis.high) for axis in prior.axes]
         unit = parameters.fresnel_bounds(layout.fresnel) + ([(-0.05, 1.0)] if layout.diffuse else [])
         bounds += unit * len(layout.lobe_of)
         self.low, self.high = np.array(bounds).T
@@ -173,6 +165,11 @@ class Search:
         tried = [self._refined(start, weight, noise, rounds=1) for start in starts[:2]]
         first = min(tried, key=lambda solved: solved.misfit)
         return self._refined(first.p, first.weight, first.noise, rounds=_ROUNDS)
+
+    def continued(self, start: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> Solved:
+        """From numbers and weights that another fit has found."""
+        inside = np.clip(start, self.low + 1e-9, self.high - 1e-9)
+        return self._refined(inside, weight, self.given or noise, rounds=_ROUNDS)
 
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
         """Starts in order of their misfit, no two neighbours on the lattice."""
@@ -220,57 +217,53 @@ class Search:
     def _refined(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, rounds: int) -> Solved:
         """Least squares with weights held, then better weights, until nothing moves."""
         problem, data = self.problem, self.problem.data
-        free_strength = problem.layout.fresnel == "free"
         for turn in range(max(rounds, 1)):
             before = p
             p = self._least_squares(p, weight, noise, steps=12 if turn == 0 else 5)
             model = problem.model(p, weight)
-            residual = np.where(data.used, data.values - model.value, 0.0)
+            residual = problem.residual(model)
             if self.given is None:
                 noise = picture_noise.estimated(data, residual, model.value, p.size, noise)
-            held = noise._replace(gain=1e6) if free_strength else noise
-            robust = picture_noise.huber(picture_noise.without_gain(data, residual, model.value, held))
+            off = picture_noise.without_gain(data, residual, model.value, noise, problem.gain(noise))
+            robust = picture_noise.huber(off)
             weight = robust / picture_noise.variance(data, model.value, noise)
             model = problem.model(p, weight)
             white = problem.whitening(model, weight, noise.gain)
-            information, _ = self._information(white(model.derivative), p)
-            covariance = _inverse(information)
+            flat = white(model.derivative).reshape(p.size, -1)
+            covariance = _inverse(flat @ flat.T + self.known.T @ self.known)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
             if np.all(np.abs(p - before) < _SETTLED * std):
                 break
         if not np.all(np.isfinite(p)):
             raise FitError("the fit ran into numbers that are none: the data do not look like a lobe of this family")
-        residual = np.where(data.used, data.values - model.value, 0.0)
-        u = white(residual)
-        taken = data.used.any(-1).sum() if free_strength else 0
+        u = white(problem.residual(model))
+        taken = data.used.any(-1).sum() if problem.layout.fresnel == "free" else 0
         freedom = int(data.used.sum() - p.size - taken)
         return Solved(p, model, covariance, noise, float((u**2).sum() / max(freedom, 1)), freedom, weight)
-
-    def _information(self, slopes: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        flat = slopes.reshape(p.size, -1)
-        return flat @ flat.T + self.known.T @ self.known, flat
 
     def _least_squares(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int) -> np.ndarray:
         problem = self.problem
         start = problem.model(p, weight, slopes=False)
         held = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.gain)
-        last: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        last: dict[bytes, np.ndarray] = {}
 
-        def both(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def triangle(p: np.ndarray) -> np.ndarray:
+            """R of the slopes and residuals together: the same squares and products in as many rows as there are numbers."""
             key = p.tobytes()
             if key not in last:
                 model = problem.model(p, weight)
                 white = held or problem.whitening(model, weight, np.inf)
-                u = white(problem.data.values - model.value).ravel()
-                slope = -white(model.derivative).reshape(p.size, -1).T
+                u = white(problem.data.values - model.value).reshape(1, -1)
+                columns = np.concatenate([-white(model.derivative).reshape(p.size, -1), u])
+                rows = np.concatenate([columns.T, np.column_stack([self.known, self.known @ p])])
                 last.clear()
-                last[key] = np.append(u, self.known @ p), np.concatenate([slope, self.known])
+                last[key] = np.asarray(np.linalg.qr(rows, mode="r"))
             return last[key]
 
         inside = np.clip(p, self.low + 1e-9, self.high - 1e-9)
         found = least_squares(
-            lambda p: both(p)[0], inside, lambda p: both(p)[1], bounds=(self.low, self.high), x_scale="jac",
-            ftol=1e-7, xtol=1e-6, max_nfev=steps,
+            lambda p: triangle(p)[:, -1], inside, lambda p: triangle(p)[:, :-1], bounds=(self.low, self.high),
+            x_scale="jac", ftol=1e-7, xtol=1e-6, max_nfev=steps,
         )  # fmt: skip
         return found.x
 

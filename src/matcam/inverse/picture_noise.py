@@ -54,12 +54,14 @@ def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float)
     return Whitening(root, a / np.where(length > 0, length, 1.0), kept)
 
 
-def without_gain(data: FitData, residual: np.ndarray, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
-    """Standardised residuals after each picture's likeliest gain, (u, s, n)."""
+def without_gain(data: FitData, residual: np.ndarray, model: np.ndarray, noise: PixelNoise, gain: float) -> np.ndarray:
+    """Standardised residuals after each picture's likeliest gain, (u, s, n). gain: its standard deviation; infinite for free
+    strengths."""
     root = np.sqrt(np.where(data.used, 1 / variance(data, model, noise), 0.0))
     u, a = residual * root, model * root
-    gain = (a * u).sum(-1, keepdims=True) / ((a**2).sum(-1, keepdims=True) + 1 / max(noise.gain, 1e-12) ** 2)
-    return u - a * gain
+    power = (a**2).sum(-1, keepdims=True) + 1 / max(gain, 1e-12) ** 2
+    likeliest = (a * u).sum(-1, keepdims=True) / np.where(power > 0, power, 1.0)
+    return u - a * likeliest
 
 
 def huber(u: np.ndarray) -> np.ndarray:

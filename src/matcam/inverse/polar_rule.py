@@ -21,6 +21,8 @@ from matcam._jax import jax, jnp
 from matcam.forward.blur import Blur
 
 _NODES = np.polynomial.legendre.leggauss(40)
+_BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - _NODES[0] ** 2) * _NODES[1])
+"""Of the polynomial through the nodes (Wang & Xiang 2012)."""
 _AZIMUTHS = np.polynomial.legendre.leggauss(22)
 _FINEST = 25.0
 """Outer end of the nodes over the angle at which they become even."""
@@ -101,9 +103,7 @@ def nodes_of(radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, 
 
     def block(arguments):  # type: ignore[no-untyped-def]
         x, y, theta_d, factor, low, high, reach, var_x, var_y = (a[:, None, None] for a in arguments)
-        # the highlight itself is inside only where the window begins at 0
-        scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
-        first, last = jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
+        scale, first, last = _stretch(low, high)
         t = first + (last - first) * (_NODES[0][:, None] + 1) / 2
         theta = scale * jnp.sinh(t)
         step = scale * jnp.cosh(t) * (last - first) / 2 * _NODES[1][:, None]
@@ -144,6 +144,32 @@ def nodes_of(radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, 
     arguments = (*pixels, *seen, reach, *variances)
     blocks = tuple(a.reshape(-1, _BLOCK) for a in arguments)
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
+
+
+def _stretch(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """(scale, first, last): nodes are even in asinh(theta / scale) between first and last."""
+    # the highlight itself is inside only where the window begins at 0
+    scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
+    return scale, jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
+
+
+@jax.jit
+def transferred(rule: Nodes, seen: Window) -> jax.Array:
+    """Weights, at the nodes of a wider window, of a rule: it gives the same for all that a polynomial through those nodes
+    follows. So a kernel need not be smooth on their scale; only the lobe has to be."""
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        theta, weight, low, high = arguments
+        scale, first, last = (a[:, None] for a in _stretch(low, high))
+        t = 2 * (jnp.arcsinh(theta / scale) - first) / (last - first) - 1
+        gap = t[..., None] - _NODES[0]
+        gap = jnp.where(jnp.abs(gap) < 1e-13, 1e-13, gap)
+        share = _BARYCENTRIC / gap
+        return jnp.sum(weight[..., None] * share / jnp.sum(share, -1, keepdims=True), axis=1)
+
+    arguments = (rule.theta, rule.weight, *seen)
+    blocks = tuple(a.reshape(-1, _BLOCK, *a.shape[1:]) for a in arguments)
+    return jax.lax.map(block, blocks).reshape(rule.weight.shape)
 
 
 def sampled(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

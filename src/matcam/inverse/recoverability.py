@@ -15,15 +15,15 @@ from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError
 from matcam.inverse.chosen_cells import ChosenCells
 from matcam.inverse.fit_problem import lobe_and_slope
-from matcam.inverse.lobe_operator import Axis, check_rig, lobe_operator
+from matcam.inverse.lobe_operator import check_rig, lobe_operator
+from matcam.inverse.rig_axes import LENS, known_axis
 from matcam.material.families import ONE_WIDTH
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 
 DETERMINED = 0.05
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-_LENS = "optics.sigma_px"
-_STEP = 0.02
+_STEP = 0.004
 
 BLURS: dict[str, tuple[str, float]] = {
     "lamp (degrees)": ("lamp_radius", float(np.radians(0.15))),
@@ -64,14 +64,14 @@ def limits(
     """
     check_rig(rig)
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
-    if _LENS not in rig.camera.parameters():
+    if LENS not in rig.camera.parameters():
         raise ArgumentError("limits need a camera whose lens is a Gaussian: it has no 'optics.sigma_px'")
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
     assumed = (noise or PixelNoise(gain=0.01)).checked()
-    known = rig.camera.uncertainty.std().get(_LENS, np.nan) if rig.camera.uncertainty else np.nan
-    relative = known / float(rig.camera.parameters()[_LENS])
+    known = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
+    relative = known / float(rig.camera.parameters()[LENS])
     own = [_Information(rig, ndf, a, assumed, every) for a in values]
     rest: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]
@@ -115,10 +115,10 @@ def limits(
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
     """What a user can change, each by itself."""
-    radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[_LENS])  # type: ignore[attr-defined]
+    radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[LENS])  # type: ignore[attr-defined]
 
     def with_(radius: float, sigma: float) -> Rig:
-        lens = rig.camera.with_parameters({_LENS: sigma})
+        lens = rig.camera.with_parameters({LENS: sigma})
         return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (Sphere(radius), lens))
 
     return {
@@ -133,7 +133,9 @@ class _Information:
 
     def __init__(self, rig: Rig, ndf: str, roughness: float, noise: PixelNoise, every: int):
         sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
-        cells, operator = lobe_operator(rig, sampling, every, (Axis(_LENS, _STEP),))
+        cells, operator = lobe_operator(
+            rig, sampling, every, (known_axis(LENS, float(rig.camera.parameters()[LENS]), _STEP),)
+        )
         at = jnp.array([np.log(roughness), 0.0])
         record, slopes = (np.asarray(a) for a in lobe_and_slope(operator, ndf, "smith", at, 1))
         peak = record.max(-1, keepdims=True, where=cells.kept, initial=0)

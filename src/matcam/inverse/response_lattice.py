@@ -7,6 +7,7 @@ claimed.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +15,35 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.angles import GRID_SHAPE, Sampling, merl_grid
 from matcam.inverse.chosen_cells import FAR_COSINE, NEAR_COSINE, ChosenCells, places
-from matcam.inverse.lobe_operator import Axis, LobeOperator, described, operator_of, point_operator
+from matcam.inverse.lobe_operator import LobeOperator, described, operator_of, point_operator
+from matcam.inverse.rig_axes import Axis
+from matcam.keyed import Keyed
 from matcam.rigs import Rig
 
-_RINGS = np.array([*range(15), 16, 18, 20, 22, 24, 27, 30, 34, 38, 43, 48, 53, 58, 62, 66, 70, 75, 80, 89])
 _PEAK_RINGS = 4
-_SLICES = np.array([0, 10, 20, 30, 38, 46, 52, 57, 61, 65, 68, 70, *range(72, 90)])
-_AZIMUTHS = np.radians([0, 4, 8, 12, 17, 24, 33, 43, 53, 62, 69, 75, 80, 84, 87, 90])
-"""Crowded towards both ends, where the axes of the foreshortened lobe lie."""
+
+
+class Spacing(NamedTuple):
+    """Rows of theta_h and of theta_d, and azimuths in degrees, crowded towards both ends, where the axes of the
+    foreshortened lobe lie."""
+
+    rings: tuple[int, ...]
+    slices: tuple[int, ...]
+    azimuths: tuple[int, ...]
+
+
+FINE = Spacing(
+    (*range(15), 16, 18, 20, 22, 24, 27, 30, 34, 38, 43, 48, 53, 58, 62, 66, 70, 75, 80, 89),
+    (0, 10, 20, 30, 38, 46, 52, 57, 61, 65, 68, 70, *range(72, 90)),
+    (0, 4, 8, 12, 17, 24, 33, 43, 53, 62, 69, 75, 80, 84, 87, 90),
+)
+"""For the response itself."""
+COARSE = Spacing(
+    (0, 1, 2, 3, 5, 7, 10, 13, 17, 22, 28, 36, 46, 58, 72, 89),
+    (0, 20, 38, 52, 61, 68, 73, 77, 80, 82, 84, 86, 88, 89),
+    (0, 8, 20, 36, 53, 69, 80, 90),
+)
+"""For its errors and small changes."""
 
 
 class Lattice(NamedTuple):
@@ -30,29 +52,32 @@ class Lattice(NamedTuple):
     cells: ChosenCells
     recorded: LobeOperator
     true: LobeOperator
+    spacing: Spacing
     sampling: Sampling
 
 
-def lattice(rig: Rig, sampling: Sampling, axes: tuple[Axis, ...]) -> Lattice:
-    """Of a rig; the work of a second or two for each camera value that the axes run through."""
+def lattice(rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...] = ()) -> Lattice:
+    """Of a rig, kept for its next material."""
+    return _lattice(Keyed(described(rig), rig), sampling, spacing, axes)
+
+
+@lru_cache(maxsize=4)
+def _lattice(rig_and_key: Keyed[Rig], sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...]) -> Lattice:
+    rig = rig_and_key.thing
     grid = merl_grid(sampling)
-    ring, azimuth = (a.ravel() for a in np.meshgrid(_RINGS, _AZIMUTHS, indexing="ij"))
-    shape = (_SLICES.size, ring.size)
-    theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[_SLICES]
+    ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))
+    slices = np.array(spacing.slices)
+    shape = (slices.size, ring.size)
+    theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[slices]
     phi_d = np.broadcast_to(azimuth, shape)
-    radius = float(rig.sample.radius)  # type: ignore[attr-defined]
-    x, y, cos_i, cos_o = places(radius, theta_h, theta_d[:, None], phi_d)
+    x, y, cos_i, cos_o = places(float(rig.sample.radius), theta_h, theta_d[:, None], phi_d)  # type: ignore[attr-defined]
     kept = np.minimum(cos_i, cos_o).min(-1) > NEAR_COSINE
     safe = np.where(kept[..., None], cos_i, 1.0)
     cells = ChosenCells(
-        _SLICES, theta_d, np.broadcast_to(ring, shape), np.zeros(shape, int), kept, x, y, safe, np.zeros(shape, bool)
+        slices, theta_d, np.broadcast_to(ring, shape), np.zeros(shape, int), kept, x, y, safe, np.zeros(shape, bool)
     )
-    description = repr(
-        ("lattice", described(rig), sampling, axes, _RINGS.tolist(), _SLICES.tolist(), _AZIMUTHS.tolist())
-    )
-    return Lattice(
-        cells, operator_of(rig, cells, axes, description), point_operator(cells, theta_h, phi_d, cos_i, cos_o), sampling
-    )
+    recorded = operator_of(rig, cells, axes, repr(("lattice", rig_and_key.key, sampling, spacing, axes)))
+    return Lattice(cells, recorded, point_operator(cells, theta_h, phi_d, cos_i, cos_o), spacing, sampling)
 
 
 def seen_cells(sampling: Sampling) -> np.ndarray:
@@ -65,14 +90,15 @@ def seen_cells(sampling: Sampling) -> np.ndarray:
 
 def on_table(values: np.ndarray, where: Lattice) -> np.ndarray:
     """A function known on the lattice, (slices, rings * azimuths), in every cell of a table: (90, 90, 180)."""
-    known = np.where(where.cells.kept, values, np.nan).reshape(_SLICES.size, _RINGS.size, _AZIMUTHS.size)
+    rings, slices, azimuths = where.spacing
+    known = np.where(where.cells.kept, values, np.nan).reshape(len(slices), len(rings), len(azimuths))
     # beyond where it is known it stays what it was there: towards the limb along theta_d
-    for s in range(1, _SLICES.size):
+    for s in range(1, len(slices)):
         known[s] = np.where(np.isfinite(known[s]), known[s], known[s - 1])
     known = np.nan_to_num(known)
     n_h, n_d, _ = GRID_SHAPE
-    along = PchipInterpolator(_SLICES, known, axis=0)(np.arange(n_d))
-    along = PchipInterpolator(_RINGS, along, axis=1)(np.arange(n_h))
+    along = PchipInterpolator(slices, known, axis=0)(np.arange(n_d))
+    along = PchipInterpolator(rings, along, axis=1)(np.arange(n_h))
     phi = merl_grid(where.sampling).phi_d
-    across = CubicSpline(_AZIMUTHS, along, axis=2, bc_type="clamped")(np.minimum(phi, np.pi - phi))
+    across = CubicSpline(np.radians(azimuths), along, axis=2, bc_type="clamped")(np.minimum(phi, np.pi - phi))
     return np.ascontiguousarray(across.transpose(1, 0, 2))

@@ -76,8 +76,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
         rest = residual - np.tensordot(solution, columns, 1)
         if noise is None:
             assumed = picture_noise.estimated(problem.data, np.where(problem.data.used, rest, 0), value, count, assumed)
-        endless = assumed._replace(gain=1e6)
-        robust = picture_noise.huber(picture_noise.without_gain(problem.data, rest, value, endless))
+        robust = picture_noise.huber(picture_noise.without_gain(problem.data, rest, value, assumed, np.inf))
         weight = robust / picture_noise.variance(problem.data, value, assumed)
         white = picture_noise.whitening(problem.data, weight, solved.model.lobe, np.inf)
         flat, target = white(columns).reshape(count, -1), white(residual).ravel()
@@ -105,7 +104,7 @@ def unshaped(found: MaterialFit, strength: float) -> ShapeCorrection:
 
 def _prior_covariance(found: MaterialFit) -> np.ndarray:
     """Of the camera's shifts, as they were known before; endless where they were free."""
-    root = found.prior_root
+    root = found.prior.root
     if not root.any():
         return np.eye(len(root)) * 1e6
     return np.linalg.inv(root.T @ root)

@@ -1,0 +1,47 @@
+"""Fits that begin where another ended: with one number of the rig left free, or with the lobe bent."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam.camera.noise import PixelNoise
+from matcam.inverse import picture_noise
+from matcam.inverse.fit_data import fit_data
+from matcam.inverse.fit_problem import Problem
+from matcam.inverse.fit_result import MaterialFit, result_of
+from matcam.inverse.lobe_operator import lobe_operator, radius_of
+from matcam.inverse.material_fit import Prior, Search
+from matcam.inverse.rig_axes import free_axis
+from matcam.material.bent import KNOTS
+from matcam.rigs import Rig
+from matcam.table import sampling_of
+
+
+def freed(
+    found: MaterialFit, brdf: xr.DataArray, rig: Rig, name: str, noise: PixelNoise | None, every: int
+) -> MaterialFit:
+    """The same data fitted with one number of the rig free and all others exact. found: a fit of `brdf` alone, to every
+    `every`-th slice."""
+    prior = Prior(np.zeros((1, 1)), (free_axis(name, rig),))
+    cells, operator = lobe_operator(rig, sampling_of(brdf), every, prior.axes)
+    layout, numbers = found.problem.layout, found.solved.p
+    problem = Problem(found.problem.data, operator, cells.theta_d, layout._replace(axes=1))
+    start = np.concatenate([numbers[: layout.camera.start], [0.0], numbers[layout.camera.stop :]])
+    search = Search(problem, prior, noise and noise.checked(), radius_of(rig))
+    solved = search.continued(start, found.solved.weight, found.noise)
+    return result_of(problem, solved, [brdf], rig, prior, [brdf.sizes["channel"]], cells, noise is not None)
+
+
+def bent(
+    found: MaterialFit, brdf: xr.DataArray, rig: Rig, bend: float, noise: PixelNoise | None, every: int
+) -> MaterialFit:
+    """The lobe of a fit of `brdf` alone, bent (`fit`, bend) to follow every `every`-th slice."""
+    prior, layout, numbers = found.prior, found.problem.layout, found.solved.p
+    cells, operator = lobe_operator(rig, sampling_of(brdf), every, prior.axes)
+    problem = Problem(fit_data(brdf, cells), operator, cells.theta_d, layout._replace(bends=KNOTS))
+    start = np.concatenate([numbers[layout.lobe(0)], np.zeros(KNOTS), numbers[layout.lobe(0).stop :]])
+    weight = 1 / picture_noise.variance(problem.data, np.abs(problem.data.values), found.noise)
+    search = Search(problem, prior, noise and noise.checked(), radius_of(rig), bend)
+    solved = search.continued(start, weight, found.noise)
+    return result_of(problem, solved, [brdf], rig, prior, [brdf.sizes["channel"]], cells, noise is not None)
