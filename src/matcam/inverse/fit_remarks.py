@@ -11,11 +11,14 @@ from matcam.rigs import Rig
 if TYPE_CHECKING:
     from matcam.inverse.material_fit import Prior, Solved
 
+_UNSEEN = 2.0
+"""Standard deviations of its square below which a width may be none at all."""
+
 
 def remarks_on(
-    rig: Rig | None, prior: Prior, solved: Solved, determined: bool, at_end: float, half: float, noise_given: bool
+    rig: Rig | None, prior: Prior, solved: Solved, freed: slice, determined: bool, at_end: float, noise_given: bool
 ) -> tuple[str, ...]:
-    """One sentence each. at_end: ln of the width over the narrowest one that a fit tries."""
+    """One sentence each. freed: place of the rig's numbers; at_end: ln of the width over the narrowest that a fit tries."""
     said = []
     if rig is None:
         said.append("no rig: fitted as if the camera were perfect")
@@ -23,6 +26,11 @@ def remarks_on(
         said.append(
             "the camera is assumed exact" + ("" if rig.camera.uncertainty else ": its profile states no uncertainty")
         )
+    stds = np.sqrt(np.diag(solved.covariance)[freed])
+    for axis, coordinate, own in zip(prior.axes, solved.p[freed], stds, strict=True):
+        square, std = axis.square(coordinate, own)
+        if axis.softening and square < _UNSEEN * std:
+            said.append(f"{axis.name} is compatible with 0: its square is {square:.2g} +- {std:.2g}")
     if at_end <= 0.05:
         said.append(
             "the lobe is narrower than this camera can tell, or than it could have recorded: the width is a bound; "

@@ -194,7 +194,7 @@ def result_of(
         misfit=solved.misfit,
         log_likelihood=float(likelihood),
         freedom=solved.freedom,
-        remarks=remarks_on(rig, prior, solved, determined, at_end, half, noise_given),
+        remarks=remarks_on(rig, prior, solved, layout.camera, determined, at_end, noise_given),
         problem=problem,
         solved=solved,
         prior=prior,

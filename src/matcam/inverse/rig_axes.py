@@ -51,8 +51,12 @@ class Axis(NamedTuple):
 
     def value(self, coordinate: float) -> float:
         """The number at a coordinate."""
-        square = (self.base**2 + self.softening**2) * np.exp(2 * coordinate) - self.softening**2
-        return float(np.sqrt(max(square, 0.0)))
+        return float(np.sqrt(self.square(coordinate, 0.0)[0]))
+
+    def square(self, coordinate: float, std: float) -> tuple[float, float]:
+        """(the number's square, its standard deviation): what blurs add up in, so what is judged near 0."""
+        whole = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
+        return max(whole - self.softening**2, 0.0), 2 * whole * std
 
     def slope(self, coordinate: float, std: float) -> float:
         """d value / d coordinate, as a secant to one standard deviation up: at a width of 0 the derivative has no end."""
