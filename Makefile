@@ -31,8 +31,9 @@ format: $(VENV)/.installed-test
 	$(RUN) ruff check --fix .
 	$(RUN) ruff format .
 
+# Two of the scripts import tests.oracle, which is not installed
 bench: $(VENV)/.installed-test
-	for script in benchmarks/bench_*.py; do $(VENV)/bin/python $$script || exit 1; done
+	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(VENV)/bin/python $$script || exit 1; done
 
 tables: $(VENV)/.installed
 	$(RUN) matcam.forward.build_peak_tables
