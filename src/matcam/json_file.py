@@ -1,13 +1,19 @@
-"""JSON documents on disk: whole, without NaN, and never trusted to be small or sound."""
+"""JSON documents on disk: whole, without NaN, and never trusted to be small or sound; those of matcam's own formats, which bear
+a version."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from matcam.atomic import replacing
 from matcam.errors import FileFormatError
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 _LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
 
@@ -38,3 +44,25 @@ def read_json(path: str | Path, what: str) -> Any:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not {what}: {error}") from None
+
+
+def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
+    """The version of a document of ours: {"format": form, "version": one of `versions`, ...}. FileFormatError naming `where`
+    it stands, `what` it should be, and the field."""
+    if not isinstance(document, dict) or document.get("format") != form:
+        raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
+    version = document.get("version")
+    if type(version) is not int or version not in versions:  # True == 1
+        raise FileFormatError(
+            f"{where}: {form.split()[-1]} version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
+            f"reads version{'s' * (len(versions) > 1)} {' and '.join(map(str, versions))}"
+        )
+    return version
+
+
+def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
+    """What a schema says against a document first, in one line that names the field. unnamed: parts of the field's place that
+    are no names of fields."""
+    first = error.errors()[0]
+    field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
+    return f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}"

@@ -29,9 +29,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from matcam.calibration import chart as chart_
 from matcam.calibration.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Square, Star
 from matcam.errors import ArgumentError, FileFormatError
-from matcam.json_file import read_json, write_json
+from matcam.json_file import checked_version, first_problem, read_json, write_json
 
 FORMAT, VERSION = "matcam chart", 1
+_WHAT = "the description of a chart"
 
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _Level = Annotated[FiniteFloat, Field(ge=0, le=1)]
@@ -135,15 +136,8 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
 def read_chart(path: str | Path) -> Chart:
     """Read a chart's description. FileFormatError naming the file and the field where it is not one."""
     path = Path(path)
-    document = read_json(path, "the description of a chart")
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FileFormatError(f'{path}: not the description of a chart: field "format" must be "{FORMAT}"')
-    version = document.get("version")
-    if type(version) is not int or version != VERSION:
-        raise FileFormatError(
-            f"{path}: chart version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads version {VERSION}"
-        )
+    document = read_json(path, _WHAT)
+    checked_version(document, path, _WHAT, FORMAT, (VERSION,))
     try:
         found = _Document.model_validate(document)
         return chart_.check(
@@ -155,9 +149,7 @@ def read_chart(path: str | Path) -> Chart:
             )
         )
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        raise FileFormatError(f"{path}: field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}") from None
+        raise FileFormatError(f"{path}: {first_problem(error)}") from None
     except ArgumentError as error:
         raise FileFormatError(f"{path}: {error}") from None
 

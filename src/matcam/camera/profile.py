@@ -32,8 +32,9 @@ from matcam.camera.profile_schema import FORMAT, VERSION, VERSIONS, Part
 from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.errors import ArgumentError, FileFormatError
-from matcam.json_file import read_json
+from matcam.json_file import checked_version, first_problem, read_json
 
+_WHAT = "a camera profile"
 _SENSOR = {
     "pitch_m": "pitch",
     "full_well_electrons": "full_well",
@@ -79,25 +80,16 @@ def as_document(
 
 def read(path: str | Path) -> dict[str, Any]:
     """Arguments of the `Camera` in the profile at `path`. FileFormatError naming file and field."""
-    return from_document(read_json(path, "a camera profile"), path)
+    return from_document(read_json(path, _WHAT), path)
 
 
 def from_document(document: Any, where: str | Path) -> dict[str, Any]:
     """Arguments of the `Camera` that a profile's JSON describes. FileFormatError naming `where` it stands, and the field."""
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FileFormatError(f'{where}: not a camera profile: field "format" must be "{FORMAT}"')
-    version = document.get("version")
-    if type(version) is not int or version not in VERSIONS:
-        raise FileFormatError(
-            f"{where}: profile version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads versions {' and '.join(map(str, VERSIONS))}"
-        )
+    version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
     try:
         profile: Any = VERSIONS[version].model_validate(document)
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"] if part not in MODELS)
-        raise FileFormatError(f"{where}: field {field}: {first['msg'][0].lower()}{first['msg'][1:]}") from None
+        raise FileFormatError(f"{where}: {first_problem(error, MODELS)}") from None
     try:
         return {
             "optics": _from_json(profile.optics),

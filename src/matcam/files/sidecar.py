@@ -29,10 +29,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from matcam.errors import ArgumentError, FileFormatError
-from matcam.json_file import read_json, write_json
+from matcam.json_file import checked_version, first_problem, read_json, write_json
 
 FORMAT = "matcam picture sidecar"
 VERSION = 1
+_WHAT = "a picture sidecar"
 
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _NotNegative = Annotated[FiniteFloat, Field(ge=0)]
@@ -134,7 +135,7 @@ def write_sidecar(
         _Sidecar.model_validate(document)
         write_json(path, document, force=force)
     except ValidationError as error:
-        raise ArgumentError(f"sidecar {_first(error)}") from None
+        raise ArgumentError(f"sidecar {first_problem(error)}") from None
     except (TypeError, ValueError, RecursionError) as error:
         raise ArgumentError(f"sidecar cannot be written as JSON: {error}") from None
 
@@ -142,27 +143,14 @@ def write_sidecar(
 def read_sidecar(path: str | Path) -> dict[str, Any]:
     """Read a sidecar: its sections as dicts, checked, all fields present. FileFormatError naming file and field."""
     path = Path(path)
-    document = read_json(path, "a picture sidecar")
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FileFormatError(f'{path}: not a picture sidecar: field "format" must be "{FORMAT}"')
-    version = document.get("version")
-    if type(version) is not int or version != VERSION:
-        raise FileFormatError(
-            f"{path}: sidecar version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads version {VERSION}"
-        )
+    document = read_json(path, _WHAT)
+    checked_version(document, path, _WHAT, FORMAT, (VERSION,))
     try:
         return _Sidecar.model_validate(document).model_dump()
     except ValidationError as error:
-        raise FileFormatError(f"{path}: {_first(error)}") from None
+        raise FileFormatError(f"{path}: {first_problem(error)}") from None
 
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema of the sidecar."""
     return _Sidecar.model_json_schema()
-
-
-def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"])
-    return f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}"
