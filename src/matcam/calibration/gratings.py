@@ -6,7 +6,7 @@ one, with the phase that they share; `coltman` does the same for contrasts that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,6 +18,7 @@ from matcam.calibration import grating_geometry, region
 from matcam.calibration.chart import PROFILES, Grating, harmonic
 from matcam.calibration.grating_geometry import FoundGrating
 from matcam.calibration.mtf_samples import MTFSamples
+from matcam.calibration.projection import Projection, check_given
 from matcam.calibration.wave_fit import Array, Modulation, WaveFit, enough, fit_wave, local_wave
 from matcam.errors import ArgumentError, FitError
 
@@ -26,9 +27,6 @@ _USEFUL = 0.1  # standard deviation of an MTF value beyond which it says nothing
 _CLEAR = 6.0  # standard deviations of the whole wave
 _LEFT = 0.05  # share of the variance that a grating may leave if it is not noise
 _WHITE = 40.0  # largest power of a residual over the median: white noise stays below 20
-
-Projection = Callable[[Array], Array]
-"""mm on the page (n, 2) -> px in the picture (n, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +81,7 @@ def grating_mtf(
     there is no grating.
     """
     picture = np.asarray(image)
-    if (grating is None) != (projection is None):
-        raise ArgumentError("grating and projection must be given together, or neither")
+    check_given("grating", grating, projection)
     if grating is not None and projection is not None:
         found, box = _as_printed(grating, projection, picture.shape)
         values, (x0, y0) = region.cut(image, box, cfa, channel, tone), box[:2]

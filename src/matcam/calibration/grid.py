@@ -7,7 +7,7 @@ far as second and fourth derivatives see it, makes the zone's MTF, which then is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from matcam.calibration.chart import Dots
 from matcam.calibration.dot_fit import SHARED, DotFit, fit_dots
 from matcam.calibration.grid_geometry import FEWEST, Lattice
 from matcam.calibration.mtf_samples import MTFSamples
+from matcam.calibration.projection import Projection, check_given
 from matcam.calibration.wave_fit import Array
 from matcam.errors import ArgumentError, FitError
 
@@ -27,9 +28,6 @@ _ZONE = 60  # dots that a zone should have at least
 _FIELD = 6  # terms of the variance over the field, of second order
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
 _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
-
-Projection = Callable[[Array], Array]
-"""mm on the page (n, 2) -> px in the picture (n, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +86,7 @@ def dot_grid(
     Raises ArgumentError, and FitError where there is no grid that can be measured.
     """
     picture = np.asarray(image)
-    if (dots is None) != (projection is None):
-        raise ArgumentError("dots and projection must be given together, or neither")
+    check_given("dots", dots, projection)
     half_width = float(
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     )

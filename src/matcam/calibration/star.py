@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,9 +14,10 @@ from matcam import checks
 from matcam.calibration import chart, region, star_geometry
 from matcam.calibration.chart import Star
 from matcam.calibration.mtf_samples import MTFSamples
+from matcam.calibration.projection import Projection, check_given
 from matcam.calibration.star_geometry import FoundStar
 from matcam.calibration.wave_fit import Array, Modulation, WaveFit, enough, fit_wave, local_wave
-from matcam.errors import ArgumentError, FitError
+from matcam.errors import FitError
 
 _HIGHEST = 0.75  # cycles/px: beyond, cameras leave nothing to fit
 _SOME = 20_000  # pixels that know the phase
@@ -28,9 +29,6 @@ _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
 _EXTRAPOLATED = 0.35  # cycles/px: from below this the contrast is extrapolated if nobody states it
 _LEFT = 0.5  # share of the variance at low frequencies that a star may leave
 _CLEAR = 20.0  # standard deviations of the whole wave
-
-Projection = Callable[[Array], Array]
-"""mm on the page (n, 2) -> px in the picture (n, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +81,7 @@ def star_mtf(
     Raises ArgumentError, and FitError where there is no star or none that can be measured.
     """
     picture = np.asarray(image)
-    if (star is None) != (projection is None):
-        raise ArgumentError("star and projection must be given together, or neither")
+    check_given("star", star, projection)
     if contrast is not None:
         checks.within("contrast", contrast, 0, 1, open_low=True)
     if star is not None and projection is not None:
