@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from matcam import srgb
 from matcam.errors import ArgumentError, FileFormatError
 from matcam.files.photographs import read_photograph
 from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
@@ -31,8 +32,7 @@ def linearised(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.
             raise ArgumentError(
                 f"tone must be None, 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
             )
-        code = _share(codes)
-        return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
+        return srgb.decoded(_share(codes))
     if np.ndim(tone) == 0:
         gamma = float(np.asarray(tone, dtype=np.float64))
         if not _GAMMAS[0] <= gamma <= _GAMMAS[1]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from matcam import checks
+from matcam import checks, srgb
 from matcam.calibration.chart import Chart, Dots, Element, Fiducial, Grating, Star
 from matcam.errors import ArgumentError
 from matcam.figures.style import styled
@@ -41,7 +41,7 @@ def chart_figure(chart: Chart) -> Figure:
         axes.add_collection(
             PolyCollection(
                 [shape.points for shape in shapes],
-                facecolors=[(_nearest_code(srgb(shape.level)),) * 3 for shape in shapes],
+                facecolors=[(_nearest_code(shape.level),) * 3 for shape in shapes],
                 edgecolors="none",
                 linewidths=0,
             ),
@@ -78,14 +78,9 @@ def element_shapes(element: Element) -> Iterator[Shape]:
         yield Shape(np.array(element.corners), element.level)
 
 
-def srgb(level: float) -> float:
-    """sRGB code, 0 to 1, of a linear level (IEC 61966-2-1)."""
-    return 12.92 * level if level <= 0.0031308 else 1.055 * level ** (1 / 2.4) - 0.055
-
-
-def _nearest_code(code: float) -> float:
-    """A code of 8 bits, which writers would otherwise round down."""
-    return min((round(255 * code) + 0.25) / 255, 1.0)
+def _nearest_code(level: float) -> float:
+    """A level's sRGB code, of 8 bits, which writers would otherwise round down."""
+    return min((round(255 * float(srgb.encoded(level))) + 0.25) / 255, 1.0)
 
 
 def _circle(centre: tuple[float, float], radius: float) -> np.ndarray:

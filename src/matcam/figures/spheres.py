@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from matcam import srgb
 from matcam.figures.style import GREY, styled
 
 
@@ -18,14 +19,8 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
         for axes, (title, picture) in zip(
             figure.subplots(1, len(pictures), squeeze=False)[0], pictures.items(), strict=True
         ):
-            axes.imshow(_encoded(picture * exposure), interpolation="nearest")
+            axes.imshow(srgb.encoded(np.clip(picture * exposure, 0, 1)), interpolation="nearest")
             axes.set_title(title)
             axes.set_axis_off()
         figure.supxlabel(f"{light}; white: radiance {1 / exposure:.3g}", fontsize=8.5, color=GREY)
     return figure
-
-
-def _encoded(linear: np.ndarray) -> np.ndarray:
-    """sRGB (IEC 61966-2-1)."""
-    clipped = np.clip(linear, 0, 1)
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
