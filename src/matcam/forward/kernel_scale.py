@@ -29,8 +29,8 @@ class Scale(NamedTuple):
     """Standard deviation of the narrowest term without the pixel."""
     spacing: float
     """Grid on which a record is known everywhere: it holds nothing finer."""
-    steps: tuple[float, ...]
-    """Offsets between -reach and reach at which the kernel must be cut to be smooth in between; () where it is smooth."""
+    cuts: tuple[float, ...]
+    """Offsets inside its reach at which the kernel must be cut to be smooth in between; () where it is smooth."""
 
 
 class Group(NamedTuple):
@@ -67,14 +67,13 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> Scale:
     std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
     reach = half + 5.2 * widest
     inner = max(half - 5.2 * widest, half / 4)
-    sharp = (-reach, -half, -inner, inner, half, reach) if narrowest < _SHARP * half else ()
     return Scale(
         near=10 * std,
         margin=4.8 * std,
         reach=reach,
         finest=narrowest,
         spacing=min(0.4 * narrowest, 0.36 * finest),
-        steps=sharp,
+        cuts=(-half, -inner, inner, half) if narrowest < _SHARP * half else (),
     )
 
 

@@ -48,7 +48,7 @@ class Part(eqx.Module):
     terms: tuple[int, ...] = eqx.field(static=True)
     reach: np.ndarray
     cuts: np.ndarray
-    """Offsets at which the kernel is cut, px; () where it is smooth."""
+    """Offsets at which the kernel must be cut, px; () where it is smooth."""
     spacing: np.ndarray
     """Of the grid around a highlight, px."""
     steps: int = eqx.field(static=True)
@@ -106,7 +106,7 @@ def _part(sample: Curved, group: Group, lamp_angles: np.ndarray, targets: Target
     return Part(
         terms=group.terms,
         reach=np.asarray(scale.reach),
-        cuts=np.asarray(scale.steps),
+        cuts=np.asarray(scale.cuts),
         spacing=np.asarray(scale.spacing),
         steps=_round(int(np.ceil(scale.near / scale.spacing)) + POINTS // 2, 4),
         even=_panels_for(scale),

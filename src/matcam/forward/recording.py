@@ -20,7 +20,7 @@ from matcam.forward.interpolation import POINTS, interpolated
 from matcam.forward.plan import Part, Plan, Targets
 from matcam.forward.regions import highlight_x
 from matcam.forward.scene import Scene
-from matcam.forward.surroundings import Cuts, record_in_window, record_inside
+from matcam.forward.surroundings import Division, record_in_window, record_inside
 from matcam.material.material import Material
 from matcam.sample.shape import Curved
 
@@ -52,8 +52,8 @@ def _record_part(light: _Light, part: Part, targets: Targets) -> jax.Array:
         records.append(_record_inside(light, part.terms, *_chosen(targets, part.inside)[:3]))
     for window in part.windows:
         chosen = *_chosen(targets, window.chosen)[:3], window.whole
-        cuts = jnp.asarray(part.reach), jnp.asarray(part.cuts)
-        records.append(_record_in_window(light, part.terms, cuts, window.panels, window.ridge, *chosen))
+        kernel = jnp.asarray(part.reach), jnp.asarray(part.cuts)
+        records.append(_record_in_window(light, part.terms, kernel, window.panels, window.ridge, *chosen))
     if part.near.size:
         grid = _Grid(part.terms, part.steps, part.even, *(jnp.asarray(a) for a in (part.reach, part.spacing)))
         chosen = *_chosen(targets, part.near), part.near_whole
@@ -80,10 +80,10 @@ def _record_inside(light: _Light, terms: tuple[int, ...], *places: AnyArray) -> 
 
 @eqx.filter_jit
 def _record_in_window(light, terms, kernel, panels, ridge, *chosen):  # type: ignore[no-untyped-def]
-    cuts = Cuts(*kernel, panels, ridge)
+    division = Division(*kernel, panels, ridge)
 
     def integral(x: jax.Array, y: jax.Array, lamp: jax.Array, whole: jax.Array) -> jax.Array:
-        values = record_in_window(light.under(lamp), light.blur, terms, x, y, cuts)
+        values = record_in_window(light.under(lamp), light.blur, terms, x, y, division)
         return _against_flat_field(values, whole, light.blur, terms)
 
     return in_batches(integral, tuple(jnp.asarray(a) for a in chosen), _NODES // panels)

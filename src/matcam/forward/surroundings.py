@@ -42,12 +42,12 @@ def record_inside(scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array
     return jnp.asarray(total)
 
 
-class Cuts(NamedTuple):
+class Division(NamedTuple):
     """How a window about a kernel is cut into panels."""
 
     reach: jax.Array
     """How far the kernel is followed, px."""
-    steps: jax.Array
+    cuts: jax.Array
     """Offsets, px, at which the kernel must be cut to be smooth in between; none where it is smooth."""
     panels: int
     """Along v."""
@@ -57,34 +57,34 @@ class Cuts(NamedTuple):
 
 
 def record_in_window(
-    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, cuts: Cuts
+    scene: Scene, blur: Blur, terms: tuple[int, ...], x: jax.Array, y: jax.Array, division: Division
 ) -> jax.Array:
     """The same at targets whose kernel may cross the limb or the terminator, or a squeezed lobe; a flat field of radiance 1
     as the last channel."""
     sample = scene.sample
-    first, last = (end[:, None] for end in sample.rows(x, y, cuts.reach))
-    borders = first + (last - first) * np.linspace(0, 1, cuts.panels + 1)
-    if cuts.steps.size:
-        at = y[:, None] + cuts.steps[1:-1]
+    first, last = (end[:, None] for end in sample.rows(x, y, division.reach))
+    borders = first + (last - first) * np.linspace(0, 1, division.panels + 1)
+    if division.cuts.size:
+        at = y[:, None] + division.cuts
         stepped, _ = sample.window(at, at, sample.across(x, jnp.zeros_like(x))[:, None])
         borders = jnp.sort(jnp.concatenate([borders, jnp.clip(stepped, first, last)], axis=-1), axis=-1)
-    v, v_weight = nodes_in_panels(borders, _ORDER_V_RIDGE if cuts.ridge else _ORDER_V)
+    v, v_weight = nodes_in_panels(borders, _ORDER_V_RIDGE if division.ridge else _ORDER_V)
     low, high = sample.lit(v, _beside_nodes(scene.lamp_angle, 1))
-    low, high = (jnp.clip(sample.across(x[:, None] + side * cuts.reach, v), low, high) for side in (-1, 1))
-    inner = [low[..., None], high[..., None], *_cuts_along_u(scene, x, v, (low, high), cuts)]
+    low, high = (jnp.clip(sample.across(x[:, None] + side * division.reach, v), low, high) for side in (-1, 1))
+    inner = [low[..., None], high[..., None], *_cuts_along_u(scene, x, v, (low, high), division)]
     along = jnp.sort(jnp.clip(jnp.concatenate(inner, axis=-1), low[..., None], high[..., None]), axis=-1)
-    u, u_weight = nodes_in_panels(along, _ORDER_RIDGE if cuts.ridge else _ORDER_U)
+    u, u_weight = nodes_in_panels(along, _ORDER_RIDGE if division.ridge else _ORDER_U)
     return _through_kernel(scene, blur, terms, x, y, u, v[..., None], u_weight * v_weight[..., None])
 
 
-def _cuts_along_u(scene, x, v, ends, cuts: Cuts) -> list[jax.Array]:  # type: ignore[no-untyped-def]
+def _cuts_along_u(scene, x, v, ends, division: Division) -> list[jax.Array]:  # type: ignore[no-untyped-def]
     """Places in u, on a trailing axis, at which the integrand must be cut for its panels to be smooth."""
     sample, finest = scene.sample, scene.material.finest
-    steps = cuts.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if cuts.ridge else jnp.zeros(1)
-    if cuts.steps.size:
-        steps = jnp.concatenate([steps, cuts.steps[1:-1]])
-    by_kernel = sample.across(x[:, None, None] + steps, v[..., None])
-    if not cuts.ridge:
+    cuts = division.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if division.ridge else jnp.zeros(1)
+    if division.cuts.size:
+        cuts = jnp.concatenate([cuts, division.cuts])
+    by_kernel = sample.across(x[:, None, None] + cuts, v[..., None])
+    if not division.ridge:
         return [by_kernel]
     ridge = sample.highlight(_beside_nodes(scene.lamp_angle, 1))
     # no wider, close to the ridge, than the lobe is
