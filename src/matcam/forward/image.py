@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
 from matcam import checks
 from matcam._jax import jax, jnp
-from matcam.camera.sensor import Seed
+from matcam.camera.sensor import Seed, Sensor
 from matcam.errors import ArgumentError
 from matcam.forward.blur import Blur, blur_of, kernel_error
 from matcam.forward.kernel_scale import groups_of
@@ -46,36 +49,28 @@ def picture(
     DataArray (row, column, channel), or (row, column) behind a colour mosaic. For the differentiable values alone see
     `picture_values`.
     """
-    _check(material, rig)
-    sensor = rig.camera.sensor
-    if exposure is not None and sensor is None:
-        raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
-    if exposure is not None and seed is None:
-        raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
+    view = _view(material, rig, lamp_angle, shape)
+    exposed = _exposed(rig.camera.sensor, exposure, seed, time)
     if error is None:
-        values = picture_values(material, rig, lamp_angle, shape)
+        values = _recorded(material, view)
     else:
         error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
-        lamp, blur, x, y = _taken(material, rig, lamp_angle, shape)
-        values = record_within(error, material, rig.sample, blur, lamp, x, y)  # type: ignore[arg-type]
+        values = record_within(error, material, *view)
     quantity, unit = "radiance", "1/sr"
-    if sensor is not None and exposure is not None and seed is not None:
-        if sensor.cfa is not None and values.shape[-1] == 1:
-            values = jnp.broadcast_to(values, (*values.shape[:2], 3))
-        values, quantity, unit = sensor.expose(values, exposure, seed, time), "digital", "DN"
-    height, width = values.shape[:2]
+    if exposed is not None:
+        values, quantity, unit = exposed(values), "digital", "DN"
     return xr.DataArray(
         np.asarray(values),
         dims=("row", "column", "channel")[: values.ndim],
         coords={
-            "x": ("column", np.arange(width) - (width - 1) / 2, {"units": "px"}),
-            "y": ("row", (height - 1) / 2 - np.arange(height), {"units": "px"}),
+            "x": ("column", view.x, {"units": "px"}),
+            "y": ("row", view.y, {"units": "px"}),
         },
         name="picture",
         attrs={
             "units": unit,
             "quantity": quantity,
-            "lamp_angle": float(np.asarray(lamp_angle)),
+            "lamp_angle": view.lamp_angle,
             "rig": repr(rig),
             "kernel_error": kernel_error(rig),
         },
@@ -87,25 +82,36 @@ def picture_values(
 ) -> jax.Array:
     """Radiance of `picture`, 1/sr, shape (height, width, channels): differentiable in the numbers of the material and
     the camera. ArgumentError inside jax.jit."""
-    lamp, blur, columns, rows = _taken(material, rig, lamp_angle, shape)
-    sample: Curved = rig.sample  # type: ignore[assignment]
-    x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(columns, rows))
-    targets = Targets(x, y, np.full(x.size, lamp), np.zeros(x.size, dtype=np.int32))
-    values = record(material, sample, blur, planned(sample, blur, np.array([lamp]), targets))
-    return values.reshape(rows.size, columns.size, -1)
+    return _recorded(material, _view(material, rig, lamp_angle, shape))
 
 
-def _taken(
-    material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None
-) -> tuple[float, Blur, np.ndarray, np.ndarray]:
-    """The lamp's angle, the blur, and the places of columns and rows, px."""
-    _check(material, rig)
+class _View(NamedTuple):
+    """What is photographed, and what the picture shows of it."""
+
+    sample: Curved
+    blur: Blur
+    lamp_angle: float
+    x: np.ndarray
+    y: np.ndarray
+    """Places of the columns and of the rows, px."""
+
+
+def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None) -> _View:
+    if not isinstance(material, Material):
+        raise ArgumentError(
+            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
+        )
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    if not isinstance(rig.sample, Curved):
+        raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
     behind = "rad (beyond pi the lamp is behind the sample)"
     lamp = checks.scalar("lamp_angle", checks.within("lamp_angle", lamp_angle, 0, np.pi, behind, open_high=True))
     blur = blur_of(rig)
-    reach = max(group.scale.reach for group in groups_of(blur, rig.sample))  # type: ignore[arg-type]
+    reach = max(group.scale.reach for group in groups_of(blur, rig.sample))
     height, width = _shape(rig, shape, reach)
-    return float(lamp), blur, np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
+    x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
+    return _View(rig.sample, blur, float(lamp), x, y)
 
 
 def _shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
@@ -118,12 +124,27 @@ def _shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, 
     return picture_shape("shape", (side, side))
 
 
-def _check(material: Material, rig: Rig) -> None:
-    if not isinstance(material, Material):
-        raise ArgumentError(
-            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
-        )
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
-    if not isinstance(rig.sample, Curved):
-        raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
+def _recorded(material: Material, view: _View) -> jax.Array:
+    x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(view.x, view.y))
+    targets = Targets(x, y, np.full(x.size, view.lamp_angle), np.zeros(x.size, dtype=np.int32))
+    plan = planned(view.sample, view.blur, np.array([view.lamp_angle]), targets)
+    return record(material, view.sample, view.blur, plan).reshape(view.y.size, view.x.size, -1)
+
+
+def _exposed(
+    sensor: Sensor | None, exposure: float | None, seed: Seed | None, time: float
+) -> Callable[[jax.Array], jax.Array] | None:
+    """What makes a raw picture of radiances; None where these are wanted."""
+    if exposure is None:
+        return None
+    if sensor is None:
+        raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
+    if seed is None:
+        raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
+
+    def raw(values: jax.Array) -> jax.Array:
+        if sensor.cfa is not None and values.shape[-1] == 1:
+            values = jnp.broadcast_to(values, (*values.shape[:2], 3))
+        return sensor.expose(values, exposure, seed, time)
+
+    return raw
