@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from matcam import rigs
 from matcam.angles import GRID_SHAPE, Sampling, below_horizon
 from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError
 from matcam.exchange.contents import Contents
-from matcam.forward.measurement import measure
+from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
 from matcam.material.albedo import albedo
 from matcam.material.tabulated import Tabulated
-from matcam.sample.flat import Flat
 from matcam.table import sampling_of
 from matcam.trace import camera_trace, lobe_widths
 
@@ -112,8 +110,7 @@ def _of_fields(fields: xr.Dataset) -> dict[str, Any]:
     if material.mirrored or colour == "spectra":
         channels = [f"{w:g} nm" for w in fields["wavelengths"].values] if colour == "spectra" else ["R", "G", "B"]
         return {"own_grid": own, "albedo": _albedo(material, channels)}
-    table = measure(material, rigs.Rig(rigs.merl().camera, Flat()))
-    return {"own_grid": own, "resampled": "to the MERL grid", **inspect_table(table)}
+    return {"own_grid": own, "resampled": "to the MERL grid", **inspect_table(true_table(material))}
 
 
 def _of_samples(samples: xr.DataArray) -> dict[str, Any]:

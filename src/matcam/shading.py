@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from jax.typing import ArrayLike
+
 from matcam._jax import jax, jnp
 
 Vector = tuple[jax.Array, jax.Array, jax.Array]
@@ -50,6 +52,17 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
         theta_d=jnp.arcsin(jnp.minimum(jnp.sqrt(_dot(difference, difference)) / 2, 1.0)),
         phi_d=jnp.pi - jnp.mod(jnp.pi - phi_d, 2 * jnp.pi),
     )
+
+
+def local_shading(light: Vector, view: Vector) -> Shading:
+    """`shading` of directions in the surface's own frame: the normal is z, the first tangent x."""
+    zero, one = jnp.zeros(()), jnp.ones(())
+    return shading((zero, zero, one), (one, zero, zero), light, view)
+
+
+def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
+    """A vector from its components."""
+    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)
 
 
 def _combined(a: Vector, b: Vector, sign: int) -> Vector:

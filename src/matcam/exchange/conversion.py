@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from matcam import rigs
-from matcam._jax import jnp
 from matcam.angles import Sampling
 from matcam.atomic import check_output
 from matcam.errors import ArgumentError
@@ -25,13 +23,12 @@ from matcam.files.rgl import write_rgl
 from matcam.files.samples import samples_of, write_samples
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.files.zarr_store import write_zarr
-from matcam.forward.measurement import measure
+from matcam.forward.measurement import true_table
 from matcam.json_file import write_json
 from matcam.material.adaptive import Adaptive
 from matcam.material.material import Material
 from matcam.material.tabulated import Tabulated
-from matcam.sample.flat import Flat
-from matcam.shading import Vector, shading
+from matcam.shading import Vector, local_shading, vector
 
 SUFFIXES = (".binary", ".bsdf", ".csv", ".nc", ".zarr.zip", ".exr", ".tif", ".tiff")
 """Of the outputs, which say their format."""
@@ -80,8 +77,7 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
     has a value."""
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
-    normal, tangent = (tuple(map(jnp.asarray, v)) for v in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
-    seen = shading(normal, tangent, light, view)  # type: ignore[arg-type]
+    seen = local_shading(light, view)
     first, second = (np.asarray(m.reflected(seen)).reshape(_PAIRS, -1) for m in (before, after))
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.max(np.abs(second - first) / np.abs(first), axis=1)
@@ -95,7 +91,7 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
 def _directions(random: np.random.Generator) -> Vector:
     cos, phi = random.uniform(np.cos(_FARTHEST), 1, _PAIRS), random.uniform(0, 2 * np.pi, _PAIRS)
     sin = np.sqrt(1 - cos**2)
-    return jnp.asarray(sin * np.cos(phi)), jnp.asarray(sin * np.sin(phi)), jnp.asarray(cos)
+    return vector(sin * np.cos(phi), sin * np.sin(phi), cos)
 
 
 Write = Callable[[Path, bool], None]
@@ -142,11 +138,11 @@ def _labelled_writer(suffix: str) -> Callable[..., None]:
 
 
 def _as_table(held: Contents, suffix: str, sampling: Sampling) -> tuple[Write, dict[str, Any]]:
-    """RGL's fields on the MERL grid: what a perfect camera before a flat sample measures."""
+    """RGL's fields on the MERL grid."""
     material = material_of(held)
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot hold it")
-    table = measure(material, rigs.Rig(rigs.merl().camera, Flat(), cell_value=sampling))
+    table = true_table(material, sampling)
     negative = float((table < 0).mean())  # RGL's tables go below zero where nothing was measured
     table = table.clip(min=0).assign_attrs(table.attrs)
     said = f"to the MERL grid at each cell's {sampling}; below zero, set to it: {negative:.2%}"

@@ -17,14 +17,13 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from matcam._jax import jnp
 from matcam.errors import ArgumentError
 from matcam.material.adaptive import Adaptive
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf import NDF
 from matcam.material.warp import Warp
-from matcam.shading import shading
+from matcam.shading import local_shading, vector
 from matcam.table import CHANNELS
 
 _HALF_PI = np.pi / 2
@@ -170,9 +169,7 @@ def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tup
     m = np.sin(theta_m) * np.cos(phi_m), np.sin(theta_m) * np.sin(phi_m), np.cos(theta_m)
     twice = 2 * (i[0] * m[0] + i[2] * m[2])
     o = tuple(twice * m_k - i_k for m_k, i_k in zip(m, i, strict=True))
-    normal, tangent = (jnp.asarray(v) for v in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
-    seen = shading(tuple(normal), tuple(tangent), *(tuple(map(jnp.asarray, v)) for v in (i, o)))  # type: ignore[arg-type]
-    reflected = np.asarray(material.reflected(seen))
+    reflected = np.asarray(material.reflected(local_shading(vector(*i), vector(*o))))
     reflected = reflected if reflected.ndim == 4 else reflected[..., None]
     if reflected.shape[-1] not in (1, len(CHANNELS)):
         raise ArgumentError(f"an RGL file holds {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")

@@ -6,13 +6,13 @@ import numpy as np
 import xarray as xr
 
 from matcam._jax import jax, jnp
-from matcam.angles import GRID_SHAPE, below_horizon, merl_grid
+from matcam.angles import GRID_SHAPE, Sampling, below_horizon, merl_grid
 from matcam.errors import ArgumentError
 from matcam.forward.blur import blur_of, kernel_error
 from matcam.forward.recording import record
 from matcam.forward.tabulation import folded, sampling_of, tabulation
 from matcam.material.material import Material
-from matcam.rigs import Rig
+from matcam.rigs import Rig, merl
 from matcam.sample.flat import Flat
 from matcam.sample.sphere import Sphere
 from matcam.table import CHANNELS, brdf_table
@@ -37,6 +37,11 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
     attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     table = brdf_table(values, sampling_of(rig.cell_value), **attrs)
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
+
+
+def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
+    """The table of a material itself, at each cell's centre or edge: what any camera measures of a flat sample."""
+    return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 
 
 def measured_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:

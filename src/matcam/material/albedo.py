@@ -6,9 +6,8 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam import checks
-from matcam._jax import jnp
 from matcam.material.material import Material
-from matcam.shading import Vector, shading
+from matcam.shading import local_shading, vector
 
 _NODES, _AZIMUTHS = 720, 64
 
@@ -26,13 +25,12 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     theta_h = u**2 * np.pi / 2
     half = np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h) + 0 * phi
     solid = np.sin(theta_h) * np.pi * u / _NODES * 2 * np.pi / _AZIMUTHS
-    normal, tangent = (tuple(map(jnp.asarray, v)) for v in ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)))
     found = []
     for angle in angles:
         view = np.sin(angle), 0.0, np.cos(angle)
         towards = half[0] * view[0] + half[2] * view[2]
-        light: Vector = tuple(jnp.asarray(2 * towards * h - v) for h, v in zip(half, view, strict=True))  # type: ignore[assignment]
-        reflected = material.reflected(shading(normal, tangent, light, tuple(map(jnp.asarray, view))))  # type: ignore[arg-type]
+        light = vector(*(2 * towards * h - v for h, v in zip(half, view, strict=True)))
+        reflected = material.reflected(local_shading(light, vector(*view)))
         values = np.asarray(reflected).reshape(_NODES, _AZIMUTHS, -1)
         weight = np.where(towards > 0, 4 * towards * solid, 0.0) / view[2]
         found.append(np.nansum(values * weight[..., None], axis=(0, 1)))
