@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from matcam.atomic import replacing
 from matcam.errors import FileFormatError
+from matcam.input_file import reading
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -35,13 +36,10 @@ def read_json(path: str | Path, what: str) -> Any:
         raise ValueError(f"{constant} is not a number")
 
     try:
-        if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+        with reading(path):
+            if path.stat().st_size > _LARGEST:
+                raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
+            return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not {what}: {error}") from None
 

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from matcam.atomic import replacing
 from matcam.errors import FileFormatError
 from matcam.files.float_picture import as_float32, check_promised, file_size
+from matcam.input_file import reading
 
 _MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
@@ -77,7 +78,7 @@ def _names(channels: int | None) -> tuple[str, ...]:
 def _checked_skeleton(path: Path) -> _Skeleton:
     size = file_size(path)
     try:
-        with path.open("rb") as file:
+        with reading(path), path.open("rb") as file:
             head = file.read(min(size, _LONGEST_HEADER))
             if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
                 raise FileFormatError(f"{path}: not an OpenEXR file")
@@ -109,8 +110,6 @@ def _checked_skeleton(path: Path) -> _Skeleton:
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
         raise FileFormatError(f"{path}: damaged OpenEXR header") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     return _Skeleton(channels, height, width)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.input_file import reading
 
 LARGEST = 1 << 29
 """Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
@@ -45,11 +46,5 @@ def check_promised(path: Path, height: int, width: int, channels: int, size: int
 
 def file_size(path: Path) -> int:
     """Size in bytes. FileFormatError where there is no file that could be read."""
-    try:
-        if path.is_dir():
-            raise FileFormatError(f"{path}: is a folder, not a picture")
+    with reading(path, "a picture"):
         return path.stat().st_size
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None

@@ -20,6 +20,7 @@ import xarray as xr
 from matcam.angles import GRID_SHAPE, SAMPLINGS, Sampling
 from matcam.atomic import replacing
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.input_file import reading
 from matcam.table import CHANNELS, brdf_table, checked_table
 
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
@@ -81,10 +82,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
 def _read_stored(path: Path) -> np.ndarray:
     """Stored values (3, 90, 90, 180); nothing is allocated before size and header have been checked."""
-    try:
+    with reading(path, "a MERL file"):
         size = path.stat().st_size
-        if path.is_dir():
-            raise FileFormatError(f"{path}: is a folder, not a MERL file")
         with path.open("rb") as file:
             header = file.read(_HEADER_BYTES)
             if len(header) < _HEADER_BYTES:
@@ -96,10 +95,6 @@ def _read_stored(path: Path) -> np.ndarray:
                 what = "truncated" if size < FILE_BYTES else "oversized"
                 raise FileFormatError(f"{path}: {what}: {size} bytes, a MERL file has {FILE_BYTES}")
             values = np.fromfile(file, dtype=_VALUE)
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     if values.nbytes != FILE_BYTES - _HEADER_BYTES:
         raise FileFormatError(f"{path}: changed while it was read")
     return values.astype(np.float64, copy=False).reshape(len(CHANNELS), *GRID_SHAPE)

@@ -9,6 +9,7 @@ import xarray as xr
 from matcam.atomic import replacing
 from matcam.errors import FileFormatError
 from matcam.files.stored_dataset import check_stored_sizes, one_line
+from matcam.input_file import reading
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -25,14 +26,10 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
     import netCDF4
 
     path = Path(path)
-    try:
+    with reading(path):
         with path.open("rb") as file:
             start = file.read(len(_HDF5))
         size = path.stat().st_size
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     if start != _HDF5:
         raise FileFormatError(f"{path}: not a NetCDF-4 file")
     try:

@@ -17,6 +17,7 @@ from matcam.files.exr import read_exr
 from matcam.files.float_picture import DEFLATE_LIMIT
 from matcam.files.picture_size import check_memory, jpeg_size, png_size
 from matcam.files.raw import SUFFIXES, read_raw
+from matcam.input_file import reading
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _EXR = b"\x76\x2f\x31\x01"
@@ -92,17 +93,11 @@ def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 def _start(path: Path) -> bytes:
     """The file's first bytes."""
-    try:
-        if path.is_dir():
-            raise FileFormatError(f"{path}: is a folder, not a picture")
+    with reading(path, "a picture"):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")
         with path.open("rb") as file:
             return file.read(26)
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _decoded(path: Path, start: bytes) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from matcam.angles import GRID_SHAPE
 from matcam.errors import FileFormatError
+from matcam.input_file import reading
 
 Format = Literal["merl", "rgl", "csv", "netcdf", "zarr", "exr", "tiff", "camera profile", "picture sidecar"]
 
@@ -28,15 +29,10 @@ def identify(path: str | Path) -> Format:
     """Format of a file, by its content, or by its name where that is damaged. FileFormatError for anything that matcam does
     not read."""
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_TEXT_LENGTH)
-            file.seek(max(0, path.stat().st_size - _TEXT_LENGTH))
-            tail = file.read(_TEXT_LENGTH)
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+    with reading(path), path.open("rb") as file:
+        head = file.read(_TEXT_LENGTH)
+        file.seek(max(0, path.stat().st_size - _TEXT_LENGTH))
+        tail = file.read(_TEXT_LENGTH)
     for start, kind in _STARTS:
         if head.startswith(start):
             return kind

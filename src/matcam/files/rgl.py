@@ -32,6 +32,7 @@ import xarray as xr
 
 from matcam.atomic import replacing
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.input_file import reading
 
 _MAGIC, _VERSION = b"tensor_file\0", b"\1\0"
 _TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
@@ -73,14 +74,8 @@ def read_rgl(path: str | Path) -> xr.Dataset:
     make a BRDF. No more memory is asked for than the file has bytes.
     """
     path = Path(path)
-    try:
-        if path.is_dir():
-            raise FileFormatError(f"{path}: is a folder, not an RGL file")
+    with reading(path, "an RGL file"):
         content = path.read_bytes()
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     fields = _fields(path, content)
     try:
         return _checked(fields).assign_attrs(source=path.name)

@@ -18,6 +18,7 @@ import xarray as xr
 from matcam.angles import SAMPLINGS, half_and_difference, merl_grid
 from matcam.atomic import replacing
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.input_file import reading
 from matcam.table import CHANNELS, brdf_table, checked_table
 
 _HALF = ("theta_h", "theta_d", "phi_d")
@@ -112,16 +113,9 @@ def _samples(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) 
 
 def _head(path: Path) -> tuple[list[str], list[float], int]:
     """(names of the columns, the unit of each, lines that may follow)."""
-    try:
-        if path.is_dir():
-            raise FileFormatError(f"{path}: is a folder, not a CSV file")
-        with path.open("rb") as file:
-            head = file.readline(_LONGEST_HEAD)
-            lines = 1 + sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 16), b""))
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
+    with reading(path, "a CSV file"), path.open("rb") as file:
+        head = file.readline(_LONGEST_HEAD)
+        lines = 1 + sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 16), b""))
     try:
         given = [name.strip() for name in head.decode("utf-8-sig").split(",")]
     except UnicodeDecodeError:

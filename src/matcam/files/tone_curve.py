@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from matcam.errors import ArgumentError, FileFormatError
+from matcam.input_file import reading
 
 _LARGEST = 4 << 20  # bytes: 65,536 lines of three numbers fit
 _DEEPEST = 65535
@@ -35,14 +36,10 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     """Lines of numbers as (lines, columns), comments and empty lines left out. columns: as many in every line; None: one to
     three, everywhere alike. FileFormatError naming file and line."""
     path = Path(path)
-    try:
+    with reading(path):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a tone curve")
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from None
     rows = []
     for number, line in enumerate(lines, 1):
         words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
