@@ -6,6 +6,7 @@ import pytest
 from matcam.calibration.chart import Grating
 from matcam.calibration.gratings import coltman, grating_mtf
 from matcam.errors import ArgumentError, FitError
+from tests.calibration.photographed import ASLANT, page_of
 from tests.oracle.chart_camera import ChartCamera
 
 PAGE = (60.0, 50.0)
@@ -14,32 +15,12 @@ CONTRAST = 0.7 / 1.2
 
 
 def camera(sigma=0.5, fill=0.9):
-    return ChartCamera(
-        200,
-        166,
-        PAGE,
-        sigma=sigma,
-        fill=fill,
-        filled=1.0,
-        tilt=(0.08, -0.06),
-        roll=0.1,
-        distortion=0.02,
-        vignetting=0.1,
-    )
+    return ChartCamera(200, 166, PAGE, sigma=sigma, fill=fill, filled=1.0, vignetting=0.1, **ASLANT)
 
 
 def grating(profile, frequency, duty=0.5, angle=0.12):
     size = (round(90 * frequency) / frequency * PIXEL, 80 * PIXEL)
     return Grating(profile, (31.0, 24.0), size, angle, PIXEL / frequency, 0.7, 0.25, 0.95, duty)
-
-
-def document(element):
-    units = {"centre": "_mm", "size": "_mm", "period": "_mm", "angle": "_rad", "phase": "_rad"}
-    return {
-        "fiducials": [],
-        "ink_level": 0.05,
-        "elements": [{"kind": "grating", **{name + units.get(name, ""): v for name, v in vars(element).items()}}],
-    }
 
 
 def errors(result, truth):
@@ -56,7 +37,7 @@ CASES = [
 def test_found_without_hints(profile, frequency, duty):
     """Asked for: 0.005, for bars."""
     shot = camera()
-    picture = 1e4 * shot.expected(document(grating(profile, frequency, duty))) * shot.light()
+    picture = 1e4 * shot.expected(page_of(grating(profile, frequency, duty))) * shot.light()
     result = grating_mtf(picture, profile=profile, contrast=CONTRAST, duty=duty)
     assert result.samples.frequency[0] == pytest.approx(frequency, rel=0.05)
     assert result.samples.frequency.size >= (1 if profile == "sine" else min(int(1 / frequency) // 2, 6))
@@ -68,7 +49,7 @@ def test_found_without_hints(profile, frequency, duty):
 )
 def test_known_place_and_beyond_nyquist(profile, frequency, duty):
     shot, printed = camera(0.35), grating(profile, frequency, duty)
-    picture = 1e4 * shot.expected(document(printed)) * shot.light()
+    picture = 1e4 * shot.expected(page_of(printed)) * shot.light()
     # the registration is off by half a pixel; the phase is found all the same
     result = grating_mtf(picture, grating=printed, projection=lambda p: np.stack(shot.sensor_of(*p.T), axis=-1) + 0.25)
     assert result.samples.frequency[0] == pytest.approx(frequency, rel=0.05)
@@ -82,7 +63,7 @@ def test_known_place_and_beyond_nyquist(profile, frequency, duty):
 
 def test_stated_errors_and_mosaic():
     shot = camera()
-    expected = shot.expected(document(grating("bars", 0.15)))
+    expected = shot.expected(page_of(grating("bars", 0.15)))
     pulls = []
     for seed in range(5):
         for options in ({}, {"cfa": "GRBG", "channel": "G"}):
@@ -136,7 +117,7 @@ def test_a_photographed_series_by_coltman():
     results = []
     for frequency in (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9):
         printed = grating("bars", frequency)
-        picture = 1e4 * shot.expected(document(printed)) * shot.light()
+        picture = 1e4 * shot.expected(page_of(printed)) * shot.light()
         results.append(
             grating_mtf(picture, grating=printed, projection=lambda p: np.stack(shot.sensor_of(*p.T), axis=-1))
         )

@@ -6,6 +6,7 @@ import pytest
 from matcam.calibration.chart import Dots
 from matcam.calibration.grid import dot_grid
 from matcam.errors import ArgumentError, FitError
+from tests.calibration.photographed import ASLANT, page_of
 from tests.oracle.chart_camera import ChartCamera
 
 PAGE = (120.0, 100.0)
@@ -22,27 +23,8 @@ def grid(level=0.05, columns=13, rows=10):
 DOTS = grid()
 
 
-def document(dots):
-    element = {
-        "kind": "dots", "centres_mm": [list(c) for c in dots.centres], "radius_mm": dots.radius, "pitch_mm": dots.pitch,
-        "level": dots.level,
-    }  # fmt: skip
-    return {"fiducials": [], "ink_level": 0.05, "elements": [element]}
-
-
 def camera(sigma, fill, kind=ChartCamera):
-    return kind(
-        320,
-        266,
-        PAGE,
-        sigma=sigma,
-        fill=fill,
-        filled=1.0,
-        tilt=(0.08, -0.06),
-        roll=0.1,
-        distortion=0.02,
-        vignetting=0.3,
-    )
+    return kind(320, 266, PAGE, sigma=sigma, fill=fill, filled=1.0, vignetting=0.3, **ASLANT)
 
 
 def errors(samples, truth):
@@ -53,7 +35,7 @@ def errors(samples, truth):
 def test_bias(sigma, fill):
     """Asked for: 1 % of sigma."""
     shot = camera(sigma, fill)
-    picture = 1e4 * shot.expected(document(DOTS)) * shot.light()
+    picture = 1e4 * shot.expected(page_of(DOTS)) * shot.light()
     for arguments in (
         {"radius": DOTS.radius / DOTS.pitch},
         # the registration is off by a third of a px
@@ -71,7 +53,7 @@ def test_bias(sigma, fill):
 @pytest.mark.parametrize("count", [1, pytest.param(12, marks=pytest.mark.slow)])
 def test_stated_errors_and_mosaic(count):
     shot = camera(0.5, 0.9)
-    expected = shot.expected(document(DOTS))
+    expected = shot.expected(page_of(DOTS))
     chi2, degrees, means, sigmas = 0.0, 0, [], []
     for seed in range(count):
         for options in ({}, {"cfa": "RGGB", "channel": "G"}):
@@ -106,7 +88,7 @@ class Softening(ChartCamera):
 
 def test_variation_over_the_field():
     shot = camera(0.45, 1.0, Softening)
-    picture = shot.photograph(shot.expected(document(DOTS)), 200, 1)
+    picture = shot.photograph(shot.expected(page_of(DOTS)), 200, 1)
     result = dot_grid(picture, radius=DOTS.radius / DOTS.pitch)
     truth = shot.sigma_of_dot(result.x, result.y)
     assert np.ptp(truth) > 0.1
@@ -122,9 +104,9 @@ def test_bright_dots_and_missing_ones():
     dots = Dots(tuple(map(tuple, bright[keep])), DOTS.radius, DOTS.pitch, 1.0)
     shot = camera(0.6, 1.0)
     # paper is 1, and dots can only be darker: turned round
-    picture = 1100 - 1000 * shot.expected(document(grid(0.0)))
+    picture = 1100 - 1000 * shot.expected(page_of(grid(0.0)))
     assert dot_grid(picture, radius=DOTS.radius / DOTS.pitch).sigma.mean() == pytest.approx(0.6, rel=2e-3)
-    with_gaps = shot.photograph(shot.expected(document(Dots(dots.centres, dots.radius, dots.pitch, 0.05))), 60, 3)
+    with_gaps = shot.photograph(shot.expected(page_of(Dots(dots.centres, dots.radius, dots.pitch, 0.05))), 60, 3)
     known = {"dots": DOTS, "projection": lambda p: np.stack(shot.sensor_of(*p.T), axis=-1)}
     for arguments in ({"radius": DOTS.radius / DOTS.pitch}, known):
         result = dot_grid(with_gaps, **arguments)

@@ -1,5 +1,7 @@
 """Siemens stars photographed by the oracle's camera: found without hints, their MTF against the camera's own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,21 +9,17 @@ from matcam.calibration import wave_fit
 from matcam.calibration.chart import Star
 from matcam.calibration.star import star_mtf
 from matcam.errors import ArgumentError, FitError
+from tests.calibration.photographed import ASLANT, page_of
 from tests.oracle.chart_camera import ChartCamera
 
 PAGE = (120.0, 100.0)
 STAR = Star((58.0, 52.0), 3.0, 44.0, 72, 0.4, 0.25, 0.95)
-ELEMENT = {
-    "kind": "star", "centre_mm": list(STAR.centre), "inner_mm": STAR.inner, "outer_mm": STAR.outer, "cycles": STAR.cycles,
-    "phase_rad": STAR.phase, "dark": STAR.dark, "bright": STAR.bright,
-}  # fmt: skip
-CHART = {"fiducials": [], "ink_level": 0.05, "elements": [ELEMENT]}
+CHART = page_of(STAR)
 CONTRAST = 0.7 / 1.2
 
 
-def camera(sigma, fill, **pose):
-    pose = {"tilt": (0.08, -0.06), "roll": 0.1, "distortion": 0.02, "vignetting": 0.3, **pose}
-    return ChartCamera(380, 320, PAGE, sigma=sigma, fill=fill, filled=1.0, **pose)
+def camera(sigma, fill):
+    return ChartCamera(380, 320, PAGE, sigma=sigma, fill=fill, filled=1.0, vignetting=0.3, **ASLANT)
 
 
 def chi2_of(result, truth):
@@ -115,9 +113,9 @@ def test_unknown_contrast_is_extrapolated(photographed):
 
 def test_few_cycles_are_not_plane_waves():
     """24 cycles: the correction for the rings' curvature is worth 0.004."""
-    few = {**ELEMENT, "cycles": 24, "inner_mm": 1.0, "outer_mm": 30.0}
+    few = replace(STAR, cycles=24, inner=1.0, outer=30.0)
     shot = camera(0.5, 1.0)
-    result = star_mtf(1e4 * shot.expected({**CHART, "elements": [few]}) * shot.light(), contrast=CONTRAST)
+    result = star_mtf(1e4 * shot.expected(page_of(few)) * shot.light(), contrast=CONTRAST)
     assert np.abs(errors(result, shot)[result.samples.frequency <= 0.5]).max() < 1e-3
 
 
