@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import BoxPixel, Camera, Flat, GaussianOptics, Rig, Sphere, metadata, receiver, rigs
+from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, metadata, receiver, rigs
 from matcam.errors import ArgumentError
 from matcam.exchange.receiver import effective_area
 
@@ -42,8 +42,31 @@ def test_equivalent_receiver_moves_the_half_vector_as_much():
     assert found["lamp_sr"] == pytest.approx(np.pi * 0.01**2, rel=1e-4)
 
 
-def test_a_flat_sample_has_no_such_receiver():
-    assert receiver(Rig(rigs.merl().camera, Flat()))["equivalent_receiver_sr"] is None
+@pytest.mark.parametrize("distance", [1.5, 4.0, 1e6])
+def test_a_near_camera(distance):
+    """A pinhole on the axis, lamp beside it: how fast the half vector leaves the normal as the picture's point moves."""
+
+    def picture_and_half(u):
+        point, hole = np.array([np.sin(u), np.cos(u)]), np.array([0.0, distance])
+        view = (hole - point) / np.hypot(*(hole - point))
+        half = np.arctan2(view[0], view[1]) / 2  # the light comes along the axis
+        limb = np.tan(np.arcsin(1 / distance))
+        return 100.0 * point[0] / (distance - point[1]) / limb, half - u
+
+    (x0, h0), (x1, h1) = picture_and_half(-1e-4), picture_and_half(1e-4)
+    found = receiver(Rig(rigs.merl().camera, Sphere(100.0, distance)))
+    expected = 4 * found["kernel_area_px2"] * ((h1 - h0) / (x1 - x0)) ** 2
+    assert found["equivalent_receiver_sr"] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("sample", [Flat(), Cylinder(100.0)])
+def test_normals_that_do_not_turn_all_round_make_no_such_receiver(sample):
+    found = receiver(Rig(rigs.merl().camera, sample))
+    assert found["equivalent_receiver_sr"] is None
+    json.dumps(metadata(Rig(rigs.merl().camera, sample)), allow_nan=False)
+
+
+def test_wrong_input():
     with pytest.raises(ArgumentError, match="rig must be a Rig"):
         receiver(rigs.merl().camera)
 

@@ -4,8 +4,10 @@ sphere that is an equivalence, and this is how it comes about.
 The camera's kernel k (lens and pixel) averages over 1 / integral of k^2 pixels, which is the pixel's area where the lens
 does nothing. On a sphere of radius r px those are A / (r^2 cos theta_o) of solid angle of NORMALS. A goniophotometer holds
 the sample still and averages over directions of VIEW; by moving the half vector as much, d omega_o = 4 cos theta_d
-d omega_h: at the peak, where theta_o = theta_d, that is 4 A / r^2, the same at every angle. What the light is collected by,
-the lens's pupil as the sample sees it, is another cone, and the lamp's disc a third; all three widen a highlight.
+d omega_h: at the peak, where theta_o = theta_d, that is 4 A / r^2, the same at every angle. Before a near camera the line of
+sight turns as well and the angle matters: then it is told for normal view. A distant cylinder's normals turn in one plane
+only and fill no solid angle. What the light is collected by, the lens's pupil as the sample sees it, is another cone, and
+the lamp's disc a third; all three widen a highlight.
 """
 
 from __future__ import annotations
@@ -14,11 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from matcam._jax import jnp
 from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError
 from matcam.rigs import Rig
-from matcam.sample.flat import Flat
-from matcam.sample.shape import Curved
 
 _REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64  # cycles/px; around: the box's transform has corners of its own
 
@@ -37,17 +38,17 @@ def effective_area(camera: Camera) -> float:
 
 
 def receiver(rig: Rig) -> dict[str, float | None]:
-    """Solid angles of a rig, sr: `equivalent_receiver_sr` (see above; None for a flat sample, whose pixels all see one
-    direction), `pupil_sr` (the lens seen from the sample, pi aperture^2 / 4), `lamp_sr`; and `kernel_area_px2`."""
+    """Solid angles of a rig, sr: `equivalent_receiver_sr` (see above; None where the half vector does not turn in every
+    direction: for a flat sample, and for a cylinder before a distant camera), `pupil_sr` (the lens seen from the sample,
+    pi aperture^2 / 4), `lamp_sr`; and `kernel_area_px2`."""
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     area = effective_area(rig.camera)
-    equivalent = None
-    if isinstance(rig.sample, Curved) and not isinstance(rig.sample, Flat):
-        equivalent = 4 * area / float(rig.sample.radius) ** 2
+    along, across = (float(px) for px in rig.sample.px_per_rad(jnp.zeros(())))
+    turns = np.isfinite(along) and np.isfinite(across)
     return {
         "kernel_area_px2": area,
-        "equivalent_receiver_sr": equivalent,
+        "equivalent_receiver_sr": 4 * area / (along * across) if turns else None,
         "pupil_sr": float(np.pi * rig.aperture**2 / 4),
         "lamp_sr": float(2 * np.pi * (1 - np.cos(rig.lamp_radius))),
     }
@@ -61,7 +62,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     if wrong:
         raise ArgumentError(f"{wrong[0]} must be text, got {about[wrong[0]]!r:.60}")
     solid = receiver(rig)
-    note = "4 A / r^2: solid angle of views that moves the half vector as much as the camera's kernel does, at the peak"
+    note = "4 A / r^2 if the camera is far: solid angle of views that moves the half vector as much as the camera's kernel does, at the peak"
     return {
         "format": "matcam measurement metadata",
         "version": 1,
