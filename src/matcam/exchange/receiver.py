@@ -62,7 +62,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     if wrong:
         raise ArgumentError(f"{wrong[0]} must be text, got {about[wrong[0]]!r:.60}")
     solid = receiver(rig)
-    note = "4 A / r^2 if the camera is far: solid angle of views that moves the half vector as much as the camera's kernel does, at the peak"
+    note = "4 A / r^2 before a far camera: views that move the half vector as much as the kernel does, at the peak"
     return {
         "format": "matcam measurement metadata",
         "version": 1,
