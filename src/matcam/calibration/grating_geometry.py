@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from matcam.calibration.smoothing import smoothed
 from matcam.calibration.wave_fit import Array
 from matcam.errors import FitError
 
@@ -71,8 +72,7 @@ def inside_of(corners: Array, shape: tuple[int, int]) -> np.ndarray:
 def find_grating(values: Array, near: tuple[float, float] | None = None) -> FoundGrating:
     """The grating in a region (height, width), NaN where there are no data. near: its frequency (fx, fy), cycles/px, if it may
     lie beyond Nyquist; roughly: the nearest that looks the same is taken. FitError where there is none."""
-    there = np.isfinite(values)
-    filled = values if there.all() else _filled(values, there)
+    filled = values if np.isfinite(values).all() else smoothed(values, 0.9)
     frequency = _strongest(filled, near)
     if near is not None:
         shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)
@@ -100,11 +100,6 @@ def find_grating(values: Array, near: tuple[float, float] | None = None) -> Foun
 
 def _folded(frequency: Array) -> Array:
     return np.asarray(frequency - np.round(frequency))
-
-
-def _filled(values: Array, there: np.ndarray) -> Array:
-    known = ndimage.gaussian_filter(np.where(there, values, 0.0), 0.9)
-    return np.asarray(known / np.maximum(ndimage.gaussian_filter(there.astype(float), 0.9), 1e-6))
 
 
 def _strongest(filled: Array, near: tuple[float, float] | None) -> Array:

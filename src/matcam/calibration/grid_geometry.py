@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from matcam.calibration.smoothing import smoothed
 from matcam.calibration.wave_fit import Array
 from matcam.errors import FitError
 
@@ -30,10 +31,7 @@ class Lattice(NamedTuple):
 
 def find_dots(values: Array) -> tuple[Array, Array]:
     """(n,) x and y, px, of the dots in a region (height, width); NaN where there are no data. FitError if there are not 9."""
-    there = np.isfinite(values)
-    width = 0.8 if there.mean() > 0.9 else 1.3
-    known = ndimage.gaussian_filter(np.where(there, values, 0.0), width)
-    smooth = known / np.maximum(ndimage.gaussian_filter(there.astype(float), width), 1e-6)
+    smooth = smoothed(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]

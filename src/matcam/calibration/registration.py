@@ -15,10 +15,11 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart import Chart
+from matcam.calibration.smoothing import smoothed
 from matcam.calibration.wave_fit import Array
 from matcam.errors import ArgumentError, FitError
 
-_SMOOTH = 0.7  # px
+_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
 _DARK = 0.6  # of the paper around
 _CONCENTRIC = 0.35  # radii of the disc
 _RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
@@ -131,10 +132,7 @@ def _evened(mosaic: Array) -> Array:
 
 def _marks(picture: Array) -> list[_Mark]:
     """All concentric dark discs and rings of a picture."""
-    there = np.isfinite(picture)
-    width = _SMOOTH if there.all() else 1.2
-    known = ndimage.gaussian_filter(np.where(there, picture, 0.0), width)
-    smooth = known if there.all() else known / np.maximum(ndimage.gaussian_filter(there.astype(float), width), 1e-6)
+    smooth = smoothed(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import least_squares
 
+from matcam.calibration.smoothing import smoothed
 from matcam.calibration.wave_fit import Array
 from matcam.errors import FitError
 
@@ -72,7 +73,8 @@ def from_points(x: Array, y: Array, phase: Array, cycles: int, centre: tuple[flo
 
 def find_star(values: Array, cycles: int | None = None) -> FoundStar:
     """The star in a region (height, width), NaN where there are no data. FitError where there is none."""
-    filled = _filled(values)
+    # what is missing is filled by its neighbours
+    filled = smoothed(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
@@ -105,14 +107,6 @@ class _Ring(NamedTuple):
     x: Array
     y: Array
     phase: Array
-
-
-def _filled(values: Array) -> Array:
-    """Smoothed a little, with what is missing filled by its neighbours."""
-    there = np.isfinite(values)
-    width = 0.7 if there.mean() > 0.9 else 1.2
-    known = ndimage.gaussian_filter(np.where(there, values, 0.0), width)
-    return np.asarray(known / np.maximum(ndimage.gaussian_filter(there.astype(float), width), 1e-6))
 
 
 def _centre(filled: Array) -> tuple[float, float]:
