@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from matcam.calibration.camera_fit import CameraFit
 from matcam.calibration.combine import Calibration
-from matcam.figures.style import BLACK, BLUE, GREEN, GREY, VERMILION, styled
+from matcam.figures.style import BLACK, BLUE, GREEN, VERMILION, nyquist_line, styled
 
 _COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 _MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
@@ -62,8 +62,7 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
 
 def _draw_mtf(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
-    axes.axvline(0.5, color=GREY, lw=0.8)
-    axes.annotate("Nyquist", (0.5, 0.6), xytext=(3, 0), textcoords="offset points", fontsize=8, color=GREY)
+    nyquist_line(axes, 0.6)
     for name, fit in found.channels.items():
         colour = _COLOURS[name]
         if np.isfinite(fit.mtf).all():

@@ -9,9 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from matcam.calibration.edge_result import EdgeMTF
-from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, styled
-
-_NYQUIST = 0.5
+from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, nyquist_line, styled
 
 
 def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, name: str) -> Figure:
@@ -86,8 +84,7 @@ def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
 def _draw_mtf(axes: Axes, result: EdgeMTF) -> None:
     fit, f = result.parametric, result.frequency
     axes.axhline(0, color=BLACK, lw=0.6)
-    axes.axvline(_NYQUIST, color=GREY, lw=0.8)
-    axes.annotate("Nyquist", (_NYQUIST, 1), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
+    nyquist_line(axes)
     label = f"{fit.model} lens: {fit.mtf50:.4f} ± {fit.mtf50_std:.4f}"
     axes.plot(
         f,

@@ -26,7 +26,9 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
             if angle < 90:
                 axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
         axes.axhline(limit, color=GREY, lw=0.8)
-        axes.annotate("5 % loss", (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
+        axes.annotate(
+            _name_of_limit(data), (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY
+        )
         axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
         degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylim(0, 1.04)
@@ -39,7 +41,7 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
 
 
 def plane_figure(data: xr.Dataset, title: str) -> Figure:
-    """Map of the (angle, roughness) plane: relative response, its 5 % line drawn. data: `forward.peak.predict`."""
+    """Map of the (angle, roughness) plane: relative response, its loss angle drawn. data: `forward.peak.predict`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.6), layout="constrained")
         axes = figure.subplots()
@@ -51,10 +53,14 @@ def plane_figure(data: xr.Dataset, title: str) -> Figure:
         limit = 1 - data.attrs["loss"]
         if relative.min() < limit < relative.max():
             lines = axes.contour(theta, roughness, relative, levels=[limit], colors=[BLACK], linewidths=1.6)
-            axes.clabel(lines, fmt={limit: "5 % loss"}, fontsize=8.5)
+            axes.clabel(lines, fmt={limit: _name_of_limit(data)}, fontsize=8.5)
         axes.set_yscale("log")
         degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylabel(f"roughness ({data.attrs['ndf']}) [{'rad' if data.attrs['ndf'] == 'gaussian' else 'slope'}]")
         axes.set_title(title, loc="left", fontsize=9.5)
         figure.colorbar(filled, ax=axes, label=r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
     return figure
+
+
+def _name_of_limit(data: xr.Dataset) -> str:
+    return f"{100 * data.attrs['loss']:g} % loss"

@@ -69,3 +69,9 @@ def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
     axes.set_xlabel(f"{label} [degrees]")
     axes.set_xlim(0, end)
     axes.set_xticks(range(0, int(end) + 1, 15))
+
+
+def nyquist_line(axes: Axes, height: float = 1.0) -> None:
+    """The highest frequency that whole pixels resolve, 0.5 cycles/px on the x axis; its name stands just below `height`."""
+    axes.axvline(0.5, color=GREY, lw=0.8)
+    axes.annotate("Nyquist", (0.5, height), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)

@@ -9,13 +9,12 @@ from matplotlib.figure import Figure
 
 from matcam.calibration.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
-from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, styled
+from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled
 
 _LOOKS = {
     "star": (BLUE, "o", "Siemens star"), "grating": (VERMILION, "s", "gratings"), "dots": (GREEN, "^", "dots"),
     "edge": (ORANGE, "D", "edges"),
 }  # fmt: skip
-_NYQUIST = 0.5
 
 
 def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, title: str = "") -> Figure:
@@ -25,8 +24,7 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
         figure = Figure(figsize=(9.2, 4.2), layout="constrained")
         axes, left = figure.subplots(1, 2, width_ratios=(1.5, 1)) if camera is not None else (figure.subplots(), None)
         axes.axhline(0, color=BLACK, lw=0.6)
-        axes.axvline(_NYQUIST, color=GREY, lw=0.8)
-        axes.annotate("Nyquist", (_NYQUIST, 1), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
+        nyquist_line(axes)
         highest = max(float(s.frequency.max()) for s in samples)
         if camera is not None:
             f = np.linspace(0, highest, 200)
