@@ -40,7 +40,7 @@ class Adaptive(Material):
     """(P T, N, N, channels)."""
     jacobian: bool = eqx.field(static=True)
     mirrored: int = eqx.field(static=True)
-    """How many times the light's azimuths fit into a whole turn; the rest follows by symmetry. 0: isotropic."""
+    """How many times the light's azimuths fit into a whole turn, 1, 2 or 4; the rest follows by symmetry. 0: isotropic."""
 
     def __init__(self, fields: xr.Dataset):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
@@ -54,6 +54,10 @@ class Adaptive(Material):
         self.jacobian = bool(fields["jacobian"].values[0])
         span = float(self.azimuths[-1] - self.azimuths[0])
         self.mirrored = 0 if self.azimuths.size <= 2 else round(2 * np.pi / span)
+        if self.mirrored not in (0, 1, 2, 4):
+            raise ArgumentError(
+                f"field phi_i must span a whole turn, a half or a quarter: the rest follows by symmetry; got {span:.4g} rad"
+            )
 
     @eqx.filter_jit
     def reflected(self, seen: Shading) -> jax.Array:
