@@ -18,6 +18,7 @@ PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
 INK = 0.05
 DARK, BRIGHT, SINE_BRIGHT = 0.25, 1.0, 0.95
 SLANT = math.radians(5)
+_SLANTED = np.array([[np.cos(SLANT), -np.sin(SLANT)], [np.sin(SLANT), np.cos(SLANT)]])
 FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 """cycles per pixel of the camera that the chart was made for."""
 _TILT = math.radians(7)  # of gratings: their pixels see all phases, and no harmonic falls on the grid's own
@@ -56,7 +57,7 @@ def design_chart(
     top, left = 1.8 * margin, 1.8 * margin
     room = (width - 2 * left, height - 2 * top - 1.4 * strip)
     elements: list[Element] = list(_patches(left, height - top - strip, room[0], strip))
-    columns = max(range(1, len(kinds) + 1), key=lambda n: _fit(n, len(kinds), room))
+    columns = max(range(1, len(kinds) + 1), key=lambda n: _shorter_side(n, len(kinds), room))
     rows = math.ceil(len(kinds) / columns)
     cell = (room[0] / columns, room[1] / rows)
     gap = 0.04 * min(cell)
@@ -73,8 +74,8 @@ def design_chart(
     return check(Chart((width, height), fiducials, tuple(elements), INK))
 
 
-def _fit(columns: int, count: int, room: Point) -> float:
-    """How square the panels of so many columns are."""
+def _shorter_side(columns: int, count: int, room: Point) -> float:
+    """Of each of `count` panels in so many columns."""
     rows = math.ceil(count / columns)
     return min(room[0] / columns, room[1] / rows)
 
@@ -110,9 +111,8 @@ def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
     side = _SQUARE * pixel
-    turn = np.array([[np.cos(SLANT), -np.sin(SLANT)], [np.sin(SLANT), np.cos(SLANT)]])
     for _, _, x, y in _places(corner, size, 1.6 * side):
-        points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ turn.T + (x, y)
+        points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
         a, b, c, d = ((float(px), float(py)) for px, py in points)
         yield Square((a, b, c, d), DARK)
 
@@ -146,11 +146,10 @@ def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
 
 def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
     # turned a little, so that its dots fall differently on the pixels
-    turn = np.array([[np.cos(SLANT), -np.sin(SLANT)], [np.sin(SLANT), np.cos(SLANT)]])
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(SLANT) + np.sin(SLANT) * max(size) / min(size)) for s in size)
     points = [
-        tuple(float(v) for v in turn @ (x, y) + middle)
+        tuple(float(v) for v in _SLANTED @ (x, y) + middle)
         for _, _, x, y in _places((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
     ]
     if len(points) >= 9:

@@ -68,7 +68,7 @@ def _at_scale(picture: np.ndarray, factor: int) -> FoundEdges:
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Means over squares of `factor` px, and over colours."""
+    """Sums over squares of `factor` px, and over colours: only ratios matter."""
     height, width = (size // factor * factor for size in picture.shape[:2])
     total = np.zeros((height // factor, width), np.float32)
     for row in range(factor):

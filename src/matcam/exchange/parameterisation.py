@@ -5,8 +5,8 @@ What the format divides by is chosen so that what is left is smooth:
 - `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o, that is of D F G and of all else there is; even
   in sqrt(theta_h) with twice the density of a MERL table, so that its points are among the nodes and its kinks are met.
 - `sigma`: the projected area of facets so distributed, by the closed integral over azimuth.
-- `vndf`: visible normals D max(0, i . m) / sigma, half and half with normals ~ sqrt(D) cos theta_m, which spread
-  logarithmically over the tail: visible normals alone would leave it a few per cent of the square.
+- `vndf`: visible normals D max(0, i . m) / sigma, mixed with normals ~ sqrt(D) cos theta_m, which spread logarithmically
+  over the tail, and with even ones: visible normals alone would leave the tail a few per cent of the square.
 - `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it runs on linearly in cos theta_o, so that the
   cells at the horizon are right on this side of it; but not below zero, which renderers take for a mistake.
 - `luminance`: what is left for samples to be distributed as BRDF cos theta_o.

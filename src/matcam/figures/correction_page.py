@@ -33,7 +33,7 @@ def write_correction_page(
     found = done.fit
     rows = "".join(
         f"<tr><td>{html.escape(key)}</td><td>{value:.6g}</td><td>{found.std[key]:.2g}</td></tr>"
-        for key, value in [*found.params.items()]
+        for key, value in found.params.items()
     )
     notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in remarks)
     pictures = [
