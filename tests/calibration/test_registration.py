@@ -64,6 +64,26 @@ def test_a_hidden_corner_is_no_harm(chart):
     assert np.abs(found(points) - np.stack(camera.sensor_of(*points.T), axis=-1)).max() < 0.3
 
 
+@pytest.mark.parametrize("seed", [21, 39])
+def test_other_marks_among_the_charts_own(seed):
+    """Fourteen of the kind, anywhere on the page: a loose match of all eight is not the last word."""
+    description, random = design_chart(), np.random.default_rng(seed)
+    places = np.array([mark.centre for mark in description.fiducials])
+    y, x = np.indices((620, 840))
+    seen = [*(2.4 * places + [60, 50])]
+    while len(seen) < 22:
+        place = random.uniform([70, 60], [762.8, 544])
+        if min(np.hypot(*(place - other)) for other in seen) > 30:
+            seen.append(place)
+    page = np.ones(y.shape)
+    for i, (at_x, at_y) in enumerate(seen):
+        radius = np.hypot(x - at_x, y - at_y) / (2.4 * description.fiducials[0].radius if i < 8 else 3.0)
+        second = i < 8 and description.fiducials[i].rings == 2
+        page[(radius < 1) | ((radius > 2) & (radius < 3)) | (second & (radius > 4) & (radius < 5))] = 0.1
+    found = register_chart(page, description)
+    assert np.abs(found(places) - seen[:8]).max() < 1
+
+
 def test_refusals(chart):
     description, document = chart
     noise = np.random.default_rng(0).poisson(1000, (300, 400)).astype(float)

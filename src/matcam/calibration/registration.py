@@ -25,6 +25,7 @@ _CONCENTRIC = 0.35  # radii of the disc
 _RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
 _SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
 _NEAR = 0.06  # of the chart's size in the picture: how far a mark may lie from where four others put it
+_SETTLED = 0.1  # of that: mean distance at which no better match is looked for
 _WORST = 3.0  # px: root mean square of what the fit may leave
 
 
@@ -176,6 +177,7 @@ def _matched(
     seen = _centred(np.array([mark[:2] for mark in marks]), shape)
     start = marks.index(top)
     others = _round(places, first)
+    settled = False
     best: tuple[int, float, list[tuple[int, int]]] = (0, np.inf, [])
     # three others, met in the same turn on the page and in the picture, fix a pinhole's view
     for three in itertools.combinations(_round(seen, start), 3):
@@ -198,7 +200,8 @@ def _matched(
             total = float(sum(off[i, j] for i, j in pairs))
             if (len(pairs), -total) > (best[0], -best[1]):
                 best = (len(pairs), total, pairs)
-        if best[0] == len(places) and best[1] < 0.1 * reach * len(places):
+                settled = len(pairs) == len(places) and total < _SETTLED * reach * len(places)
+        if settled:
             break
     return best
 
