@@ -67,7 +67,7 @@ def edge_mtf(
     found = jax.tree.map(np.asarray, found)
     if problem := verdict.refusals(jax.tree.map(lambda a: a[None], found), rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem)
-    corner = (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
+    corner = region.corner_of(roi)
     frame = rows.frame._replace(x=rows.frame.x + corner[0], y=rows.frame.y + corner[1])
     return result_of(found, frame, model, lens, half_width, ())
 

@@ -99,7 +99,7 @@ def grating_mtf(
         if problem := region.flaw(values):
             raise FitError(problem)
         found = grating_geometry.find_grating(values, near)
-        x0, y0 = (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
+        x0, y0 = region.corner_of(roi)
     known = grating is not None
     printed = grating if grating is not None else print_
     fit, orders, waves = _fitted(values, found, printed)
@@ -115,7 +115,7 @@ def grating_mtf(
         printed,
         (x0, y0),
         found,
-        channel or ("Y" if picture.ndim == 3 else "grey"),
+        region.measured_channel(picture, channel),
         aperture,
         source,
     )

@@ -103,9 +103,9 @@ def dot_grid(
         if problem := region.flaw(values):
             raise FitError(problem)
         lattice = grid_geometry.lattice_of(*grid_geometry.find_dots(values))
-        corner = (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
+        corner = region.corner_of(roi)
     fit = fit_dots(values, lattice, size, half_width)
-    return _result(fit, corner, half_width, channel or ("Y" if picture.ndim == 3 else "grey"), aperture, source)
+    return _result(fit, corner, half_width, region.measured_channel(picture, channel), aperture, source)
 
 
 def _as_printed(

@@ -81,6 +81,16 @@ def cut(image: ArrayLike, roi: Sequence[int] | None, cfa: str | None, channel: s
     return np.where(_sites(cfa, channel, x, y, linear.shape), linear, np.nan)
 
 
+def corner_of(roi: Sequence[int] | None) -> tuple[int, int]:
+    """x and y, px of the picture, of a region's first pixel."""
+    return (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
+
+
+def measured_channel(picture: np.ndarray, channel: str | None) -> str:
+    """The name of what `cut` takes from a picture: "R", "G", "B", "Y" (luminance) or "grey"."""
+    return channel or ("Y" if picture.ndim == 3 else "grey")
+
+
 def rows_of(values: np.ndarray, *, mosaic: bool = False) -> Region:
     """Rows of regions (n, height, width) that lie alike: all nearer to vertical than to horizontal, or all the other way.
 

@@ -91,14 +91,12 @@ def star_mtf(
         contrast = chart.contrast(star) if contrast is None else contrast
     else:
         values = region.cut(image, roi, cfa, channel, tone)
-        x0, y0 = (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
+        x0, y0 = region.corner_of(roi)
         found = star_geometry.find_star(values, cycles)
     if problem := region.flaw(values):
         raise FitError(problem)
     fit, edges = _fitted(values, found)
-    return _result(
-        fit, edges, found, contrast, (x0, y0), channel or ("Y" if picture.ndim == 3 else "grey"), aperture, source
-    )
+    return _result(fit, edges, found, contrast, (x0, y0), region.measured_channel(picture, channel), aperture, source)
 
 
 def _as_printed(
