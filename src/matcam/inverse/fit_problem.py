@@ -121,6 +121,7 @@ class Problem:
 
     def __init__(self, data: FitData, operator: LobeOperator, theta_d: np.ndarray, layout: Layout):
         self.data, self.operator, self.theta_d, self.layout = data, operator, theta_d, layout
+        self._last: dict[int, tuple[bytes, np.ndarray, np.ndarray]] = {}
 
     def residual(self, model: Model) -> np.ndarray:
         """Data - model, (u, s, n); 0 where unused."""
@@ -140,9 +141,9 @@ class Problem:
         for number in range(layout.lobes):
             q = np.concatenate([p[layout.lobe(number)], camera])
             if slopes:
-                pair = lobe_and_slope(self.operator, layout.family, layout.masking, jnp.asarray(q), layout.lobe_size)
-                lobes.append(np.asarray(pair[0]))
-                by_lobe.append(np.asarray(pair[1]))
+                _, value, slope = self._recorded(number, q)
+                lobes.append(value)
+                by_lobe.append(slope)
             else:
                 lobes.append(self.lobe_record(q))
         lobe = np.stack([lobes[number] for number in layout.lobe_of])
@@ -176,6 +177,15 @@ class Problem:
                 if layout.diffuse:
                     derivative[place.stop - 1, u] = 1 / np.pi
         return Model(value, derivative, lobe, strength, std)
+
+    def _recorded(self, number: int, q: np.ndarray) -> tuple[bytes, np.ndarray, np.ndarray]:
+        """A of a lobe and its slopes, kept for the next call: weights change more often than lobes."""
+        key = q.tobytes()
+        if number not in self._last or self._last[number][0] != key:
+            layout = self.layout
+            pair = lobe_and_slope(self.operator, layout.family, layout.masking, jnp.asarray(q), layout.lobe_size)
+            self._last[number] = key, np.asarray(pair[0]), np.asarray(pair[1])
+        return self._last[number]
 
     def gain(self, noise: PixelNoise) -> float:
         """Standard deviation of a picture's strength beside its model: endless where strengths are free."""

@@ -37,7 +37,7 @@ from matcam.sample.sphere import Sphere
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
 
-_LAMBDA_NODES = 256
+_LAMBDA_NODES = 128
 _PERFECT_RADIUS = 256.0
 """px; sphere whose pixels are told apart where no rig is given."""
 

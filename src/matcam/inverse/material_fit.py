@@ -243,7 +243,7 @@ class Search:
 
     def _least_squares(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int) -> np.ndarray:
         problem = self.problem
-        start = problem.model(p, weight, slopes=False)
+        start = problem.model(p, weight)
         held = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.gain)
         last: dict[bytes, np.ndarray] = {}
 

@@ -30,6 +30,7 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
     y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22 falls. Relative
     error below 1e-10 (tests).
     """
+    scale = jax.lax.stop_gradient(scale)  # where the integrand is looked at does not change the integral
     mu = jnp.clip(cot, _NEAREST, _FARTHEST)[..., None]
     y = jnp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
@@ -56,6 +57,7 @@ def interpolated_lambda(
 ) -> jax.Array:
     """Lambda at cot theta > 0 from a table of `function` (Lambda of cot theta) at so many nodes; 256 give 1 / (1 + Lambda)
     to 1e-6."""
+    scale = jax.lax.stop_gradient(scale)  # nor do the table's places change the function
     spacing = np.arcsinh(_REACH / _KNEE) / (nodes - 1)
     nus = np.maximum(_KNEE * np.sinh(spacing * np.arange(nodes)), 1e-11)
     # nu (1 + Lambda) has a finite limit at the horizon, and is nu itself far from it
