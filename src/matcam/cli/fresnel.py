@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, kept_rules, rig_of
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -22,8 +22,8 @@ def command(
         ),
     ] = None,
     ndf: Annotated[
-        Literal["auto", "gaussian", "ggx", "beckmann"],
-        typer.Option("--ndf", help="Family of the lobe; auto: gaussian or ggx, the likelier."),
+        Literal["auto", "ggx", "epd", "sgd", "beckmann", "gaussian"],
+        typer.Option("--ndf", help="Family of the lobe; auto: ggx or epd, the likelier."),
     ] = "auto",
     masking: Masking = "smith",
     camera: CameraProfile = None,
@@ -72,9 +72,7 @@ def command(
 def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise):  # type: ignore[no-untyped-def]
     import math
 
-    from matcam._jax import use_compilation_cache
-
-    use_compilation_cache()
+    kept_rules()
     from matcam.files.merl import read_merl
     from matcam.inverse.fresnel_term import fresnel
     from matcam.inverse.tabulated import tabulated_fresnel

@@ -5,7 +5,8 @@ from __future__ import annotations
 import xarray as xr
 
 from matcam.camera.noise import PixelNoise
-from matcam.forward.lobe_table import lobe_table, with_pixel_noise
+from matcam.forward.lobe_table import with_pixel_noise
+from matcam.forward.measurement import measure
 from matcam.material.gaussian_lobe import GaussianNDF
 from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
@@ -24,5 +25,5 @@ def simulated_chromium(seed: int = 1) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
     # without masking: for so smooth a surface it is 1 to within 1e-6 up to 89 degrees
     chromium = Microfacet(GaussianNDF(WIDTH), Conductor(n, k), masking=None)
-    table = with_pixel_noise(lobe_table(chromium, merl()), merl(), PixelNoise(), seed)
+    table = with_pixel_noise(measure(chromium, merl()), merl(), PixelNoise(), seed)
     return table.assign_attrs(source="simulated chromium")

@@ -35,6 +35,9 @@ LINEAR = 0.15
 """Relative standard deviation of a power up to which errors are those of the linearised fit: beyond, width and power trade
 along a curve, and the width's own error says too little."""
 
+_BOUND = 0.05
+"""ln of a width over the narrowest that is tried, below which the fit has run into its bound."""
+
 
 @dataclass(frozen=True)
 class MaterialFit:
@@ -43,10 +46,11 @@ class MaterialFit:
     params, std: numbers by name ("alpha", "n[G]", "optics.sigma_px", ...) and their standard deviations; covariance: of all
     of them in that order. half_width, half_width_std: half width at half maximum of D, rad: what stays well determined
     where a width and a power trade against each other. determined: whether the standard deviation of every roughness is
-    under 5 %. materials: one `Microfacet` per table; material: the first. camera: as fitted, with its new uncertainty;
-    None without a rig. curves: Dataset over (theta_d, channel) with `fresnel` and `fresnel_std`. residual: Dataset over
-    (channel, theta_d, cell), in standard deviations, with theta_h and phi_d. noise: given, or estimated. misfit: sum of
-    squared residuals per degree of freedom. remarks: what a reader should know, in plain words.
+    under 5 %. resolved: whether the lobe is wider than the narrowest that this camera can tell from a point. materials: one
+    `Microfacet` per table; material: the first. camera: as fitted, with its new uncertainty; None without a rig. curves:
+    Dataset over (theta_d, channel) with `fresnel` and `fresnel_std`. residual: Dataset over (channel, theta_d, cell), in
+    standard deviations, with theta_h and phi_d. noise: given, or estimated. misfit: sum of squared residuals per degree of
+    freedom. remarks: what a reader should know, in plain words.
     """
 
     family: str
@@ -56,6 +60,7 @@ class MaterialFit:
     half_width: float
     half_width_std: float
     determined: bool
+    resolved: bool
     materials: tuple[Microfacet, ...]
     camera: Camera | None
     curves: xr.Dataset
@@ -73,6 +78,12 @@ class MaterialFit:
     def material(self) -> Microfacet:
         """The first table's."""
         return self.materials[0]
+
+    @property
+    def ndf(self) -> NDF:
+        """The first lobe."""
+        layout = self.problem.layout
+        return parameters.ndf_at(layout.family, jnp.asarray(self.solved.p[layout.lobe(0)]))
 
     def correlation(self, first: str, second: str) -> float:
         """Of two numbers by name."""
@@ -98,6 +109,12 @@ class MaterialFit:
         slope = np.asarray(jax.jacfwd(curve)(at))
         inner = slice(place.start, place.start + count)
         return float(curve(at)), float(np.sqrt(slope @ self.solved.covariance[inner, inner] @ slope))
+
+    def strength_errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of strengths that are free in every slice: (their standard deviations, all else held, (units, slices); how they
+        fall when the fit's numbers rise, (numbers, units, slices)). The covariance of a unit's strengths is
+        diag(own^2) + taken' covariance taken. 0 where nothing was seen."""
+        return _strength_errors(self.problem, self.solved)
 
     def summary(self) -> dict[str, Any]:
         """Everything that fits on a page, as plain numbers and texts."""
@@ -170,7 +187,7 @@ def result_of(
     own = len(parameters.lobe_names(layout.family))
     last = [layout.lobe(n).start + own - 1 for n in range(layout.lobes)]
     linear = own == 1 or bool(np.all(np.sqrt(np.diag(solved.covariance)[last]) < LINEAR))
-    determined = linear and bool(np.all(roughness_std < DETERMINED) and at_end > 0.05)
+    determined = linear and bool(np.all(roughness_std < DETERMINED) and at_end > _BOUND)
     materials = []
     first = 0
     for count in channels:
@@ -186,6 +203,7 @@ def result_of(
         half_width=half,
         half_width_std=half_std,
         determined=determined,
+        resolved=bool(at_end > _BOUND),
         materials=tuple(materials),
         camera=_camera(rig, prior, problem, solved),
         curves=curves,
@@ -247,13 +265,26 @@ def _strengths(problem: Problem, solved: Solved) -> tuple[np.ndarray, np.ndarray
             slope = np.asarray(jax.jacfwd(curve)(jnp.asarray(solved.p[inner])))
             variance[u] = np.einsum("sa,ab,sb->s", slope, solved.covariance[inner, inner], slope)
         return strength, np.sqrt(variance)
-    weighted = np.where(problem.data.used, solved.weight, 0.0) * solved.model.lobe
-    power = np.maximum((weighted * solved.model.lobe).sum(-1), 1e-300)
-    taken = (weighted * solved.model.derivative).sum(-1) / power  # (p, u, s): how F falls when a number rises
-    variance = solved.model.strength_std**2 + np.einsum("pus,pq,qus->us", taken, solved.covariance, taken)
+    own, taken = _strength_errors(problem, solved)
+    variance = own**2 + np.einsum("pus,pq,qus->us", taken, solved.covariance, taken)
     variance += (solved.noise.gain * strength) ** 2
     seen = problem.data.used.any(-1)
     return np.where(seen, strength, np.nan), np.where(seen, np.sqrt(variance), np.nan)
+
+
+def _strength_errors(problem: Problem, solved: Solved) -> tuple[np.ndarray, np.ndarray]:
+    weighted = np.where(problem.data.used, solved.weight, 0.0) * solved.model.lobe
+    power = np.maximum((weighted * solved.model.lobe).sum(-1), 1e-300)
+    taken = (weighted * solved.model.derivative).sum(-1) / power
+    seen = problem.data.used.any(-1)
+    return np.where(seen, solved.model.strength_std, 0.0), np.where(seen, taken, 0.0)
+
+
+def conditional(covariance: np.ndarray, known: slice) -> tuple[np.ndarray, np.ndarray]:
+    """(covariance if the numbers at `known` were held, what their own uncertainty adds): both of the full shape."""
+    cross = covariance[:, known]
+    added = cross @ np.linalg.pinv(covariance[known, known], hermitian=True) @ cross.T
+    return covariance - added, added
 
 
 def _material(problem: Problem, solved: Solved, ndf: NDF, units: range, strength: np.ndarray) -> Microfacet:

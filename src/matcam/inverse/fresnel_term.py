@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from matcam import checks
-from matcam._jax import jax, jnp
+from matcam._jax import jnp
+from matcam.angles import GRID_SHAPE
 from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError, FitError
 from matcam.forward.peak import peak_response
-from matcam.inverse.lobe_through_camera import LobeFit, fit_lobe
-from matcam.inverse.peak_cells import peak_data
-from matcam.material.families import ONE_WIDTH
+from matcam.inverse.fit_result import MaterialFit, conditional
+from matcam.inverse.lobe_operator import check_rig
+from matcam.inverse.material_fit import fit
+from matcam.inverse.refit import resampled
+from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking, g2
-from matcam.material.ndf import MixtureNDF
+from matcam.material.ndf import NDF
 from matcam.rigs import Rig
-from matcam.sample.sphere import Sphere
 from matcam.table import checked_table
 
 SUPPORTED_STD = 0.05
@@ -29,8 +30,9 @@ NORMALISE = (np.radians(10.0), np.radians(45.0))
 """theta_d over whose mean F is normalised. Below 10 degrees lamp and camera are in each other's way on real rigs; metals'
 F is flat to 45."""
 
-
-_CANDIDATES = ("gaussian", "ggx")  # of "auto"; Beckmann's lobe is the Gaussian one wherever a camera matters
+_CANDIDATES = ("ggx", "epd")  # of "auto"
+_EVERY = 6  # slices that the lobe is looked for in, before all are fitted
+_QUIET = slice(6, 60, 3)  # slices of theta_d where lobes of real tables are whole
 
 
 def fresnel(
@@ -41,19 +43,23 @@ def fresnel(
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
     normalise: tuple[float, float] = NORMALISE,
+    every: int = 1,
 ) -> xr.Dataset:
     """Fresnel term F(theta_d) of a table, raw and corrected for the camera (paper (13); MODEL 5, 8).
 
-    brdf: table as from `read_merl`, recorded by `rig` (a sphere). ndf: family of the lobe, "gaussian", "ggx", "beckmann", or
-    "auto": the likelier of the first two. masking: the G that (13) divides by. noise: of a pixel; None: estimated from the
-    residuals. normalise: range of theta_d, rad, over which the mean of the corrected F is 1.
+    brdf: table as from `read_merl`, recorded by `rig` (a sphere, camera and lamp distant). ndf: family of the lobe, or "auto":
+    the likelier of "ggx" and "epd". masking: the G that (13) divides by. noise: of a pixel; None: estimated from the
+    residuals. normalise: range of theta_d, rad, over which the mean of the corrected F is 1. every: use every n-th theta_d.
+
+    F is free in every picture, one lobe and a Lambertian part are common to all, and the camera's stated uncertainty is a
+    prior that the data may improve on: `fit(..., fresnel="free", diffuse=True)`.
 
     Returns a Dataset over (theta_d, channel), all dimensionless but for the angles:
       raw, raw_std                F from the recorded peak alone, as if the camera were perfect
       corrected_peak              the paper's estimate: raw over the loss at the peak, relative to theta_d = 0
       corrected, corrected_std    F from the lobe fitted through the camera; its std is that of pixel noise
                                   (corrected_std_noise) and of the camera's stated uncertainty (corrected_std_camera)
-      absolute, absolute_std      the same, not normalised: needs D(0), that is the lobe's width; NaN where unknown
+      absolute, absolute_std      the same, not normalised; NaN where the lobe is too narrow for its strength to be known
       response                    recorded / true peak; masking: G in the mirror direction
       supported_angle             last theta_d, rad, up to which corrected_std stays under 5 % of corrected
       width, width_std            of the lobe, as its NDF defines it, freed from the camera
@@ -65,17 +71,25 @@ def fresnel(
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
-    data = peak_data(brdf, rig.sample)  # type: ignore[arg-type]
-    fit = fit_lobe(data, rig, list(_CANDIDATES) if ndf == "auto" else [ndf], noise and noise.checked())
-    theta_d = data.theta_d
-    *response, centre = np.asarray(peak_response(rig, fit.ndf, np.append(theta_d, 0.0)))
-    term = _FresnelTerm(fit, rig, theta_d, masking, normalise)
-    peak = data.values[..., data.theta_h == data.theta_h[0]].mean(-1)
-    peak = np.where((data.content[..., 0] > 0) & (peak > 0), peak, np.nan)
-    noise_of_pixel = np.hypot(fit.noise.relative, fit.noise.floor)
-    lossless = peak * term.per_amplitude / (response / centre)
-    scale = np.nanmean(np.where(term.used, lossless, np.nan), axis=-1, keepdims=True)
-    raw, corrected_peak = peak * term.per_amplitude / scale, lossless / scale
+    _check_highlight(brdf)
+    fits = [
+        fit(brdf, rig, family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=max(every, _EVERY))
+        for family in (_CANDIDATES if ndf == "auto" else (ndf,))
+    ]
+    found = max(fits, key=lambda one: one.log_likelihood)
+    if every < _EVERY:
+        found = resampled(found, brdf, rig, noise, every)
+    lobe = found.ndf
+    theta_d = found.problem.theta_d
+    term = _FresnelTerm(found, normalise)
+    hidden = _mirror_masking(lobe, theta_d, masking)
+    *response, centre = np.asarray(peak_response(rig, lobe, np.append(theta_d, 0.0), exact=True, masking=masking))
+    per_peak = 4 * np.cos(theta_d) ** 2 / (float(lobe.d(0.0)) * hidden)
+    raw = _recorded_peak(brdf, found) * per_peak
+    corrected_peak = raw / (np.array(response) / centre)
+    scale = np.nanmean(np.where(term.used, corrected_peak, np.nan), axis=-1, keepdims=True)
+    raw, corrected_peak = raw / scale, corrected_peak / scale
+    width = next(iter(found.params))
     labels = ("theta_d", "channel")
 
     def variable(values: np.ndarray, text: str) -> tuple[Any, ...]:
@@ -84,7 +98,7 @@ def fresnel(
     return xr.Dataset(
         {
             "raw": variable(raw, "F from the recorded peak"),
-            "raw_std": variable(raw * noise_of_pixel, "standard deviation of raw (noise)"),
+            "raw_std": variable(raw * np.hypot(*found.noise[:2]), "standard deviation of raw (noise)"),
             "corrected_peak": variable(corrected_peak, "F from the recorded peak alone, over the relative loss"),
             "corrected": variable(term.normalised, "F corrected for the camera"),
             "corrected_std": variable(np.hypot(term.std_noise, term.std_camera), "standard deviation of corrected"),
@@ -93,25 +107,25 @@ def fresnel(
             "absolute": variable(term.absolute, "F corrected, not normalised"),
             "absolute_std": variable(term.absolute_std, "standard deviation of absolute"),
             "response": ("theta_d", response, {"long_name": "recorded / true peak"}),
-            "masking": ("theta_d", term.masking, {"long_name": "G in the mirror direction"}),
+            "masking": ("theta_d", hidden, {"long_name": "G in the mirror direction"}),
             "supported_angle": ("channel", _supported(term, theta_d), {"units": "rad"}),
-            "width": ((), fit.width, {"long_name": f"width of the {fit.ndf.family} lobe"}),
-            "width_std": ((), term.width_std, {"long_name": "its standard deviation"}),
+            "width": ((), found.params[width], {"long_name": f"width of the {found.family} lobe ({width})"}),
+            "width_std": ((), found.std[width] if found.resolved else np.inf, {"long_name": "its standard deviation"}),
         },
         coords={
             "theta_d": ("theta_d", theta_d, {"units": "rad", "long_name": "difference angle"}),
             "channel": brdf.coords["channel"] if "channel" in brdf.coords else np.arange(brdf.sizes["channel"]),
         },
         attrs={
-            "ndf": fit.ndf.family,
-            "log_likelihood": ", ".join(f"{name} {value:.1f}" for name, value in fit.log_likelihoods.items()),
+            "ndf": found.family,
+            "log_likelihood": ", ".join(f"{one.family} {one.log_likelihood:.1f}" for one in fits),
             "masking": masking or "none",
             "normalised_over": [float(a) for a in normalise],
-            "noise_relative": fit.noise.relative,
-            "noise_floor": fit.noise.floor,
+            "noise_relative": found.noise.relative,
+            "noise_floor": found.noise.floor,
             "noise": "given" if noise else "estimated from the residuals",
             "camera_uncertainty": "stated" if rig.camera.uncertainty else "none stated: taken as exact",
-            "width_determined": int(fit.width_determined),
+            "width_determined": int(found.resolved),
             "sampling": brdf.attrs["sampling"],
             "source": str(brdf.attrs.get("source", "")),
         },
@@ -119,14 +133,12 @@ def fresnel(
 
 
 class _FresnelTerm:
-    """F = A * 4 cos^2 theta_d / (D(0) G), and how its errors follow from the fit's."""
+    """Strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices)."""
 
-    def __init__(self, fit: LobeFit, rig: Rig, theta_d: np.ndarray, masking: Masking, normalise: tuple[float, float]):
-        maps = _log_factor_and_slope(type(fit.ndf), np.log(fit.width), theta_d, masking)
-        log_factor, by_width, self.masking = (np.asarray(a) for a in maps)
-        self.per_amplitude = np.exp(log_factor)
-        self.absolute = fit.amplitude * self.per_amplitude
-        used = (theta_d >= normalise[0]) & (theta_d <= normalise[1]) & np.isfinite(self.absolute)
+    def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
+        theta_d = found.problem.theta_d
+        strength = found.curves["fresnel"].values.T
+        used = (theta_d >= normalise[0]) & (theta_d <= normalise[1]) & np.isfinite(strength)
         if not used.any(-1).all():
             low, high = np.degrees(normalise)
             raise FitError(
@@ -134,53 +146,59 @@ class _FresnelTerm:
             )
         self.used = used
         count = used.sum(-1, keepdims=True)
-        self.mean = np.where(used, self.absolute, 0).sum(-1) / count[:, 0]
-        self.normalised = self.absolute / self.mean[:, None]
+        mean = np.where(used, strength, 0).sum(-1, keepdims=True) / count
+        self.normalised = strength / mean
 
-        # covariance of ln F (channels, slices, slices); ln F = ln A + ln factor(width)
-        amplitude = np.where(np.isfinite(fit.amplitude), fit.amplitude, np.inf)
-        relative = fit.amplitude_covariance / amplitude[:, :, None] / amplitude[:, None, :]
-        width_variance = fit.log_width_variance if fit.width_determined else 0.0
-        with_width = fit.amplitude_width_covariance / amplitude
-        coupled = with_width[:, :, None] * by_width
-        noise = relative + coupled + coupled.transpose(0, 2, 1) + width_variance * np.outer(by_width, by_width)
-        # sensitivity of ln F to the camera's parameters (p, channels, slices)
-        camera = fit.amplitude_by_camera / amplitude + fit.log_width_by_camera[:, None, None] * by_width
-        known = rig.camera.uncertainty
-        spread = np.asarray(known.covariance) if known is not None else np.zeros((0, 0))
-        camera_covariance = np.einsum("pcs,pq,qct->cst", camera, spread, camera)
+        own, taken = found.strength_errors()
+        noise, camera = conditional(found.solved.covariance, found.problem.layout.camera)
+        diagonal = np.eye(theta_d.size) * own[:, None, :] ** 2
+        by_noise, by_camera = (np.einsum("pus,pq,qut->ust", taken, c, taken) for c in (noise, camera))
+        there = np.isfinite(strength)
+        whole = np.where(there, strength, np.inf)
+        relative = [c / whole[:, :, None] / whole[:, None, :] for c in (diagonal + by_noise, by_camera)]
 
         # normalising subtracts the mean's own change
-        share = np.where(used, self.absolute, 0) / (count * self.mean[:, None])
+        share = np.where(used, strength, 0) / (count * mean)
         off_mean = np.eye(theta_d.size) - share[:, None, :]
-        through = lambda c: np.einsum("cst,ctu,csu->cs", off_mean, c, off_mean)  # noqa: E731
-        self.std_noise = self.normalised * np.sqrt(through(noise))
-        self.std_camera = self.normalised * np.sqrt(np.clip(through(camera_covariance), 0, None))
-        total = np.einsum("css->cs", noise + camera_covariance)
-        unknown = not fit.width_determined
-        self.absolute_std = np.where(unknown, np.nan, self.absolute * np.sqrt(np.clip(total, 0, None)))
-        if unknown:
-            self.absolute = np.full_like(self.absolute, np.nan)
-        width_by_camera = fit.log_width_by_camera
-        self.width_std = fit.width * np.sqrt(fit.log_width_variance + width_by_camera @ spread @ width_by_camera)
+        self.std_noise, self.std_camera = (
+            self.normalised * np.sqrt(np.clip(np.einsum("cst,ctu,csu->cs", off_mean, c, off_mean), 0, None))
+            for c in relative
+        )
+        known = there & found.resolved
+        self.absolute = np.where(known, strength, np.nan)
+        self.absolute_std = np.where(known, np.sqrt(np.einsum("uss->us", diagonal + by_noise + by_camera)), np.nan)
 
 
-@partial(jax.jit, static_argnums=(0, 3))
-def _log_factor_and_slope(
-    ndf_type: type[MixtureNDF], log_width: jax.Array, theta_d: jax.Array, masking: Masking
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """ln of 4 cos^2 / (D(0) G) over theta_d, its derivative by ln width, and G."""
+def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:
+    """G where light and view mirror each other."""
+    if masking is None:
+        return np.ones_like(theta_d)
+    hidden = ndf.smith_lambda(jnp.cos(jnp.asarray(theta_d)))
+    return np.asarray(g2(masking, hidden, hidden, jnp.asarray(jnp.pi)))
 
-    def log_factor(log_width: jax.Array) -> tuple[jax.Array, jax.Array]:
-        ndf = ndf_type(jnp.exp(log_width))
-        joint = jnp.ones_like(theta_d)
-        if masking is not None:  # light and view mirror each other
-            hidden = ndf.smith_lambda(jnp.cos(theta_d))
-            joint = g2(masking, hidden, hidden, jnp.asarray(jnp.pi))
-        return jnp.log(4 * jnp.cos(theta_d) ** 2 / (ndf.d(0.0) * joint)), joint
 
-    value, slope, joint = jax.jvp(log_factor, (log_width,), (jnp.ones(()),), has_aux=True)
-    return value, slope, joint
+def _recorded_peak(brdf: xr.DataArray, found: MaterialFit) -> np.ndarray:
+    """(channels, slices) mean of the cells nearest to the highlight; NaN where they are missing or not positive."""
+    slices = np.rint(found.problem.theta_d / (np.pi / 2) * GRID_SHAPE[1] - 0.5).astype(int)
+    ring = brdf.values[0, slices]
+    count = np.isfinite(ring).sum(axis=1)
+    peak = np.where(count > 0, np.nansum(ring, axis=1) / np.maximum(count, 1), np.nan).T
+    return np.where(np.nan_to_num(peak) > 0, peak, np.nan)
+
+
+def _check_highlight(brdf: xr.DataArray) -> None:
+    """FitError for a table that does not fall to half of its peak anywhere."""
+    quiet = brdf.values[:, _QUIET]
+    there = np.isfinite(quiet)
+    rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)
+    bright = there[0].any(axis=1) & (rings[0] > 0)
+    if bright.sum() < 3:
+        raise FitError("no highlight: the table's peak (theta_h = 0) is missing or not positive at most theta_d")
+    seen = there.any(axis=2)[:, bright]
+    fall = np.where(seen, rings[:, bright] / rings[0][bright], np.nan)
+    typical = [np.nanmedian(row) for row in fall if np.isfinite(row).any()]
+    if min(typical) >= 0.5:
+        raise FitError("no highlight: the table does not fall to half of its peak value anywhere")
 
 
 def _supported(term: _FresnelTerm, theta_d: np.ndarray) -> np.ndarray:
@@ -197,11 +215,8 @@ def _supported(term: _FresnelTerm, theta_d: np.ndarray) -> np.ndarray:
 
 
 def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
-    if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"fresnel needs a table recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
-    checks.choice("ndf", ndf, ("auto", *ONE_WIDTH))
+    check_rig(rig)
+    checks.choice("ndf", ndf, ("auto", *FAMILIES))
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
         raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")

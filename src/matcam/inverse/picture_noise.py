@@ -20,6 +20,7 @@ START = PixelNoise(0.02, 2e-3, 0.01)
 
 # What exceeds these is misfit; as a share of the peak it does not make the faint surroundings of the peak govern the fit
 _BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(1e-7), np.log(0.5)))
+_LEAST_LEFT = 0.02
 _HUBER = 3.0
 """Standardised residual beyond which a cell counts less (Huber 1964); a Gaussian one reaches it in 0.3 % of the cases."""
 
@@ -77,8 +78,10 @@ def estimated(data: FitData, residual: np.ndarray, model: np.ndarray, fitted: in
     gains = (picture * residual / np.sqrt(variance(data, model, start))).sum(-1, keepdims=True) / strength
     seen = used.any(-1, keepdims=True)
     gain = float(np.sqrt(max((gains[seen] ** 2).mean() - (1 / strength[seen]).mean(), 0.0)))
-    rest = (residual - gains * model)[used] ** 2
-    rest *= used.sum() / max(used.sum() - seen.sum() - fitted, 1)
+    # a gain takes up more of the noise of the cells that say most about it
+    left = np.maximum(1 - picture**2 / strength, _LEAST_LEFT)
+    rest = ((residual - gains * model) ** 2 / left)[used]
+    rest *= used.sum() / max(used.sum() - fitted, 1)
     value2 = (data.share * model**2)[used]
     peak2 = np.broadcast_to(data.share * data.peak[..., None] ** 2, model.shape)[used]
 

@@ -1,4 +1,4 @@
-"""Fits that begin where another ended: with one number of the rig left free, or with the lobe bent."""
+"""Fits that begin where another ended: in more slices, with one number of the rig left free, or with the lobe bent."""
 
 from __future__ import annotations
 
@@ -16,6 +16,16 @@ from matcam.inverse.rig_axes import free_axis
 from matcam.material.bent import KNOTS
 from matcam.rigs import Rig
 from matcam.table import sampling_of
+
+
+def resampled(found: MaterialFit, brdf: xr.DataArray, rig: Rig, noise: PixelNoise | None, every: int) -> MaterialFit:
+    """The same fit of `brdf` alone to every `every`-th slice."""
+    cells, operator = lobe_operator(rig, sampling_of(brdf), every, found.prior.axes)
+    problem = Problem(fit_data(brdf, cells), operator, cells.theta_d, found.problem.layout)
+    weight = 1 / picture_noise.variance(problem.data, np.abs(problem.data.values), found.noise)
+    search = Search(problem, found.prior, noise and noise.checked(), radius_of(rig))
+    solved = search.continued(found.solved.p, weight, found.noise)
+    return result_of(problem, solved, [brdf], rig, found.prior, [brdf.sizes["channel"]], cells, noise is not None)
 
 
 def freed(
