@@ -46,6 +46,7 @@ from .inverse.fit_result import MaterialFit
 from .inverse.fresnel_term import fresnel
 from .inverse.material_fit import fit
 from .inverse.recoverability import limits
+from .inverse.rivals import Rivals, rivals
 from .inverse.tabulated import tabulated_fresnel
 from .material.adaptive import Adaptive
 from .material.albedo import albedo
@@ -98,6 +99,7 @@ __all__ = [
     "PixelNoise",
     "Provenance",
     "Rig",
+    "Rivals",
     "Sampled",
     "Schlick",
     "Sensor",
@@ -155,6 +157,7 @@ __all__ = [
     "register_chart",
     "rendered_sphere",
     "rigs",
+    "rivals",
     "sidecar_path",
     "star_mtf",
     "tabulated_fresnel",

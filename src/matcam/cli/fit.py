@@ -32,6 +32,12 @@ def command(
     bend: Annotated[
         float, typer.Option("--bend", help="How far the lobe may leave its family; 1: a non-parametric lobe.")
     ] = 0.0,
+    rival: Annotated[
+        bool,
+        typer.Option(
+            "--rival", help="Ask besides whether free shadowing explains the data better than the camera does."
+        ),
+    ] = False,
     every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",
     camera: CameraProfile = None,
@@ -51,6 +57,8 @@ def command(
 
     if blind and lens != "auto":
         raise ArgumentError("--no-camera and --lens contradict each other")
+    if rival and (blind or len(files) > 1):
+        raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
     if output:
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
     kept_rules()
@@ -72,6 +80,8 @@ def command(
             every=every,
         )
     document = {"files": [str(file) for file in files], **found.summary()}
+    if rival:
+        document["rival"] = _rival(files[0], rig, ndf, sampling, every)
     if output:
         from matcam.json_file import write_json
 
@@ -80,8 +90,32 @@ def command(
         show.as_json(document)
     else:
         print_fit(found, ", ".join(file.name for file in files))
+        if rival:
+            show.say(f"note: {document['rival']['verdict']}")
         if output:
             show.say(f"written: {output}")
+
+
+def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
+    from matcam.files.merl import read_merl
+    from matcam.inverse.rivals import rivals
+
+    with show.working(f"fitting {file} with free shadowing instead"):
+        found = rivals(read_merl(file, sampling=sampling), rig, ndf, every=every)
+    sides = {"camera": found.camera, "shadowing": found.shadowing}
+    return {
+        "verdict": found.verdict,
+        **{
+            name: {
+                "numbers": side.numbers,
+                "akaike": side.akaike,
+                "misfit": side.fit.misfit,
+                "degrees_of_freedom": side.fit.freedom,
+                "noise": side.fit.noise._asdict(),
+            }
+            for name, side in sides.items()
+        },
+    }
 
 
 def print_fit(found: Any, name: str) -> None:

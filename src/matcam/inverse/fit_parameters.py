@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 
 from matcam._jax import jax, jnp
-from matcam.material.bent import BentNDF
+from matcam.material.bent import KNOTS, BentNDF
 from matcam.material.families import FAMILIES, WITH_POWER
 from matcam.material.ndf import NDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
+from matcam.material.shadowed import ShadowedNDF
 
 FresnelModel = Literal["conductor", "schlick", "dielectric", "free"]
 FRESNEL_MODELS: tuple[FresnelModel, ...] = ("conductor", "schlick", "dielectric", "free")
@@ -26,26 +27,29 @@ _FRESNEL_NAMES: dict[str, tuple[str, ...]] = {
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 
 
-def lobe_names(family: str, bends: int = 0) -> tuple[str, ...]:
-    """What the family's numbers are called: its constructor's arguments; then those of its bend."""
+def lobe_names(family: str, bends: int = 0, shadows: int = 0) -> tuple[str, ...]:
+    """What the family's numbers are called: its constructor's arguments; then those of its bend and of a free masking."""
     own = (field.name for field in dataclasses.fields(FAMILIES[family]))
-    return (*own, *(f"bend{k}" for k in range(bends)))
+    return (*own, *(f"bend{k}" for k in range(bends)), *(f"shadow{k}" for k in range(shadows)))
 
 
 def ndf_at(family: str, logs: jax.Array) -> NDF:
-    """The NDF whose numbers have these logarithms; what comes behind them bends it."""
+    """The NDF whose numbers have these logarithms; what comes behind them bends it, and sets its masking free."""
     own = len(lobe_names(family))
-    base = FAMILIES[family](*(jnp.exp(q) for q in logs[:own]))
-    return base if len(logs) == own else BentNDF(base, logs[own:])
+    ndf = FAMILIES[family](*(jnp.exp(q) for q in logs[:own]))
+    bends, shadows = logs[own : own + KNOTS], logs[own + KNOTS :]
+    if len(bends):
+        ndf = BentNDF(ndf, bends)
+    return ShadowedNDF(ndf, shadows) if len(shadows) else ndf
 
 
-def lobe_bounds(family: str, radius: float, bends: int = 0) -> list[tuple[float, float]]:
-    """Bounds of the logarithms, and of a bend's numbers."""
+def lobe_bounds(family: str, radius: float, smooth: int = 0) -> list[tuple[float, float]]:
+    """Bounds of the logarithms, and of `smooth` numbers behind them."""
     bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * FAMILIES[family].largest)))]
     if family in WITH_POWER:
         low, high = _POWER_BOUNDS[family]
         bounds.append((float(np.log(low)), float(np.log(high))))
-    return bounds + [(-25.0, 25.0)] * bends
+    return bounds + [(-25.0, 25.0)] * smooth
 
 
 def fresnel_names(model: FresnelModel) -> tuple[str, ...]:
@@ -69,7 +73,7 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 def natural(name: str, coordinate: float) -> tuple[float, float]:
     """(value, its derivative by the coordinate) of a number that users read."""
-    if name in ("f0", "diffuse") or name.startswith("bend"):
+    if name in ("f0", "diffuse") or name.startswith(("bend", "shadow")):
         return coordinate, 1.0
     value = float(np.exp(coordinate))
     return (1 + value, value) if name == "eta" else (value, value)

@@ -35,11 +35,13 @@ class Layout(NamedTuple):
     """Camera numbers that are free."""
     bends: int = 0
     """Numbers that bend each lobe away from its family."""
+    shadows: int = 0
+    """Numbers of each lobe's masking, where that is free."""
 
     @property
     def lobe_size(self) -> int:
         """Numbers of a lobe."""
-        return len(parameters.lobe_names(self.family, self.bends))
+        return len(parameters.lobe_names(self.family, self.bends, self.shadows))
 
     @property
     def lobes(self) -> int:

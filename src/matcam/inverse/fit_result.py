@@ -233,7 +233,7 @@ def _named(
         if layout.lobes > 1:
             mine = layout.lobe_of.index(lobe)
             suffix = f"[{table_of[mine]}]" if layout.lobes == len(channels) else f"[{unit_names[mine]}]"
-        names += [f"{name}{suffix}" for name in parameters.lobe_names(layout.family, layout.bends)]
+        names += [f"{name}{suffix}" for name in parameters.lobe_names(layout.family, layout.bends, layout.shadows)]
     plain = [name.split("[")[0] for name in names]
     names += [axis.name for axis in prior.axes]
     plain += ["camera"] * layout.axes

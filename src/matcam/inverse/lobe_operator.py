@@ -31,6 +31,7 @@ from matcam.material.beckmann import Beckmann
 from matcam.material.ggx import GGX
 from matcam.material.masking import Masking, cot_of, g2, interpolated_lambda
 from matcam.material.ndf import NDF
+from matcam.material.shadowed import ShadowedNDF
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 
@@ -116,7 +117,7 @@ class _Rules(NamedTuple):
 
 def _smith_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
     """Lambda; where it is an integral, from a small table, which the operator's own accuracy allows."""
-    if isinstance(ndf, GGX | Beckmann):
+    if isinstance(ndf, GGX | Beckmann | ShadowedNDF):
         return ndf.smith_lambda(cos)
 
     def of_cot(cot: jax.Array) -> jax.Array:
@@ -138,7 +139,7 @@ def lobe_operator(
     """The chosen cells of every `every`-th slice and their rule; None: a camera that sees points. Kept for the next call
     with the same numbers."""
     if rig is None:
-        return _perfect(sampling, every)
+        return perfect_operator(sampling, every, _PERFECT_RADIUS)
     return _operator(Keyed(described(rig), rig), sampling, every, axes)
 
 
@@ -239,12 +240,12 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
 
 
 @lru_cache(maxsize=4)
-def _perfect(sampling: Sampling, every: int) -> tuple[ChosenCells, LobeOperator]:
-    """A camera that sees points: one node, at the cell itself."""
-    cells = chosen_cells(_PERFECT_RADIUS, sampling, every)
+def perfect_operator(sampling: Sampling, every: int, radius: float) -> tuple[ChosenCells, LobeOperator]:
+    """A camera that sees points: one node, at the cell itself, in the cells that are chosen for a sphere of `radius` px."""
+    cells = chosen_cells(radius, sampling, every)
     grid = merl_grid(sampling)
     theta_h, phi_d = grid.theta_h[cells.i_theta_h], grid.phi_d[cells.i_phi_d]
-    _, _, cos_i, cos_o = places(_PERFECT_RADIUS, theta_h, cells.theta_d[:, None], phi_d)
+    _, _, cos_i, cos_o = places(radius, theta_h, cells.theta_d[:, None], phi_d)
     return cells, point_operator(cells, theta_h, phi_d, cos_i, cos_o)
 
 

@@ -20,9 +20,10 @@ from matcam.inverse.fit_problem import Layout, Model, Problem
 from matcam.inverse.fit_result import MaterialFit, result_of
 from matcam.inverse.lobe_operator import check_rig, lobe_operator, radius_of
 from matcam.inverse.rig_axes import Axis, free_axis, known_axis
-from matcam.material.bent import KNOTS, bend_differences
+from matcam.material.bent import KNOTS
 from matcam.material.families import FAMILIES, WITH_POWER
 from matcam.material.masking import MASKINGS, Masking
+from matcam.material.splines import smoothness
 from matcam.rigs import Rig
 from matcam.table import checked_table, sampling_of
 
@@ -149,7 +150,7 @@ class Search:
         self.problem, self.prior, self.given = problem, prior, noise
         layout = problem.layout
         self.known = prior_rows(layout, prior, bend)
-        bounds = parameters.lobe_bounds(layout.family, radius, layout.bends) * layout.lobes
+        bounds = parameters.lobe_bounds(layout.family, radius, layout.bends + layout.shadows) * layout.lobes
         bounds += [(axis.low, axis.high) for axis in prior.axes]
         unit = parameters.fresnel_bounds(layout.fresnel) + ([(-0.05, 1.0)] if layout.diffuse else [])
         bounds += unit * len(layout.lobe_of)
@@ -178,7 +179,7 @@ class Search:
         if layout.family in WITH_POWER:
             powers = np.log([0.5, 1.0, 1.8] if layout.family == "epd" else [0.3, 0.8, 1.5])
             lattice = [(q, power) for power in powers for q in _STARTS[::2]]
-        plain = layout._replace(fresnel="free", diffuse=False, bends=0)
+        plain = layout._replace(fresnel="free", diffuse=False, bends=0, shadows=0)
         free = Problem(problem.data, problem.operator, problem.theta_d, plain)
         found = []
         for lobe in lattice:
@@ -269,15 +270,18 @@ class Search:
 
 
 def prior_rows(layout: Layout, prior: Prior, bend: float) -> np.ndarray:
-    """(rows, numbers): what is known of the numbers besides the data, as rows that are 0 +- 1 times them."""
+    """(rows, numbers): what is known of the numbers besides the data, as rows that are 0 +- 1 times them. bend: how smooth what
+    leaves a family has to be."""
     camera = np.zeros((len(prior.root), layout.size))
     camera[:, layout.camera] = prior.root
     rows = [camera]
-    for number in range(layout.lobes if layout.bends else 0):
-        differences = bend_differences() / bend
-        own = np.zeros((len(differences), layout.size))
-        own[:, layout.lobe(number)][:, -layout.bends :] = differences
-        rows.append(own)
+    first = len(parameters.lobe_names(layout.family))
+    for start, count in ((first, layout.bends), (first + layout.bends, layout.shadows)):
+        for number in range(layout.lobes if count else 0):
+            own = np.zeros((len(smoothness(count)), layout.size))
+            place = layout.lobe(number).start + start
+            own[:, place : place + count] = smoothness(count) / bend
+            rows.append(own)
     return np.concatenate(rows)
 
 

@@ -19,8 +19,9 @@ from matcam.inverse import fit_parameters as parameters
 from matcam.inverse import picture_noise
 from matcam.inverse.fit_result import MaterialFit
 from matcam.inverse.lobe_operator import LobeOperator
-from matcam.material.bent import KNOTS, bend_basis, bend_differences
+from matcam.material.bent import KNOTS, bend_basis
 from matcam.material.masking import Masking
+from matcam.material.splines import smoothness
 
 _STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 _ROUNDS = 3
@@ -63,7 +64,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
     columns = np.concatenate([solved.model.derivative[held], added_to])
     body = [n for u in range(len(layout.lobe_of)) for n in range(layout.unit(u).start, layout.unit(u).stop)]
     columns = np.concatenate([columns, solved.model.derivative[body]]) if body else columns
-    differences = bend_differences()
+    differences = smoothness(KNOTS)
     known = np.linalg.inv(_prior_covariance(found)) if camera.stop > camera.start else np.zeros((0, 0))
     residual = np.where(problem.data.used, problem.data.values - solved.model.value, 0.0)
     assumed = solved.noise

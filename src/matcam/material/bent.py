@@ -7,6 +7,7 @@ import numpy as np
 from matcam._jax import jax, jnp
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf import NDF, SlopeNDF
+from matcam.material.splines import combined, cubic_basis
 
 KNOTS = 12
 """Numbers of a bend."""
@@ -58,24 +59,8 @@ def bend_basis(slope2: jax.Array) -> list[jax.Array]:
     small = slope2 < 1e-24  # the root's derivative at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
     place = jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
-    basis = [_cubic(place - k) for k in range(KNOTS)]
-    basis[1] += _cubic(place + 1)
-    basis[-1] += _cubic(place - KNOTS)
-    return basis
+    return cubic_basis(place, KNOTS)
 
 
 def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
-    return sum((bend * own for bend, own in zip(bends, bend_basis(slope2), strict=True)), jnp.zeros(()))
-
-
-def _cubic(x: jax.Array) -> jax.Array:
-    """Cardinal cubic B-spline."""
-    x = jnp.abs(x)
-    return jnp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * jnp.maximum(1 - x, 0.0) ** 3 / 6
-
-
-def bend_differences() -> np.ndarray:
-    """(rows, KNOTS): what is kept small of a bend: its second differences, a third of its first ones, a little of its mean,
-    which the norm takes away."""
-    numbers = np.eye(KNOTS)
-    return np.concatenate([np.diff(numbers, 2, axis=0), np.diff(numbers, axis=0) / 3, np.full((1, KNOTS), 0.1 / KNOTS)])
+    return combined(bends, bend_basis(slope2))
