@@ -163,6 +163,8 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
         f"{attrs['noise_floor']:.2%} of the picture's peak"
     )
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
+    for remark in attrs["remarks"].split("; ") if attrs["remarks"] else []:
+        show.say(f"note: {remark}")
     show.say(f"supported (std under 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     rms = tables.sel(channel=channel)
     order = np.argsort(rms["rms_corrected"].values, kind="stable")[:4]

@@ -18,7 +18,7 @@ from matcam.inverse.lobe_ratio import LobeRatio, lobe_ratio
 from matcam.inverse.material_fit import fit
 from matcam.inverse.refit import bent
 from matcam.inverse.response_lattice import seen_cells
-from matcam.inverse.shape_correction import ShapeCorrection, shape_correction, unshaped
+from matcam.inverse.shape_correction import BENT, ShapeCorrection, remark_on_shape, shape_correction, unshaped
 from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -26,9 +26,6 @@ from matcam.table import checked_table, sampling_of
 
 SUPPORTED = 0.05
 """Relative standard deviation up to which an entry is supported."""
-
-BENT = 0.05
-"""Strength of a shape's correction beyond which its family does not explain the data."""
 
 _CANDIDATES = ("ggx", "epd")
 _EVERY = 6
@@ -177,8 +174,5 @@ def _remarks(found: MaterialFit, doubted: tuple[Doubt, ...], shape: ShapeCorrect
     """What a reader should know of a correction, in plain words."""
     said = list(found.remarks)
     if shape.strength > BENT:
-        said.append(
-            f"a {found.family} lobe does not explain the data: its shape was bent (strength {shape.strength:g}), and what "
-            "the pixels do not resolve of that shape counts as uncertainty"
-        )
+        said.append(remark_on_shape(shape, found.family))
     return (*said, *(doubt.remark for doubt in doubted if doubt.contradicts))

@@ -16,7 +16,8 @@ from matcam.forward.peak import peak_response
 from matcam.inverse.fit_result import MaterialFit, conditional
 from matcam.inverse.lobe_operator import check_rig
 from matcam.inverse.material_fit import fit
-from matcam.inverse.refit import resampled
+from matcam.inverse.refit import bent, resampled
+from matcam.inverse.shape_correction import BENT, remark_on_shape, shape_correction
 from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf import NDF
@@ -31,6 +32,7 @@ NORMALISE = (np.radians(10.0), np.radians(45.0))
 F is flat to 45."""
 
 _CANDIDATES = ("ggx", "epd")  # of "auto"
+_BEND = 1.0
 _EVERY = 6  # slices that the lobe is looked for in, before all are fitted
 _QUIET = slice(6, 60, 3)  # slices of theta_d where lobes of real tables are whole
 
@@ -52,7 +54,8 @@ def fresnel(
     residuals. normalise: range of theta_d, rad, over which the mean of the corrected F is 1. every: use every n-th theta_d.
 
     F is free in every picture, one lobe and a Lambertian part are common to all, and the camera's stated uncertainty is a
-    prior that the data may improve on: `fit(..., fresnel="free", diffuse=True)`.
+    prior that the data may improve on: `fit(..., fresnel="free", diffuse=True)`. A lobe whose family does not explain the
+    data is bent (`fit`, bend).
 
     Returns a Dataset over (theta_d, channel), all dimensionless but for the angles:
       raw, raw_std                F from the recorded peak alone, as if the camera were perfect
@@ -77,8 +80,13 @@ def fresnel(
         for family in (_CANDIDATES if ndf == "auto" else (ndf,))
     ]
     found = max(fits, key=lambda one: one.log_likelihood)
+    shape = shape_correction(found, noise)
+    bend = _BEND if shape.strength > BENT else 0.0
+    if bend:
+        found = bent(found, brdf, rig, bend, noise, max(every, _EVERY))
     if every < _EVERY:
-        found = resampled(found, brdf, rig, noise, every)
+        found = resampled(found, brdf, rig, noise, every, bend)
+    remarks = [*found.remarks, *([remark_on_shape(shape, found.family)] if bend else [])]
     lobe = found.ndf
     theta_d = found.problem.theta_d
     term = _FresnelTerm(found, normalise)
@@ -128,6 +136,7 @@ def fresnel(
             "width_determined": int(found.resolved),
             "sampling": brdf.attrs["sampling"],
             "source": str(brdf.attrs.get("source", "")),
+            "remarks": "; ".join(remarks),
         },
     )
 

@@ -172,6 +172,10 @@ class Search:
         inside = np.clip(start, self.low + 1e-9, self.high - 1e-9)
         return self._refined(inside, weight, self.given or noise, rounds=_ROUNDS)
 
+    def adjusted(self, start: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> Solved:
+        """From numbers that a fit of fewer of the same data has found: within their errors, a few linear steps are a fit."""
+        return self._refined(start, weight, self.given or noise, rounds=2, steps=(2, 2))
+
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
         """Starts in order of their misfit, no two neighbours on the lattice."""
         layout, problem = self.problem.layout, self.problem
@@ -215,12 +219,15 @@ class Search:
                 p[layout.unit(u)][: start.size] = start
         return np.clip(p, self.low + 1e-9, self.high - 1e-9)
 
-    def _refined(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, rounds: int) -> Solved:
-        """Least squares with weights held, then better weights, until nothing moves."""
+    def _refined(
+        self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, rounds: int, steps: tuple[int, int] = (12, 5)
+    ) -> Solved:
+        """Least squares with weights held, then better weights, until nothing moves. steps: at most, in the first round and
+        in others."""
         problem, data = self.problem, self.problem.data
-        for turn in range(max(rounds, 1)):
+        for turn in range(rounds):
             before = p
-            p = self._least_squares(p, weight, noise, steps=12 if turn == 0 else 5)
+            p = self._least_squares(p, weight, noise, steps=steps[turn > 0])
             model = problem.model(p, weight)
             residual = problem.residual(model)
             if self.given is None:

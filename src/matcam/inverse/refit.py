@@ -18,13 +18,15 @@ from matcam.rigs import Rig
 from matcam.table import sampling_of
 
 
-def resampled(found: MaterialFit, brdf: xr.DataArray, rig: Rig, noise: PixelNoise | None, every: int) -> MaterialFit:
-    """The same fit of `brdf` alone to every `every`-th slice."""
+def resampled(
+    found: MaterialFit, brdf: xr.DataArray, rig: Rig, noise: PixelNoise | None, every: int, bend: float
+) -> MaterialFit:
+    """The same fit of `brdf` alone to every `every`-th slice, which are more than it was made of. bend: as it was."""
     cells, operator = lobe_operator(rig, sampling_of(brdf), every, found.prior.axes)
     problem = Problem(fit_data(brdf, cells), operator, cells.theta_d, found.problem.layout)
     weight = 1 / picture_noise.variance(problem.data, np.abs(problem.data.values), found.noise)
-    search = Search(problem, found.prior, noise and noise.checked(), radius_of(rig))
-    solved = search.continued(found.solved.p, weight, found.noise)
+    search = Search(problem, found.prior, noise and noise.checked(), radius_of(rig), bend)
+    solved = search.adjusted(found.solved.p, weight, found.noise)
     return result_of(problem, solved, [brdf], rig, found.prior, [brdf.sizes["channel"]], cells, noise is not None)
 
 

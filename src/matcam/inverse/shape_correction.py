@@ -23,6 +23,9 @@ from matcam.material.bent import KNOTS, bend_basis
 from matcam.material.masking import Masking
 from matcam.material.splines import smoothness
 
+BENT = 0.05
+"""Strength of a shape's correction beyond which its family does not explain the data."""
+
 _STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 _ROUNDS = 3
 
@@ -92,6 +95,14 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
     b = np.maximum(solution[shapes], -0.999)
     inner = np.r_[0 : shapes.stop]
     return ShapeCorrection(b, covariance[np.ix_(inner, inner)], strength, assumed, before - after)
+
+
+def remark_on_shape(shape: ShapeCorrection, family: str) -> str:
+    """What a reader should know of a family that does not explain the data, in plain words."""
+    return (
+        f"a {family} lobe does not explain the data: its shape was bent (strength {shape.strength:g}), and what the pixels do "
+        "not resolve of that shape counts as uncertainty"
+    )
 
 
 def unshaped(found: MaterialFit, strength: float) -> ShapeCorrection:
