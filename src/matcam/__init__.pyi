@@ -1,4 +1,5 @@
 from . import paper, rigs
+from .batch.run import correct_all
 from .calibration.chart_file import read_chart, write_chart
 from .calibration.chart_layout import design_chart
 from .calibration.combine import Calibration, calibrate
@@ -115,6 +116,7 @@ __all__ = [
     "coltman",
     "convert",
     "correct",
+    "correct_all",
     "correction",
     "design_chart",
     "dot_grid",

@@ -4,6 +4,7 @@ a version."""
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Collection
 from importlib import metadata
 from pathlib import Path
@@ -64,3 +65,16 @@ def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
     return f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}"
+
+
+def plain(value: Any) -> Any:
+    """A result as JSON can hold it: lists, numbers, texts; what is not a number is None."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,4 +1,4 @@
-"""`matcam correct`: a whole table as a perfect camera would have measured it."""
+"""`matcam correct`: tables as a perfect camera would have measured them, one or a whole database."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.fit import print_fit
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, kept_rules, rig_of
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+
+SOME_FAILED, NONE_DONE = 1, 2
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="MERL file.")],
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="PATH...", help="MERL files, and folders whose *.binary are meant.")
+    ],
     ndf: Annotated[
         Literal["auto", "ggx", "epd", "sgd", "beckmann", "gaussian"],
         typer.Option("--ndf", help="Family of the lobe; auto: ggx or epd, the likelier."),
@@ -31,76 +35,107 @@ def command(
         typer.Option(
             "--output",
             "-o",
-            help="MERL file to write; .nc, .json and .html go beside it. Default: FILE-corrected.binary.",
+            help="MERL file to write; .nc, .json and .html go beside it. Default: FILE-corrected.binary. Of several: a folder.",
         ),
     ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", help="Processes of a run, one core each. Default: one a core.", min=1)
+    ] = None,
+    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="A page to read for each material.")] = True,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
     """The table that a perfect camera would have measured, with its uncertainty: MERL, NetCDF, JSON and a page to read.
 
-    Example: `matcam correct chrome.binary -o chrome-corrected.binary`
+    Of several files, or a folder, a run: `-o` names the folder that it fills. Killed, it goes on where it was when started
+    again. What fails is listed at the end and stops nothing else (exit code 1; 2 where nothing was corrected).
+
+    Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
-    from matcam.atomic import check_output
     from matcam.errors import ArgumentError
 
-    output = output or Path(f"{file.stem}-corrected.binary")
-    if output.suffix.lower() != ".binary":
-        raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
-    beside = [output.with_suffix(suffix) for suffix in (".nc", ".json", ".html")]
-    inputs = [path for path in (file, camera) if path]
-    for path in (output, *beside):
-        check_output(path, force=force, inputs=inputs)
-    with show.working(f"{file}: correcting"):
-        table, done, document = _compute(file, ndf, glare, masking, camera, radius, lamp, sampling)
-        _write(table, done, document, output, beside, force, file)
-    if json:
-        show.as_json({**document, "files": [str(path) for path in (output, *beside)]})
-    else:
-        print_fit(done.fit, file.name)
-        show.say(
-            f"supported entries (std under 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
-            f"{document['peak_gain_75']:.2f}"
-        )
-        for remark in document["remarks"]:
-            show.say(f"note: {remark}")
-        show.say("written: " + ", ".join(str(path) for path in (output, *beside)))
+    how = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
+    rig_options = (camera, radius, lamp, sampling)
+    alone = (
+        len(paths) == 1 and not paths[0].is_dir() and (output is None or (bool(output.suffix) and not output.is_dir()))
+    )
+    if alone:
+        if output and output.suffix.lower() != ".binary":
+            raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
+        if workers is not None:
+            raise ArgumentError("--workers is for a run: name an output folder with -o")
+        _one(paths[0], output, how, rig_options, pages, force, json)
+        return
+    if output is None or output.suffix.lower() == ".binary":
+        raise ArgumentError("several tables need an output folder: -o FOLDER")
+    _run(paths, output, how, rig_options, {"workers": workers, "pages": pages}, force, json)
 
 
-def _compute(file, ndf, glare, masking, camera, radius, lamp, sampling):  # type: ignore[no-untyped-def]
-    import numpy as np
-
-    kept_rules()
-    from matcam.files.merl import read_merl
-    from matcam.inverse.correction import correction
-
-    rig = rig_of(camera, radius, lamp, cell_value=sampling)
-    table = read_merl(file, sampling=sampling)
-    done = correction(table, rig, ndf, masking=None if masking == "none" else masking, glare=glare)
-    there = np.isfinite(table.values)
-    document: dict[str, Any] = {
-        "file": str(file),
-        "camera": rig.camera.profile(),
-        "fit": done.fit.summary(),
-        "doubts": {doubt.axis.name: {**doubt.fit.summary(), "contradicts": doubt.contradicts} for doubt in done.doubts},
-        "shape": {"strength": done.shape.strength, "b": done.shape.b},
-        "glare": glare,
-        "supported_share": float(done.table["supported"].values[there].mean()),
-        "peak_gain_75": float(1 / done.table["response"].values[0, 75, 90]),
-        "remarks": done.remarks,
-    }
-    return table, done, document
-
-
-def _write(
-    table: Any, done: Any, document: dict[str, Any], output: Path, beside: list[Path], force: bool, file: Path
+def _one(
+    file: Path, output: Path | None, how: dict[str, Any], rig_options: Any, pages: bool, force: bool, json: bool
 ) -> None:
-    from matcam.figures.correction_page import write_correction_page
-    from matcam.files.merl import write_merl
-    from matcam.files.netcdf import write_netcdf
-    from matcam.json_file import write_json
+    output = output or Path(f"{file.stem}-corrected.binary")
+    camera, radius, lamp, sampling = rig_options
+    with show.working(f"{file}: correcting"):
+        from matcam.atomic import check_output
+        from matcam.batch.caches import keep_rules
+        from matcam.batch.job import Job, Options, corrected_files
 
-    write_merl(output, done.table["brdf"], force=force)
-    write_netcdf(beside[0], done.table, force=force)
-    write_json(beside[1], show.plain(document), force=force)
-    write_correction_page(beside[2], table, done, document["remarks"], file.name, force=force)
+        rig = rig_of(camera, radius, lamp, cell_value=sampling)
+        job = Job(file, output, rig, Options(**how), sampling, page=pages, force=force)
+        for path in job.files:
+            check_output(path, force=force, inputs=[file, *([camera] if camera else [])])
+        keep_rules()
+        document = corrected_files(job)
+    written = [str(path) for path in job.files]
+    if json:
+        show.as_json({**document, "files": written})
+        return
+    print_fit(document["fit"], file.name)
+    show.say(
+        f"supported entries (std under 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
+        f"{document['peak_gain_75']:.2f}"
+    )
+    for remark in document["remarks"]:
+        show.say(f"note: {remark}")
+    show.say("written: " + ", ".join(written))
+
+
+def _run(
+    paths: list[Path],
+    output: Path,
+    how: dict[str, Any],
+    rig_options: Any,
+    run_options: dict[str, Any],
+    force: bool,
+    json: bool,
+) -> None:
+    camera, radius, lamp, sampling = rig_options
+    with show.tallying("correcting") as watch:
+        from matcam.batch.run import correct_all
+
+        rig = rig_of(camera, radius, lamp, cell_value=sampling)
+
+        def told(progress: Any) -> None:
+            last = progress.last
+            watch(progress.kept + progress.corrected + progress.failed, progress.total)
+            if last is not None and last.reason is not None:
+                show.remark(last.reason)
+
+        run = correct_all(paths, rig, output, sampling=sampling, force=force, watch=told, **how, **run_options)
+    if json:
+        show.as_json(
+            {
+                "folder": str(run.folder),
+                "corrected": [str(path) for path in run.corrected],
+                "kept": [str(path) for path in run.kept],
+                "failed": [{"file": str(failure.source), "reason": failure.reason} for failure in run.failures],
+            }
+        )
+    else:
+        kept = f", {len(run.kept)} finished before" if run.kept else ""
+        show.say(f"{run.folder}: {len(run.corrected)} corrected{kept}, {len(run.failures)} failed")
+        for failure in run.failures:
+            show.say(f"failed: {failure.reason}")
+    if run.failures:
+        raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from matcam.batch.caches import keep_rules
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, kept_rules, rig_of
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
 
 Family = Annotated[
     Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
@@ -61,7 +62,7 @@ def command(
         raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
     if output:
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
-    kept_rules()
+    keep_rules()
     from matcam.files.merl import read_merl
     from matcam.inverse.material_fit import fit
 
@@ -83,13 +84,13 @@ def command(
     if rival:
         document["rival"] = _rival(files[0], rig, ndf, sampling, every)
     if output:
-        from matcam.json_file import write_json
+        from matcam.json_file import plain, write_json
 
-        write_json(output, show.plain(document), force=force)
+        write_json(output, plain(document), force=force)
     if json:
         show.as_json(document)
     else:
-        print_fit(found, ", ".join(file.name for file in files))
+        print_fit(found.summary(), ", ".join(file.name for file in files))
         if rival:
             show.say(f"note: {document['rival']['verdict']}")
         if output:
@@ -118,16 +119,18 @@ def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[st
     }
 
 
-def print_fit(found: Any, name: str) -> None:
-    """A fit's numbers as a table, and what is to be said of them."""
-    rows = [[key, f"{value:.6g}", f"{found.std[key]:.2g}"] for key, value in found.params.items()]
-    show.table(["number", "value", "std"], rows, f"{name}: {found.family}")
-    show.say(f"half width at half maximum: {found.half_width:.6g} ± {found.half_width_std:.2g} rad")
-    noise = found.noise
+def print_fit(summary: dict[str, Any], name: str) -> None:
+    """A fit's `summary()` as a table, and what is to be said of it."""
+    rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
+    show.table(["number", "value", "std"], rows, f"{name}: {summary['ndf']}")
+    show.say(f"half width at half maximum: {summary['half_width_rad']:.6g} ± {summary['half_width_std_rad']:.2g} rad")
+    noise = summary["noise"]
     show.say(
-        f"noise of a pixel: {noise.relative:.2%} of its value, {noise.floor:.2%} of the picture's peak; of a picture's "
-        f"gain: {noise.gain:.2%}"
+        f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the picture's peak; of a picture's "
+        f"gain: {noise['gain']:.2%}"
     )
-    show.say(f"sum of squared residuals over degrees of freedom: {found.misfit:.3f} ({found.freedom})")
-    for remark in found.remarks:
+    show.say(
+        f"sum of squared residuals over degrees of freedom: {summary['misfit']:.3f} ({summary['degrees_of_freedom']})"
+    )
+    for remark in summary["remarks"]:
         show.say(f"note: {remark}")

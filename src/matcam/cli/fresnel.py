@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from matcam.batch.caches import keep_rules
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, kept_rules, rig_of
+from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -72,7 +73,7 @@ def command(
 def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise):  # type: ignore[no-untyped-def]
     import math
 
-    kept_rules()
+    keep_rules()
     from matcam.files.merl import read_merl
     from matcam.inverse.fresnel_term import fresnel
     from matcam.inverse.tabulated import tabulated_fresnel

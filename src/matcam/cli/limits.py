@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
+from matcam.batch.caches import keep_rules
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, kept_rules, rig_of
+from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, rig_of
 
 
 def command(
@@ -25,7 +26,7 @@ def command(
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
-    kept_rules()
+    keep_rules()
     from matcam.camera.noise import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 

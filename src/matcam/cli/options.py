@@ -71,15 +71,3 @@ def rig_of(
     far = math.inf if distance is None else distance
     shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size, far)
     return rigs.Rig(chosen, shape, math.radians(lamp_degrees), **more)
-
-
-def kept_rules() -> None:
-    """Keep what is compiled, and what depends on a rig alone, on disk between runs."""
-    import os
-
-    from matcam._jax import use_compilation_cache
-    from matcam.inverse import rule_cache
-
-    use_compilation_cache()
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    rule_cache.use_folder(Path(root) / "matcam" / "rules")

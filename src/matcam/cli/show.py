@@ -6,8 +6,13 @@ import contextlib
 import json
 import math
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any
+
+from matcam.json_file import plain
+
+_SECONDS = 30.0
 
 
 def as_json(result: Any) -> None:
@@ -72,14 +77,63 @@ def counting(what: str) -> Iterator[Any]:
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
-def plain(value: Any) -> Any:
-    """A result as JSON can hold it: lists, numbers, texts; what is not a number is None."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+@contextlib.contextmanager
+def tallying(what: str) -> Iterator[Any]:
+    """A progress bar over things done, with the time that is left, on standard error, or now and then a line where nobody
+    watches; yields update(done, total)."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
+    )
+    watched = sys.stderr.isatty()
+    with Progress(
+        *columns, console=Console(stderr=True), disable=not watched, speed_estimate_period=3600.0
+    ) as progress:
+        task = progress.add_task(what, total=None)
+        log = _Log(what)
+
+        def update(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+            if not watched:
+                log.tell(done, total)
+
+        yield update
+
+
+class _Log:
+    """Progress as lines, at most one in half a minute."""
+
+    def __init__(self, what: str):
+        self.what, self.started, self.told, self.first = what, time.monotonic(), -math.inf, 0
+
+    def tell(self, done: int, total: int) -> None:
+        """Say how far it is, and how long the rest will take at the pace so far."""
+        now = time.monotonic()
+        if self.told == -math.inf:
+            self.first, self.started = done, now
+        if now - self.told < _SECONDS and done < total:
+            return
+        self.told = now
+        left = (now - self.started) / (done - self.first) * (total - done) if done > self.first else math.nan
+        remark(f"{self.what}: {done} of {total}" + (f", {_span(left)} left" if 0 < left < math.inf else ""))
+
+
+def _span(seconds: float) -> str:
+    for unit, size in (("days", 86400), ("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"

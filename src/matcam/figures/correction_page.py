@@ -12,14 +12,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from matcam._jax import jax, jnp
-from matcam.angles import cosines
 from matcam.atomic import replacing
+from matcam.figures.ball import ball, body_white, shown
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
 from matcam.inverse.correction import BENT, Correction
 
 _SLICES = (5, 45, 65, 75)
-_BALL, _LAMP = 180, np.radians(50.0)
+_BALL = 180
 _STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
 table{border-collapse:collapse}td,th{padding:.2rem .9rem;text-align:right;border-bottom:1px solid #ddd}
 td:first-child,th:first-child{text-align:left}img{max-width:100%}.verdict{background:#f2f2f2;padding:.6rem 1rem}"""
@@ -146,35 +145,17 @@ def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
         figure = Figure(figsize=(8.6, 8.6), layout="constrained")
         panels = figure.subplots(2, 2)
         for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
-            before, after = (_ball(values, zoom) for values in (raw.values, done.table["brdf"].values))
-            lit = after[after > 0]
-            white = np.quantile(lit, 0.99) if zoom == 1 and lit.size else after.max(initial=0)
+            before, after = (ball(values, _BALL, zoom) for values in (raw.values, done.table["brdf"].values))
+            white = body_white(after) if zoom == 1 else after.max(initial=0)
             for axes, picture, title in zip(row, (before, after), ("as recorded", "corrected"), strict=True):
-                shown = np.clip(picture / max(white, 1e-300), 0, 1) ** (1 / 2.2)
-                axes.imshow(shown if shown.shape[-1] == 3 else shown[..., 0], cmap="gray", interpolation="nearest")
+                seen = shown(picture, white)
+                axes.imshow(seen if seen.shape[-1] == 3 else seen[..., 0], cmap="gray", interpolation="nearest")
                 axes.set_title(f"{title}, exposed {exposed}", loc="left")
                 axes.axis("off")
         figure.supxlabel(
             "display-encoded, one exposure a row; below, the highlight 20 times closer", fontsize=8, color=GREY
         )
     return figure
-
-
-def _ball(values: np.ndarray, zoom: float) -> np.ndarray:
-    """Radiance of a sphere, (height, width, channels), by the nearest entries of a table; zoom about its highlight."""
-    t = ((np.arange(_BALL) + 0.5) / _BALL * 2 - 1) / zoom
-    half = _LAMP / 2
-    x, y = np.meshgrid(t + (np.sin(half) if zoom > 1 else 0), -t)
-    inside = x**2 + y**2 < 1
-    z = np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
-    along, up = x * np.cos(half) - z * np.sin(half), x * np.sin(half) + z * np.cos(half)
-    theta_h = np.arctan2(np.hypot(along, y), up)
-    phi_d = np.mod(np.pi - np.arctan2(y, along), np.pi)
-    i = np.clip((90 * np.sqrt(np.clip(theta_h, 0, None) / (np.pi / 2))).astype(int), 0, 89)
-    j, k = int(np.degrees(half)), np.clip((phi_d / np.pi * 180).astype(int), 0, 179)
-    cos_i = np.asarray(jax.jit(lambda a, b: cosines(a, half, jnp.pi - b)[0])(theta_h, np.arctan2(y, along)))
-    light = np.nan_to_num(values[i, j, k]) * np.maximum(cos_i, 0)[..., None]
-    return np.where(inside[..., None], light, 0.0)
 
 
 def _inline(figure: Figure) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import xarray as xr
 
 from matcam.atomic import replacing
-from matcam.errors import FileFormatError
+from matcam.errors import FileFormatError, OutputError
 from matcam.files.stored_dataset import check_stored_sizes, one_line
 from matcam.input_file import reading
 
@@ -15,9 +15,12 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
-    """Write a Dataset with its attributes."""
+    """Write a Dataset with its attributes. OutputError where it cannot go."""
     with replacing(path, force=force) as temporary:
-        data.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
+        try:
+            data.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
+        except RuntimeError as error:  # what the library makes of a full disk
+            raise OutputError(f"output {path} cannot be written: {one_line(error)} (disk full?)") from error
 
 
 def read_netcdf(path: str | Path) -> xr.Dataset:

@@ -1,0 +1,162 @@
+"""A run: many tables of one rig corrected into one folder by workers side by side, taken up again where it was stopped."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+from matcam import checks
+from matcam.angles import SAMPLINGS, Sampling
+from matcam.atomic import check_output
+from matcam.batch import workers as local_workers
+from matcam.batch.corrector import Corrector, Options, corrected
+from matcam.batch.folder import held, sweep
+from matcam.batch.inputs import FAILED, inputs_of, named
+from matcam.batch.job import Job, Outcome
+from matcam.batch.ledger import is_finished
+from matcam.batch.one_core import cores
+from matcam.batch.settings import SETTINGS, claim, key_of, settings_of
+from matcam.errors import ArgumentError
+from matcam.inverse.lobe_operator import check_rig
+from matcam.json_file import write_json
+from matcam.material.families import FAMILIES
+from matcam.material.masking import MASKINGS, Masking
+from matcam.rigs import Rig
+
+
+class Progress(NamedTuple):
+    """How far a run is: materials finished before and by it, failed, and in all; the last one's outcome, None at its start."""
+
+    kept: int
+    corrected: int
+    failed: int
+    total: int
+    last: Outcome | None
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run did. folder: its output. corrected: inputs done by it. kept: inputs that were finished before. failures: what
+    was not done, each with one line that says why."""
+
+    folder: Path
+    corrected: tuple[Path, ...]
+    kept: tuple[Path, ...]
+    failures: tuple[Outcome, ...]
+
+
+def correct_all(
+    paths: Iterable[str | Path],
+    rig: Rig,
+    output: str | Path,
+    ndf: str = "auto",
+    *,
+    masking: Masking = "smith",
+    glare: float = 1e-3,
+    sampling: Sampling = "centre",
+    workers: int | None = None,
+    pages: bool = True,
+    force: bool = False,
+    watch: Callable[[Progress], None] = lambda progress: None,
+    corrector: Corrector = corrected,
+) -> Run:
+    """Correct many MERL tables of one rig into the folder `output`: of NAME.binary there NAME.binary, .nc, .html, .png and,
+    last, NAME.json; settings.json says how, failed.json what was not done and why.
+
+    paths: files, and folders whose *.binary are meant. ndf, masking, glare: as for `correct`. sampling: as for `read_merl`.
+    workers: processes of one core each; None: one for each core that this process may use. pages: a page for each material.
+    watch: called at the start and after each material. corrector: what does the work, the top-level function of a module.
+
+    A material whose files are whole, made with these settings from its input as it is now, is not done again: a run that was
+    killed goes on. What fails, or takes its worker with it, stops nothing else. force: replace what is in the folder and do
+    everything again. Compiled functions and rules of the rig are kept in the user's cache folder by the workers.
+
+    Workers are new processes that import the script which called this: there, call it under `if __name__ == "__main__":`.
+
+    ArgumentError for wrong arguments, OutputError for a folder of a run with other settings (which is named), one that another
+    run works in, one that holds an input, or files that are no run's.
+    """
+    folder = Path(output)
+    check_rig(rig)
+    options = Options(*_checked(ndf, masking, glare, sampling), glare)
+    count = _count(workers)
+    inputs = inputs_of(paths)
+    settings = settings_of(rig, options, sampling=sampling, pages=pages, corrector=corrector)
+    with held(folder):
+        found, refused = named(inputs, folder)
+        plan = Job(
+            source=Path(), output=Path(), rig=rig, options=options, sampling=sampling, page=pages, corrector=corrector,
+            force=True, key=key_of(settings), thumbnail=True, version=metadata.version("matcam"),
+        )  # fmt: skip
+        _check_picklable(plan)
+        jobs = [replace(plan, source=path, output=folder / f"{name}.binary") for name, path in found.items()]
+        if not (folder / SETTINGS).exists():  # nobody's folder: what is in it is not ours to replace
+            for path in (path for job in jobs for path in job.files):
+                check_output(path, force=force, inputs=inputs)
+        claim(folder, settings, force=force)
+        sweep(folder, [*found, *(Path(name).stem for name in (SETTINGS, FAILED))])
+        kept = [] if force else [job.source for job in jobs if is_finished(job)]
+        done_before = set(kept)
+        waiting = [job for job in jobs if job.source not in done_before]
+        return _done(folder, waiting, kept, refused, local_workers.outcomes(waiting, count), watch)
+
+
+def _done(
+    folder: Path,
+    waiting: Sequence[Job],
+    kept: list[Path],
+    refused: list[Outcome],
+    outcomes: Iterator[Outcome],
+    watch: Callable[[Progress], None],
+) -> Run:
+    """Hear the outcomes to the end, and write down what failed."""
+    total = len(waiting) + len(kept) + len(refused)
+    good: list[Path] = []
+    failures = list(refused)
+    watch(Progress(len(kept), 0, len(failures), total, None))
+    try:
+        for outcome in outcomes:
+            if outcome.reason is None:
+                good.append(outcome.source)
+            else:
+                failures.append(outcome)
+            watch(Progress(len(kept), len(good), len(failures), total, outcome))
+    finally:
+        _write_failures(folder / FAILED, failures)
+    return Run(folder, tuple(good), tuple(kept), tuple(failures))
+
+
+def _write_failures(path: Path, failures: Sequence[Outcome]) -> None:
+    if not failures:
+        path.unlink(missing_ok=True)
+        return
+    listed = [{"file": str(f.source), "reason": f.reason, "trace": f.trace} for f in failures]
+    write_json(path, {"failed": listed}, force=True)
+
+
+def _checked(ndf: str, masking: Masking, glare: float, sampling: Sampling) -> tuple[str, Masking]:
+    """Wrong arguments should not fail a hundred times."""
+    checks.choice("ndf", ndf, ("auto", *FAMILIES))
+    checks.choice("masking", masking, MASKINGS)
+    checks.within("glare", glare, 0, 0.5)
+    checks.choice("sampling", sampling, SAMPLINGS)
+    return ndf, masking
+
+
+def _count(workers: int | None) -> int:
+    if workers is None:
+        return cores()
+    if type(workers) is not int or not 1 <= workers <= 1024:
+        raise ArgumentError(f"workers must be a whole number in [1, 1024], got {workers!r}")
+    return workers
+
+
+def _check_picklable(job: Job) -> None:
+    try:
+        pickle.dumps(job)
+    except Exception:
+        raise ArgumentError(f"corrector must stand at the top of a module, got {job.corrector!r:.80}") from None

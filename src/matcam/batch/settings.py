@@ -1,0 +1,79 @@
+"""What all materials of a run have in common, and the key that their records carry."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from matcam.batch.corrector import Corrector, Options
+from matcam.errors import OutputError
+from matcam.json_file import plain, read_json, write_json
+from matcam.rigs import Rig
+
+SETTINGS = "settings.json"
+_FORMAT = "matcam run"
+
+
+def settings_of(rig: Rig, options: Options, *, sampling: str, pages: bool, corrector: Corrector) -> dict[str, Any]:
+    """Everything that decides what a run's files hold, as plain numbers and texts."""
+    described = rig.description()
+    described["camera"].pop("provenance")  # holds today's date, and changes no number
+    described |= {"crop": rig.crop, "cell_value": rig.cell_value}
+    return plain(
+        {
+            "format": _FORMAT,
+            "matcam": metadata.version("matcam"),
+            "corrector": f"{corrector.__module__}:{corrector.__qualname__}",
+            "rig": described,
+            "ndf": options.ndf,
+            "masking": options.masking or "none",
+            "glare": options.glare,
+            "sampling": sampling,
+            "pages": pages,
+        }
+    )
+
+
+def key_of(settings: dict[str, Any]) -> str:
+    """A name made of the settings' content."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def claim(folder: Path, settings: dict[str, Any], *, force: bool = False) -> bool:
+    """Make `folder` this run's; whether it already was. OutputError, naming the setting, where it is another run's, unless
+    `force`."""
+    path = folder / SETTINGS
+    if path.exists():
+        there = read_json(path, "the settings of a run")
+        if not isinstance(there, dict) or there.get("format") != _FORMAT:
+            raise OutputError(f"output {path} is not the settings of a run: choose another folder")
+        different = _difference(there, settings)
+        if different is None:
+            return True
+        if not force:
+            name, old, new = different
+            raise OutputError(
+                f"output folder {folder} is another run's: its {name} is {old}, this run's is {new}; choose another folder, "
+                "or use --force (force=True) to do everything again"
+            )
+    write_json(path, settings, force=force)
+    return False
+
+
+def _difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str] | None:
+    """(name, old, new) of the first entry that is not the same."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in [*new, *(key for key in old if key not in new)]:
+            found = _difference(old.get(key), new.get(key), f"{name}.{key}" if name else str(key))
+            if found:
+                return found
+        return None
+    return None if old == new else (name, _short(old), _short(new))
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,106 @@
+"""A run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Needs the extra `matcam[scale]`.
+
+A folder, version 3, dims (material, theta_h, theta_d, phi_d, channel); one chunk a material, so that workers write their rows
+beside each other. `corrected` says which rows are whole; it is a row's last chunk.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from matcam.angles import GRID_SHAPE, Sampling, merl_grid
+from matcam.errors import ArgumentError, OutputError
+from matcam.table import CHANNELS, DIMS
+
+STORE = "run.zarr"
+_ROW, _DONE = "material", "corrected"
+_VALUES: dict[str, tuple[type, dict[str, str]]] = {
+    "brdf": (float, {"units": "1/sr", "long_name": "BRDF freed from the camera"}),
+    "brdf_std": (float, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
+    "supported": (bool, {"long_name": "standard deviation under 5 %"}),
+    "response": (float, {"long_name": "recorded / true lobe"}),
+}
+
+
+def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, int]:
+    """The row of each material in a store, which is made, or grown by those that it has not. ArgumentError where zarr is not
+    installed, OutputError where the store is not one of runs or cannot be written."""
+    zarr = _zarr()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not know it
+            group = zarr.open_group(store, mode="a", zarr_format=3)
+            if _ROW not in group:
+                if any(True for _ in group):
+                    raise OutputError(f"output {store} is not the Zarr of a run: choose another folder")
+                _made(group, sampling)
+            there = [str(name) for name in group[_ROW][:]]
+            new = [name for name in names if name not in set(there)]
+            if new:
+                _grown(group, [*there, *new])
+    except (OSError, KeyError, ValueError) as error:
+        raise OutputError(f"output {store} cannot be written as the Zarr of a run: {error}") from None
+    return {name: row for row, name in enumerate([*there, *new])}
+
+
+def write_row(store: Path, row: int, data: xr.Dataset) -> None:
+    """Write a corrected table as one row."""
+    try:
+        group = _zarr().open_group(store, mode="r+", zarr_format=3)
+        group[_DONE][row] = False
+        for name in _VALUES:
+            group[name][row] = data[name].values
+        group[_DONE][row] = True
+    except (OSError, KeyError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"output {store}, row {row}, cannot be written: {reason}") from None
+
+
+def whole_rows(store: Path) -> np.ndarray:
+    """Which rows hold a corrected table, bool."""
+    return np.asarray(_zarr().open_group(store, mode="r", zarr_format=3)[_DONE][:])
+
+
+def _made(group: Any, sampling: Sampling) -> None:
+    """Arrays without a material yet."""
+    group.attrs["sampling"] = sampling
+    for name, values in merl_grid(sampling)._asdict().items():
+        array = group.create_array(
+            name, shape=values.shape, dtype=float, dimension_names=(name,), attributes={"units": "rad"}
+        )
+        array[:] = values
+    channels = group.create_array("channel", shape=(len(CHANNELS),), dtype=str, dimension_names=("channel",))
+    channels[:] = np.array(CHANNELS, dtype=object)
+    sizes = (*GRID_SHAPE, len(CHANNELS))
+    for name, (kind, attributes) in _VALUES.items():
+        dims = DIMS if name != "response" else DIMS[:3]
+        group.create_array(
+            name, shape=(0, *sizes[: len(dims)]), chunks=(1, *sizes[: len(dims)]), dtype=kind,
+            fill_value=np.nan if kind is float else False, dimension_names=(_ROW, *dims), attributes=attributes,
+        )  # fmt: skip
+    told = {"long_name": "whether the row is whole"}
+    group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=told)
+    group.create_array(_ROW, shape=(0,), chunks=(4096,), dtype=str, dimension_names=(_ROW,))
+
+
+def _grown(group: Any, names: list[str]) -> None:
+    """Rows for these materials; their names last, because they are what is looked at."""
+    for name in (*_VALUES, _DONE):
+        array = group[name]
+        array.resize((len(names), *array.shape[1:]))
+    group[_ROW].resize((len(names),))
+    group[_ROW][:] = np.array(names, dtype=object)
+
+
+def _zarr() -> Any:
+    try:
+        import zarr
+    except ImportError:
+        raise ArgumentError("a run's Zarr needs an extra: pip install 'matcam[scale]'") from None
+    return zarr

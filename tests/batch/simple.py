@@ -1,0 +1,74 @@
+"""A corrector that costs nothing, and ones that go wrong: a run's workers import them by name."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from matcam.batch.corrector import Corrected
+from matcam.camera.gaussian import GaussianOptics
+
+GAIN = 1.25
+
+
+def brighter(table, rig, options):
+    """Every entry times GAIN; notes in the environment's MATCAM_TEST_LOG that it was here."""
+    if log := os.environ.get("MATCAM_TEST_LOG"):
+        with Path(log).open("a") as file:
+            file.write(f"{table.attrs['source']} {os.getpid()}\n")
+    grid = table.dims[:3]
+    values = np.ones(table.shape[:3])
+    data = xr.Dataset(
+        {
+            "brdf": table * GAIN,
+            "brdf_std": table * 0.01,
+            "supported": table.notnull(),
+            "response": (grid, values / GAIN),
+        }
+    )
+    summary = {
+        "ndf": "ggx", "params": {"alpha": 0.01, "diffuse[R]": 0.1}, "std": {"alpha": 1e-4, "diffuse[R]": float("nan")},
+        "half_width_rad": float(np.nanmean(table.values[0])), "half_width_std_rad": 1e-4, "determined": True,
+        "noise": {"relative": 0.01, "floor": 1e-4, "gain": 0.01}, "misfit": 1.0, "log_likelihood": 0.0,
+        "degrees_of_freedom": 10, "remarks": [],
+    }  # fmt: skip
+    document = {
+        "camera": rig.camera.profile(), "fit": summary, "doubts": {}, "glare": options.glare,
+        "shape": {"strength": 0.0, "b": []}, "supported_share": 1.0, "peak_gain_75": GAIN, "verdict": "Well determined.",
+        "remarks": [],
+    }  # fmt: skip
+
+    def write_page(path, name, force):
+        path.write_text(f"<title>{name}</title>")
+
+    return Corrected(data, document, write_page)
+
+
+def slowly(table, rig, options):
+    """The same after half a second."""
+    time.sleep(0.5)
+    return brighter(table, rig, options)
+
+
+def deadly(table, rig, options):
+    """Kills its worker over the material "poison"."""
+    if table.attrs["source"] == "poison.binary":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return brighter(table, rig, options)
+
+
+def faulty(table, rig, options):
+    """Has a bug that shows over the material "odd"."""
+    if table.attrs["source"] == "odd.binary":
+        raise ZeroDivisionError("a bug")
+    return brighter(table, rig, options)
+
+
+def told_lens(table, rig, options):
+    """Says in its record with which lens it was asked to work."""
+    done = brighter(table, rig, options)
+    assert isinstance(rig.camera.optics, GaussianOptics)
+    return done._replace(document={**done.document, "lens": float(rig.camera.optics.sigma)})

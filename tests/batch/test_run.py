@@ -1,0 +1,298 @@
+"""A run over many tables: what it does, leaves alone, survives and refuses. The work itself costs nothing here."""
+
+import functools
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from matcam import Cylinder, Rig, read_merl, read_netcdf, rigs
+from matcam.batch import job, run
+from matcam.batch.corrector import Options
+from matcam.batch.job import Job, attempted
+from matcam.batch.run import correct_all
+from matcam.batch.workers import WorkerError
+from matcam.cli.app import app
+from matcam.errors import ArgumentError, OutputError
+from tests.batch import simple
+from tests.batch.tables import write_database, write_table
+from tests.conftest import REPOSITORY
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory):
+    """Tables a, b, one cut short and one that kills its worker."""
+    folder = write_database(tmp_path_factory.mktemp("database"), ["a", "b", "poison"])
+    (folder / "short.binary").write_bytes((folder / "a.binary").read_bytes()[:-8])
+    return folder
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Work in this process: no worker has to be started."""
+    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: map(attempted, jobs))
+
+
+def times(folder, *names):
+    return [path.stat().st_mtime_ns for name in names for path in sorted(folder.glob(f"{name}.*"))]
+
+
+def reasons(done):
+    return {failure.source.stem: failure.reason for failure in done.failures}
+
+
+def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):
+    """Two workers, one of which is killed by its material; then again: what is finished is not touched."""
+    out, heard = tmp_path / "out", []
+    done = correct_all([database], rigs.merl(), out, workers=2, corrector=simple.deadly, watch=heard.append)
+    assert sorted(path.stem for path in done.corrected) == ["a", "b"]
+    assert set(reasons(done)) == {"poison", "short"}
+    assert "killed by SIGKILL" in reasons(done)["poison"]
+    assert "truncated: 34992004 bytes" in reasons(done)["short"]
+    listed = json.loads((out / "failed.json").read_text())["failed"]
+    assert {entry["file"]: entry["reason"] for entry in listed} == {str(f.source): f.reason for f in done.failures}
+    assert [p.corrected + p.failed for p in heard] == [0, 1, 2, 3, 4]
+    assert heard[-1].total == 4
+    before = read_merl(database / "a.binary").values
+    np.testing.assert_allclose(read_merl(out / "a.binary").values, before * simple.GAIN, rtol=1e-14)
+    assert set(read_netcdf(out / "a.nc")) == {"brdf", "brdf_std", "supported", "response"}
+    assert not list(out.glob("poison.*"))
+    assert not list(out.glob("short.*"))
+    assert {p.name for p in out.iterdir() if p.name.startswith(".")} <= {".lock"}
+
+    old = times(out, "a", "b")
+    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: map(attempted, jobs))
+    again = correct_all(
+        [database / f"{n}.binary" for n in ("a", "b")], rigs.merl(), out, corrector=simple.deadly
+    )  # fmt: skip
+    assert (len(again.kept), again.corrected, again.failures) == (2, (), ())
+    assert times(out, "a", "b") == old
+    assert not (out / "failed.json").exists()
+
+
+_SCRIPT = """
+import sys
+from matcam import rigs
+from matcam.batch.run import correct_all
+from tests.batch import simple
+
+if __name__ == "__main__":
+    correct_all(sys.argv[2:], rigs.merl(), sys.argv[1], workers=1, corrector=simple.slowly)
+"""
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+        state = Path(f"/proc/{pid}/stat")
+        return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_a_killed_run_goes_on(tmp_path, monkeypatch, here):
+    """SIGKILL in the middle: the next run does what was not finished and nothing else, and no half file stays."""
+    names = ["a", "b", "c"]
+    database = write_database(tmp_path / "in", names)
+    out, log, script = tmp_path / "out", tmp_path / "log", tmp_path / "killed.py"
+    monkeypatch.setenv("MATCAM_TEST_LOG", str(log))
+    script.write_text(_SCRIPT)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY / "src"), str(REPOSITORY)])}
+    process = subprocess.Popen([sys.executable, script, out, database], env=environment)
+    while not (out / "a.json").exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    worker = int(log.read_text().split()[1])
+    while alive(worker):
+        time.sleep(0.02)  # a worker does not outlive its parent
+    finished = {path.stem for path in out.glob("?.json")}
+    old = times(out, *finished)
+    (out / ".b-abcd1234.nc").write_text("left by a killed process")
+    begun = len(log.read_text().splitlines())
+    done = correct_all([database], rigs.merl(), out, corrector=simple.slowly)
+    assert {path.stem for path in done.kept} == finished
+    assert {path.stem for path in done.corrected} == set(names) - finished
+    assert len(log.read_text().splitlines()) - begun == len(names) - len(finished)
+    assert times(out, *finished) == old
+    assert sorted(p.name for p in out.iterdir() if p.name.startswith(".")) == [".lock"]
+
+
+def test_other_settings_and_changed_inputs(tmp_path, here):
+    database = write_database(tmp_path / "in", ["a"])
+    out = tmp_path / "out"
+    again = functools.partial(correct_all, [database], rigs.merl(), out, corrector=simple.brighter)
+    assert len(again().corrected) == 1
+    before = times(out, "a")
+    for change, words in (
+        ({"glare": 2e-3}, "its glare is 0.001, this run's is 0.002"),
+        ({"masking": None}, 'its masking is "smith", this run\'s is "none"'),
+        ({"pages": False}, "its pages is true"),
+        ({"corrector": simple.deadly}, "its corrector is"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            again(**change)
+    with pytest.raises(OutputError, match=r"its rig\.sample\.radius_px is 256\.0, this run's is 300\.0"):
+        correct_all(
+            [database], Rig(rigs.merl().camera, type(rigs.merl().sample)(300.0)), out, corrector=simple.brighter
+        )
+    os.utime(database / "a.binary")  # touched, not changed
+    assert len(again().kept) == 1
+    assert times(out, "a") == before
+    write_table(database / "a.binary", 9)
+    assert len(again().corrected) == 1
+    np.testing.assert_allclose(
+        read_merl(out / "a.binary").values[0, 0],
+        read_merl(database / "a.binary").values[0, 0] * simple.GAIN,
+        rtol=1e-14,
+    )
+    (out / "a.nc").write_bytes(b"damaged")
+    assert len(again().corrected) == 1
+
+
+def test_one_run_at_a_time(tmp_path, here):
+    database = write_database(tmp_path / "in", ["a"])
+    with run.held(tmp_path / "out"), pytest.raises(OutputError, match="in use by another run"):
+        correct_all([database], rigs.merl(), tmp_path / "out", corrector=simple.brighter)
+
+
+def test_names(tmp_path, here):
+    """Two inputs with one name, and names that the run needs itself: each is said, neither overwritten; a file given twice is
+    one."""
+    for folder in ("x", "y"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "Same.binary").write_bytes(b"no table")
+    (tmp_path / "y" / "Index.binary").write_bytes(b"no table")
+    (tmp_path / "y" / "other.binary").write_bytes(b"no table")
+    paths = [tmp_path / "x", tmp_path / "y", tmp_path / "x" / "Same.binary", tmp_path / "y" / "none.binary"]
+    done = correct_all(paths, rigs.merl(), tmp_path / "out", corrector=simple.brighter)
+    said = sorted(failure.reason for failure in done.failures)
+    assert len(said) == 5
+    assert sum("its name is also that of" in reason for reason in said) == 2
+    assert sum("Index is the name of a file of the run" in reason for reason in said) == 1
+    assert any("other.binary: 8 bytes" in reason for reason in said)
+    assert any("none.binary: no such file" in reason for reason in said)
+
+
+def test_refused_before_any_work(tmp_path, database, here):
+    out = tmp_path / "out"
+    start = functools.partial(correct_all, [database], rigs.merl(), out, corrector=simple.brighter)
+    for call, words in (
+        (lambda: start(ndf="phong"), "ndf must be one of"),
+        (lambda: start(workers=0), "workers must be"),
+        (lambda: start(glare=2), "glare must lie in"),
+        (lambda: start(sampling="corner"), "sampling must be one of"),
+        (lambda: start(corrector=lambda *_: None), "top of a module"),
+        (lambda: correct_all([tmp_path], rigs.merl(), out), r"no \*\.binary in there"),
+        (lambda: correct_all([], rigs.merl(), out), "no path"),
+        (lambda: correct_all([database], Rig(rigs.merl().camera, Cylinder(100)), out), "from a Sphere"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            call()
+    with pytest.raises(OutputError, match="is the input itself"):
+        correct_all([database], rigs.merl(), database)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "a.html").write_text("mine")
+    with pytest.raises(OutputError, match="--force"):
+        correct_all([database], rigs.merl(), tmp_path / "mine")
+    assert [path.name for path in (tmp_path / "mine").iterdir() if path.name[0] != "."] == ["a.html"]
+    (tmp_path / "mine" / "a.html").unlink()
+    (tmp_path / "mine" / "settings.json").write_text('{"volume": 11}')
+    with pytest.raises(OutputError, match="not the settings of a run"):
+        correct_all([database], rigs.merl(), tmp_path / "mine")
+    with pytest.raises(OutputError, match="cannot be written"):
+        correct_all([database], rigs.merl(), database / "a.binary" / "out")
+
+
+def one(database, tmp_path, **more):
+    return Job(
+        database / "a.binary", tmp_path / "a.binary", rigs.merl(), Options(), corrector=simple.brighter, key="k", **more
+    )
+
+
+def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch):
+    database = write_database(tmp_path / "in", ["a"])
+
+    def read_slowly(path, sampling):
+        table = read_merl(path, sampling)
+        with path.open("r+b") as file:  # one value, in place
+            file.seek(1000)
+            file.write(b"\0" * 8)
+        return table
+
+    monkeypatch.setattr(job, "read_merl", read_slowly)
+    assert "changed while it was read" in attempted(one(database, tmp_path)).reason
+    assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.parametrize("limit", [20 << 20, 60 << 20], ids=["MERL", "NetCDF"])
+def test_a_full_disk(tmp_path, database, limit):
+    """No file may grow beyond the limit, as on a disk that is full: said, and nothing half-written stays."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        outcome = attempted(one(database, tmp_path))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert outcome.trace is None
+    assert "cannot be written" in outcome.reason
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left <= {"a.binary"}  # whole, and without a record nobody takes the material for finished
+    assert all((tmp_path / name).stat().st_size == 34992012 for name in left)
+
+
+def test_a_fault_of_ours_is_traced(tmp_path, monkeypatch):
+    (tmp_path / "in").mkdir()
+    write_table(tmp_path / "in" / "odd.binary", 1)
+    work = Job(tmp_path / "in" / "odd.binary", tmp_path / "odd.binary", rigs.merl(), Options(), corrector=simple.faulty)
+    outcome = attempted(work)
+    assert "a fault of matcam" in outcome.reason
+    assert "ZeroDivisionError: a bug" in outcome.reason
+    assert "in faulty" in outcome.trace
+
+
+def test_a_worker_of_another_version(tmp_path, database):
+    outcome = attempted(one(database, tmp_path, version="9.9"))
+    assert "the run was started by 9.9" in outcome.reason
+
+
+def test_workers_that_cannot_start(tmp_path, database, monkeypatch):
+    monkeypatch.setenv("JAX_PLATFORMS", "none such")
+    with pytest.raises(WorkerError, match="could not be started: RuntimeError: Unable to init"):
+        correct_all([database], rigs.merl(), tmp_path / "out", workers=1, corrector=simple.brighter)
+
+
+def command(monkeypatch, *arguments):
+    monkeypatch.setattr(run, "correct_all", functools.partial(correct_all, corrector=simple.brighter))
+    return CliRunner().invoke(app, ["correct", *(str(a) for a in arguments)])
+
+
+def test_the_command(database, tmp_path, monkeypatch, here):
+    """One table in order and one cut short: exit code 1, both said; none in order: 2."""
+    out = tmp_path / "out"
+    done = command(monkeypatch, database / "a.binary", database / "short.binary", "-o", out, "--json")
+    assert done.exit_code == 1, done.output
+    document = json.loads(done.stdout)
+    assert document["corrected"] == [str(database / "a.binary")]
+    assert "truncated" in document["failed"][0]["reason"]
+    assert "2 of 2" in done.stderr
+    again = command(monkeypatch, database / "a.binary", "-o", out)
+    assert again.exit_code == 0
+    assert "0 corrected, 1 finished before, 0 failed" in again.stdout
+    none = command(monkeypatch, database / "short.binary", "-o", tmp_path / "none")
+    assert none.exit_code == 2
+    assert "failed: " in none.stdout
+    other = command(monkeypatch, database / "a.binary", "-o", out, "--glare", 0.01)
+    assert "its glare is 0.001" in str(other.exception)
+    assert "-o FOLDER" in str(command(monkeypatch, database).exception)
+    assert "-o FOLDER" in str(command(monkeypatch, database, "-o", "x.binary").exception)
+    assert "name an output folder" in str(command(monkeypatch, database / "a.binary", "--workers", 2).exception)
