@@ -37,7 +37,8 @@ def brighter(table, rig, options):
     }  # fmt: skip
     document = {
         "camera": rig.camera.profile(), "fit": summary, "doubts": {}, "glare": options.glare,
-        "shape": {"strength": 0.0, "b": []}, "supported_share": 1.0, "peak_gain_75": GAIN, "verdict": "Well determined.",
+        "shape": {"strength": 0.0, "b": []}, "supported_share": 1.0, "peak_gain_75": GAIN,
+        "peak_lost": {"5": 0.1, "45": None, "75": 1 - 1 / GAIN}, "verdict": "Well determined.",
         "remarks": [],
     }  # fmt: skip
 

@@ -1,8 +1,11 @@
 """A run over many tables: what it does, leaves alone, survives and refuses. The work itself costs nothing here."""
 
+import base64
 import functools
+import html.parser
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -10,6 +13,7 @@ import sys
 import time
 from pathlib import Path
 
+import imagecodecs
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -269,6 +273,62 @@ def test_workers_that_cannot_start(tmp_path, database, monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "none such")
     with pytest.raises(WorkerError, match="could not be started: RuntimeError: Unable to init"):
         correct_all([database], rigs.merl(), tmp_path / "out", workers=1, corrector=simple.brighter)
+
+
+def test_the_index(tmp_path, here):
+    """Well-formed, in order, and whole without a network; names of files cannot inject anything."""
+    database = write_database(tmp_path / "in", ["b", "<i>&'a"])
+    (database / "bad.binary").write_bytes(b"<script>")
+    out = tmp_path / "out"
+    correct_all([database], rigs.merl(), out, corrector=simple.brighter)
+    page = (out / "index.html").read_text()
+    found = Page()
+    found.feed(page)
+    assert found.open == []
+    assert [row[1] for row in found.rows] == ["<i>&'a", "b"]
+    assert [name for name, _ in found.links] == ["%3Ci%3E%26%27a.html", "b.html"]
+    assert len(found.images) == 2
+    for image in found.images:
+        assert image.startswith("data:image/png;base64,")
+        assert imagecodecs.png_decode(base64.b64decode(image.partition(",")[2])).shape == (64, 128, 3)
+    assert "bad.binary: 8 bytes" in page
+    assert not re.search(r"(src|href)='?http", page)
+    sorted_by = [row[found.heads.index("roughness(slope)")] for row in found.rows]
+    assert sorted_by == ["0.01", "0.01"]
+    assert found.rows[0][found.heads.index("at 45°")] == ""
+
+
+class Page(html.parser.HTMLParser):
+    """What a browser would find in an index; HTML's void elements need no end."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.rows, self.links, self.images, self.heads = [], [], [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        if tag not in ("meta", "img", "input", "br", "li", "tr", "td", "th"):
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        elif tag == "td":
+            self.rows[-1].append(attributes.get("data-v"))
+        elif tag == "th":
+            self.heads.append("")
+        elif tag == "a":
+            self.links.append((attributes["href"], None))
+        elif tag == "img":
+            self.images.append(attributes["src"])
+
+    def handle_endtag(self, tag):
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+        if tag == "thead":
+            self.rows.clear()
+
+    def handle_data(self, data):
+        if self.open and "thead" in self.open:
+            self.heads[-1] += data
 
 
 def command(monkeypatch, *arguments):

@@ -13,6 +13,9 @@ from matcam.figures.correction_page import verdict, write_correction_page
 from matcam.inverse.correction import correction
 from matcam.rigs import Rig
 
+_ANGLES = (5, 45, 75)
+"""Degrees of theta_d at which the peak's loss is told."""
+
 
 class Options(NamedTuple):
     """How a table is corrected: family of the lobe or "auto"; masking or None; share of light that the lens may scatter."""
@@ -39,6 +42,7 @@ def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
     """The table that a perfect camera would have measured. Errors as `correction`'s."""
     done = correction(table, rig, options.ndf, masking=options.masking, glare=options.glare)
     there = np.isfinite(table.values)
+    response = done.table["response"].values[0, :, 90]
     document = {
         "camera": rig.camera.profile(),
         "fit": done.fit.summary(),
@@ -46,7 +50,8 @@ def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
         "shape": {"strength": done.shape.strength, "b": done.shape.b},
         "glare": options.glare,
         "supported_share": float(done.table["supported"].values[there].mean()),
-        "peak_gain_75": float(1 / done.table["response"].values[0, 75, 90]),
+        "peak_gain_75": float(1 / response[75]),
+        "peak_lost": {str(angle): float(1 - response[angle]) for angle in _ANGLES},
         "verdict": verdict(table, done),
         "remarks": list(done.remarks),
     }

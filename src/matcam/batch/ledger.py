@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,9 @@ def is_finished(job: Job) -> bool:
     return document is not None and unchanged(job.source, document.get("input"))
 
 
-def records(paths: Iterable[Path], key: str) -> dict[str, dict[str, Any]]:
-    """Records of finished materials, by name."""
-    found = {path.stem: record_of(path, key) for path in paths}
-    return {name: document for name, document in found.items() if document is not None}
+def records(jobs: Iterable[Job]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """(name, record) of those of a run's jobs that are finished."""
+    for job in jobs:
+        document = record_of(job.record, job.key or "")
+        if document is not None:
+            yield job.name, document

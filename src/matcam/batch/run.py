@@ -12,15 +12,18 @@ from typing import NamedTuple
 from matcam import checks
 from matcam.angles import SAMPLINGS, Sampling
 from matcam.atomic import check_output
+from matcam.batch import cluster as cluster_workers
 from matcam.batch import workers as local_workers
 from matcam.batch.corrector import Corrector, Options, corrected
 from matcam.batch.folder import held, sweep
-from matcam.batch.inputs import FAILED, inputs_of, named
+from matcam.batch.inputs import FAILED, INDEX, inputs_of, named
 from matcam.batch.job import Job, Outcome
-from matcam.batch.ledger import is_finished
+from matcam.batch.ledger import is_finished, records
 from matcam.batch.one_core import cores
 from matcam.batch.settings import SETTINGS, claim, key_of, settings_of
+from matcam.batch.stored_rows import STORE, with_rows
 from matcam.errors import ArgumentError
+from matcam.figures.run_index import INLINE, write_run_index
 from matcam.inverse.lobe_operator import check_rig
 from matcam.json_file import write_json
 from matcam.material.families import FAMILIES
@@ -59,17 +62,21 @@ def correct_all(
     glare: float = 1e-3,
     sampling: Sampling = "centre",
     workers: int | None = None,
+    cluster: str | None = None,
     pages: bool = True,
+    zarr: bool = False,
     force: bool = False,
     watch: Callable[[Progress], None] = lambda progress: None,
     corrector: Corrector = corrected,
 ) -> Run:
     """Correct many MERL tables of one rig into the folder `output`: of NAME.binary there NAME.binary, .nc, .html, .png and,
-    last, NAME.json; settings.json says how, failed.json what was not done and why.
+    last, NAME.json; settings.json says how, failed.json what was not done and why, index.html shows them all.
 
     paths: files, and folders whose *.binary are meant. ndf, masking, glare: as for `correct`. sampling: as for `read_merl`.
-    workers: processes of one core each; None: one for each core that this process may use. pages: a page for each material.
-    watch: called at the start and after each material. corrector: what does the work, the top-level function of a module.
+    workers: processes of one core each; None: one for each core that this process may use. cluster: do it on Dask instead,
+    "local:2" for workers on this machine, or the address of a scheduler whose workers have one thread, see the same folders
+    and hold the same versions. pages: a page for each material. zarr: all materials as one Zarr besides, run.zarr. watch:
+    called at the start and after each material. corrector: what does the work, the top-level function of a module.
 
     A material whose files are whole, made with these settings from its input as it is now, is not done again: a run that was
     killed goes on. What fails, or takes its worker with it, stops nothing else. force: replace what is in the folder and do
@@ -83,14 +90,15 @@ def correct_all(
     folder = Path(output)
     check_rig(rig)
     options = Options(*_checked(ndf, masking, glare, sampling), glare)
-    count = _count(workers)
+    count = _count(workers, cluster)
     inputs = inputs_of(paths)
     settings = settings_of(rig, options, sampling=sampling, pages=pages, corrector=corrector)
+    key = key_of(settings)
     with held(folder):
         found, refused = named(inputs, folder)
         plan = Job(
             source=Path(), output=Path(), rig=rig, options=options, sampling=sampling, page=pages, corrector=corrector,
-            force=True, key=key_of(settings), thumbnail=True, version=metadata.version("matcam"),
+            force=True, key=key, thumbnail=True, version=metadata.version("matcam"),
         )  # fmt: skip
         _check_picklable(plan)
         jobs = [replace(plan, source=path, output=folder / f"{name}.binary") for name, path in found.items()]
@@ -98,11 +106,25 @@ def correct_all(
             for path in (path for job in jobs for path in job.files):
                 check_output(path, force=force, inputs=inputs)
         claim(folder, settings, force=force)
-        sweep(folder, [*found, *(Path(name).stem for name in (SETTINGS, FAILED))])
+        sweep(folder, [*found, *(Path(name).stem for name in (SETTINGS, FAILED, INDEX))])
         kept = [] if force else [job.source for job in jobs if is_finished(job)]
         done_before = set(kept)
         waiting = [job for job in jobs if job.source not in done_before]
-        return _done(folder, waiting, kept, refused, local_workers.outcomes(waiting, count), watch)
+        if zarr:
+            waiting = with_rows(folder / STORE, jobs, waiting)
+        outcomes = cluster_workers.outcomes(waiting, cluster) if cluster else local_workers.outcomes(waiting, count)
+        run = _done(folder, waiting, kept, refused, outcomes, watch)
+        ordered = sorted(jobs, key=lambda job: job.name.casefold())
+        failures = [(str(failure.source), failure.reason or "") for failure in run.failures]
+        write_run_index(
+            folder / INDEX,
+            records(ordered),
+            failures,
+            said=_in_words(options, rig),
+            inline=len(jobs) <= INLINE,
+            force=True,
+        )
+        return run
 
 
 def _done(
@@ -138,6 +160,14 @@ def _write_failures(path: Path, failures: Sequence[Outcome]) -> None:
     write_json(path, {"failed": listed}, force=True)
 
 
+def _in_words(options: Options, rig: Rig) -> str:
+    family = "GGX or EPD, the likelier" if options.ndf == "auto" else options.ndf
+    known = "its uncertainty stated" if rig.camera.uncertainty else "taken as exact"
+    return (
+        f"Lobe: {family}; masking: {options.masking or 'none'}; camera: {rig.camera.optics!r}, {known}; {rig.sample!r}."
+    )
+
+
 def _checked(ndf: str, masking: Masking, glare: float, sampling: Sampling) -> tuple[str, Masking]:
     """Wrong arguments should not fail a hundred times."""
     checks.choice("ndf", ndf, ("auto", *FAMILIES))
@@ -147,7 +177,11 @@ def _checked(ndf: str, masking: Masking, glare: float, sampling: Sampling) -> tu
     return ndf, masking
 
 
-def _count(workers: int | None) -> int:
+def _count(workers: int | None, cluster: str | None) -> int:
+    if cluster is not None:
+        cluster_workers.check_address(cluster)
+        if workers is not None:
+            raise ArgumentError("workers are of this machine, cluster says where others are: give one of them")
     if workers is None:
         return cores()
     if type(workers) is not int or not 1 <= workers <= 1024:

@@ -18,7 +18,6 @@ from matcam.angles import GRID_SHAPE, Sampling, merl_grid
 from matcam.errors import ArgumentError, OutputError
 from matcam.table import CHANNELS, DIMS
 
-STORE = "run.zarr"
 _ROW, _DONE = "material", "corrected"
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     "brdf": (float, {"units": "1/sr", "long_name": "BRDF freed from the camera"}),

@@ -41,7 +41,16 @@ def command(
     workers: Annotated[
         int | None, typer.Option("--workers", help="Processes of a run, one core each. Default: one a core.", min=1)
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            "--cluster", metavar="WHERE", help="Run on Dask: local:N, or a scheduler's address (tcp://host:8786)."
+        ),
+    ] = None,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="A page to read for each material.")] = True,
+    zarr: Annotated[
+        bool, typer.Option("--zarr", help="All materials of a run as one Zarr besides, FOLDER/run.zarr.")
+    ] = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -62,13 +71,21 @@ def command(
     if alone:
         if output and output.suffix.lower() != ".binary":
             raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
-        if workers is not None:
-            raise ArgumentError("--workers is for a run: name an output folder with -o")
+        if workers is not None or cluster is not None or zarr:
+            raise ArgumentError("--workers, --cluster and --zarr are for a run: name an output folder with -o")
         _one(paths[0], output, how, rig_options, pages, force, json)
         return
     if output is None or output.suffix.lower() == ".binary":
         raise ArgumentError("several tables need an output folder: -o FOLDER")
-    _run(paths, output, how, rig_options, {"workers": workers, "pages": pages}, force, json)
+    _run(
+        paths,
+        output,
+        how,
+        rig_options,
+        {"workers": workers, "cluster": cluster, "pages": pages, "zarr": zarr},
+        force,
+        json,
+    )
 
 
 def _one(
