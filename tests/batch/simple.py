@@ -54,6 +54,13 @@ def slowly(table, rig, options):
     return brighter(table, rig, options)
 
 
+def noted_then_slowly(table, rig, options):
+    """Noted at once, done after half a second."""
+    done = brighter(table, rig, options)
+    time.sleep(0.5)
+    return done
+
+
 def deadly(table, rig, options):
     """Kills its worker over the material "poison"."""
     if table.attrs["source"] == "poison.binary":

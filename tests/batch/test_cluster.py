@@ -1,0 +1,171 @@
+"""The same jobs on Dask: a real scheduler, real workers, one of them killed; and clusters that must not be used."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from distributed import Client
+
+from matcam import rigs
+from matcam.batch import cluster
+from matcam.batch.cluster import ClusterError, outcomes
+from matcam.batch.run import correct_all
+from matcam.errors import ArgumentError
+from tests.batch import simple
+from tests.batch.tables import write_database
+from tests.conftest import REPOSITORY
+
+
+def started(*arguments, **environment):
+    paths = os.pathsep.join([str(REPOSITORY / "src"), str(REPOSITORY)])
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen(
+        [sys.executable, "-m", "dask", *(str(a) for a in arguments)],
+        env={**os.environ, "PYTHONPATH": paths, **environment}, **quiet,
+    )  # fmt: skip
+
+
+class Cluster:
+    """A scheduler and workers as somebody else would start them."""
+
+    def __init__(self, folder):
+        self.folder, self.processes = folder, []
+        contact = folder / "scheduler.json"
+        self.processes.append(
+            started("scheduler", "--host", "127.0.0.1", "--port", 0, "--no-dashboard", "--scheduler-file", contact)
+        )
+        while not contact.exists():
+            assert self.processes[0].poll() is None
+            time.sleep(0.05)
+        self.address = json.loads(contact.read_text())["address"]
+
+    def add(self, *more, **environment):
+        usual = ("--nthreads", 1, "--no-nanny", "--no-dashboard", "--local-directory", self.folder)
+        self.processes.append(started("worker", self.address, *usual, *more, **environment))
+        return self.processes[-1]
+
+    def close_last(self):
+        process = self.processes.pop()
+        process.kill()
+        process.wait()
+
+    def close(self):
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def somewhere(tmp_path):
+    made = Cluster(tmp_path)
+    yield made
+    made.close()
+
+
+def test_what_is_no_cluster(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
+    database = write_database(tmp_path / "in", ["a"])
+    start = lambda where, **how: correct_all(  # noqa: E731
+        [database], rigs.merl(), tmp_path / "out", cluster=where, corrector=simple.brighter, **how
+    )
+    for where in ("local:0", "local", "here", "tcp://host"):
+        with pytest.raises(ArgumentError, match="cluster must be local:N or"):
+            start(where)
+    with pytest.raises(ArgumentError, match="give one of them"):
+        start("local:2", workers=2)
+    with pytest.raises(ClusterError, match=r"scheduler tcp://127\.0\.0\.1:9 cannot be reached"):
+        start("tcp://127.0.0.1:9")
+    assert not list((tmp_path / "out").glob("a.*"))
+
+
+@pytest.mark.slow
+def test_a_worker_is_killed_in_the_middle(somewhere, tmp_path, monkeypatch):
+    """Two worker processes; one is killed with a material in its hands. All are corrected, by the other one, and the files are
+    those that this machine's own workers write."""
+    names = ["a", "b", "c", "d", "e"]
+    database, log = write_database(tmp_path / "in", names), tmp_path / "log"
+    workers = [somewhere.add(MATCAM_TEST_LOG=str(log)) for _ in range(2)]
+    with Client(somewhere.address) as client:
+        client.wait_for_workers(2)
+    killed = []
+
+    def kill():
+        while not log.exists() or not log.read_text():
+            time.sleep(0.01)
+        killed.append(int(log.read_text().split()[1]))
+        os.kill(killed[0], signal.SIGKILL)
+
+    watcher = threading.Thread(target=kill)
+    watcher.start()
+    heard = []
+    done = correct_all(
+        [database], rigs.merl(), tmp_path / "out", cluster=somewhere.address, corrector=simple.noted_then_slowly,
+        watch=heard.append,
+    )  # fmt: skip
+    watcher.join()
+    assert killed[0] in [worker.pid for worker in workers]
+    assert (sorted(p.stem for p in done.corrected), done.failures) == (names, ())
+    lines = [line.split() for line in log.read_text().splitlines()]
+    assert len(lines) == len(names) + 1  # one of them twice
+    assert {int(pid) for _, pid in lines} == {worker.pid for worker in workers}
+    correct_all([database], rigs.merl(), tmp_path / "here", workers=1, corrector=simple.noted_then_slowly)
+    for name in names:
+        assert (tmp_path / "out" / f"{name}.binary").read_bytes() == (tmp_path / "here" / f"{name}.binary").read_bytes()
+
+
+@pytest.mark.slow
+def test_workers_that_must_not_be_used(somewhere, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "_PATIENCE", 20.0)
+    database = write_database(tmp_path / "in", ["a"])
+    start = lambda: correct_all(  # noqa: E731
+        [database], rigs.merl(), tmp_path / "out", cluster=somewhere.address, corrector=simple.brighter
+    )
+    older = tmp_path / "older.py"
+    older.write_text(
+        "from importlib import metadata\n"
+        "metadata.version = lambda name, real=metadata.version: '0.0.9' if name == 'matcam' else real(name)\n"
+    )
+    somewhere.add("--preload", older)
+    with pytest.raises(ClusterError, match=r"has matcam 0\.0\.9, this client 0\.1\.0: install the same"):
+        start()
+    somewhere.close_last()
+    somewhere.add("--nthreads", 2)
+    with pytest.raises(ClusterError, match="has 2 threads"):
+        start()
+    somewhere.close_last()
+    elsewhere = tmp_path / "elsewhere.py"
+    elsewhere.write_text(
+        "from pathlib import Path\n"
+        "Path.is_file = lambda self, real=Path.is_file: self.name != 'settings.json' and real(self)\n"
+    )
+    somewhere.add("--preload", elsewhere)
+    with pytest.raises(ClusterError, match="does not see"):
+        start()
+    assert not list((tmp_path / "out").glob("a.*"))
+
+
+@pytest.mark.slow
+def test_workers_that_it_starts_itself(tmp_path):
+    database = write_database(tmp_path / "in", ["a", "b"])
+    (database / "short.binary").write_bytes(b"short")
+    done = correct_all([database], rigs.merl(), tmp_path / "out", cluster="local:2", corrector=simple.brighter)
+    assert sorted(path.stem for path in done.corrected) == ["a", "b"]
+    assert "short.binary: 5 bytes" in done.failures[0].reason
+
+
+@pytest.mark.slow
+def test_a_file_that_kills_every_worker(tmp_path):
+    """Dask tries it on several workers; in the end it is listed, and the others are done."""
+    database = write_database(tmp_path / "in", ["a", "poison"])
+    done = correct_all([database], rigs.merl(), tmp_path / "out", cluster="local:2", corrector=simple.deadly)
+    assert [path.stem for path in done.corrected] == ["a"]
+    assert "workers that held it died" in done.failures[0].reason
+
+
+def test_nothing_to_do_needs_no_cluster():
+    assert list(outcomes([], "tcp://127.0.0.1:9")) == []
