@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from matcam import checks
 from matcam.angles import SAMPLINGS, Sampling
@@ -16,11 +16,12 @@ from matcam.batch import cluster as cluster_workers
 from matcam.batch import workers as local_workers
 from matcam.batch.corrector import Corrector, Options, corrected
 from matcam.batch.folder import held, sweep
-from matcam.batch.inputs import FAILED, INDEX, inputs_of, named
+from matcam.batch.inputs import CAMERA, FAILED, INDEX, inputs_of, named
 from matcam.batch.job import Job, Outcome
 from matcam.batch.ledger import is_finished, records
 from matcam.batch.one_core import cores
-from matcam.batch.settings import SETTINGS, claim, key_of, settings_of
+from matcam.batch.settings import SETTINGS, claim, key_of, numbers_of, settings_of
+from matcam.batch.shared_camera import with_shared_camera
 from matcam.batch.stored_rows import STORE, with_rows
 from matcam.errors import ArgumentError
 from matcam.figures.run_index import INLINE, write_run_index
@@ -65,6 +66,7 @@ def correct_all(
     cluster: str | None = None,
     pages: bool = True,
     zarr: bool = False,
+    fit_camera: bool = False,
     force: bool = False,
     watch: Callable[[Progress], None] = lambda progress: None,
     corrector: Corrector = corrected,
@@ -75,8 +77,10 @@ def correct_all(
     paths: files, and folders whose *.binary are meant. ndf, masking, glare: as for `correct`. sampling: as for `read_merl`.
     workers: processes of one core each; None: one for each core that this process may use. cluster: do it on Dask instead,
     "local:2" for workers on this machine, or the address of a scheduler whose workers have one thread, see the same folders
-    and hold the same versions. pages: a page for each material. zarr: all materials as one Zarr besides, run.zarr. watch:
-    called at the start and after each material. corrector: what does the work, the top-level function of a module.
+    and hold the same versions. pages: a page for each material. zarr: all materials as one Zarr besides, run.zarr. fit_camera:
+    the rig's blur is fitted jointly to a few of the materials, those with the narrowest lobes, and used for all with its
+    covariance; kept as camera.json. watch: called at the start and after each material. corrector: what does the work, the
+    top-level function of a module.
 
     A material whose files are whole, made with these settings from its input as it is now, is not done again: a run that was
     killed goes on. What fails, or takes its worker with it, stops nothing else. force: replace what is in the folder and do
@@ -92,21 +96,20 @@ def correct_all(
     options = Options(*_checked(ndf, masking, glare, sampling), glare)
     count = _count(workers, cluster)
     inputs = inputs_of(paths)
-    settings = settings_of(rig, options, sampling=sampling, pages=pages, corrector=corrector)
-    key = key_of(settings)
+    settings = settings_of(rig, options, sampling=sampling, pages=pages, fit_camera=fit_camera, corrector=corrector)
     with held(folder):
         found, refused = named(inputs, folder)
         plan = Job(
             source=Path(), output=Path(), rig=rig, options=options, sampling=sampling, page=pages, corrector=corrector,
-            force=True, key=key, thumbnail=True, version=metadata.version("matcam"),
+            force=True, key=key_of(settings), thumbnail=True, version=metadata.version("matcam"),
         )  # fmt: skip
         _check_picklable(plan)
         jobs = [replace(plan, source=path, output=folder / f"{name}.binary") for name, path in found.items()]
-        if not (folder / SETTINGS).exists():  # nobody's folder: what is in it is not ours to replace
-            for path in (path for job in jobs for path in job.files):
-                check_output(path, force=force, inputs=inputs)
-        claim(folder, settings, force=force)
-        sweep(folder, [*found, *(Path(name).stem for name in (SETTINGS, FAILED, INDEX))])
+        _take(folder, settings, jobs, inputs, force)
+        if fit_camera:
+            rig = with_shared_camera(rig, list(found.values()), folder / CAMERA, options, sampling, force=force)
+            key = key_of({**settings, "fitted": numbers_of(rig)})
+            jobs = [replace(job, rig=rig, key=key) for job in jobs]
         kept = [] if force else [job.source for job in jobs if is_finished(job)]
         done_before = set(kept)
         waiting = [job for job in jobs if job.source not in done_before]
@@ -125,6 +128,18 @@ def correct_all(
             force=True,
         )
         return run
+
+
+def _take(folder: Path, settings: dict[str, Any], jobs: Sequence[Job], inputs: Sequence[Path], force: bool) -> None:
+    """Make the folder this run's, and clear what a killed one left there."""
+    if not (folder / SETTINGS).exists():  # nobody's folder: what is in it is not ours to replace
+        for path in (
+            *(path for job in jobs for path in job.files),
+            *(folder / name for name in (INDEX, FAILED, CAMERA)),
+        ):
+            check_output(path, force=force, inputs=inputs)
+    claim(folder, settings, force=force)
+    sweep(folder, [*(job.name for job in jobs), *(Path(name).stem for name in (SETTINGS, FAILED, INDEX, CAMERA))])
 
 
 def _done(

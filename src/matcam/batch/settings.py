@@ -17,29 +17,36 @@ SETTINGS = "settings.json"
 _FORMAT = "matcam run"
 
 
-def settings_of(rig: Rig, options: Options, *, sampling: str, pages: bool, corrector: Corrector) -> dict[str, Any]:
+def settings_of(
+    rig: Rig, options: Options, *, sampling: str, pages: bool, fit_camera: bool, corrector: Corrector
+) -> dict[str, Any]:
     """Everything that decides what a run's files hold, as plain numbers and texts."""
-    described = rig.description()
-    described["camera"].pop("provenance")  # holds today's date, and changes no number
-    described |= {"crop": rig.crop, "cell_value": rig.cell_value}
     return plain(
         {
             "format": _FORMAT,
             "matcam": metadata.version("matcam"),
             "corrector": f"{corrector.__module__}:{corrector.__qualname__}",
-            "rig": described,
+            "rig": numbers_of(rig),
             "ndf": options.ndf,
             "masking": options.masking or "none",
             "glare": options.glare,
             "sampling": sampling,
             "pages": pages,
+            "fit_camera": fit_camera,
         }
     )
 
 
+def numbers_of(rig: Rig) -> dict[str, Any]:
+    """All that a rig's results depend on."""
+    described = rig.description()
+    described["camera"].pop("provenance")  # holds today's date, and changes no number
+    return {**described, "crop": rig.crop, "cell_value": rig.cell_value}
+
+
 def key_of(settings: dict[str, Any]) -> str:
     """A name made of the settings' content."""
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]
 
 
 def claim(folder: Path, settings: dict[str, Any], *, force: bool = False) -> bool:

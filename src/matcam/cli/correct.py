@@ -51,6 +51,12 @@ def command(
     zarr: Annotated[
         bool, typer.Option("--zarr", help="All materials of a run as one Zarr besides, FOLDER/run.zarr.")
     ] = False,
+    fit_camera: Annotated[
+        bool,
+        typer.Option(
+            "--fit-camera", help="Fit the camera's blur jointly to a few materials of a run, and use it for all."
+        ),
+    ] = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -71,8 +77,10 @@ def command(
     if alone:
         if output and output.suffix.lower() != ".binary":
             raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
-        if workers is not None or cluster is not None or zarr:
-            raise ArgumentError("--workers, --cluster and --zarr are for a run: name an output folder with -o")
+        if workers is not None or cluster is not None or zarr or fit_camera:
+            raise ArgumentError(
+                "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
+            )
         _one(paths[0], output, how, rig_options, pages, force, json)
         return
     if output is None or output.suffix.lower() == ".binary":
@@ -129,8 +137,10 @@ def _run(
 ) -> None:
     camera, radius, lamp, sampling = rig_options
     with show.tallying("correcting") as watch:
+        from matcam.batch.caches import keep_rules
         from matcam.batch.run import correct_all
 
+        keep_rules()
         rig = rig_of(camera, radius, lamp, cell_value=sampling)
 
         def told(progress: Any) -> None:

@@ -1,0 +1,83 @@
+"""One camera for all materials of a run: fitted jointly to a few of them, because they were taken by one rig."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+import xarray as xr
+
+from matcam.angles import Sampling
+from matcam.batch.corrector import Options
+from matcam.camera.camera import Camera
+from matcam.camera.uncertainty import Provenance
+from matcam.errors import FitError, MatcamError
+from matcam.files.merl import read_merl
+from matcam.inverse.fit_result import MaterialFit
+from matcam.inverse.material_fit import fit
+from matcam.rigs import Rig
+from matcam.trace import lobe_widths
+
+FITTED, LOOKED_AT = 4, 16
+"""Materials that are fitted, the narrowest lobes of those that are looked at: a lens hardly shows in a broad lobe."""
+_FAMILIES = ("ggx", "epd")
+_EVERY = 6
+
+
+def with_shared_camera(
+    rig: Rig, inputs: Sequence[Path], path: Path, options: Options, sampling: Sampling, *, force: bool = False
+) -> Rig:
+    """The rig, its camera's blur as these tables say, with its covariance; the camera is kept at `path`, and taken from there
+    where it is and not `force`. FitError where no table can be read, or they do not determine the blur."""
+    if path.exists() and not force:
+        return _with(rig, Camera.load(path))
+    chosen = _narrowest(inputs, sampling)
+    found = _fitted([table for _, table in chosen], rig, options)
+    camera = found.camera
+    if (
+        camera is None
+        or camera.uncertainty is None
+        or not np.all(np.isfinite(np.asarray(camera.uncertainty.covariance)))
+    ):
+        raise FitError("these materials do not determine the camera's blur: give its profile instead (camera)")
+    names = ", ".join(file.name for file, _ in chosen)
+    source = Provenance(source=f"blur fitted jointly to {names}, a {found.family} lobe for each")
+    camera = Camera(
+        camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source
+    )  # fmt: skip
+    camera.save(path, force=force)
+    return _with(rig, Camera.load(path))  # as a run that is taken up again will read it
+
+
+def _fitted(tables: list[xr.DataArray], rig: Rig, options: Options) -> MaterialFit:
+    families = _FAMILIES if options.ndf == "auto" else (options.ndf,)
+    fits = [
+        fit(tables, rig, family, fresnel="free", diffuse=True, masking=options.masking, camera="free", every=_EVERY)
+        for family in families
+    ]
+    return max(fits, key=lambda found: found.log_likelihood)
+
+
+def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, xr.DataArray]]:
+    """Of tables spread evenly over the inputs, those whose lobes are the narrowest; what cannot be read will be said when
+    its turn comes."""
+    places = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(LOOKED_AT, len(inputs))).astype(int))
+    widths: list[tuple[float, Path]] = []
+    for place in places:
+        try:
+            table = read_merl(inputs[place], sampling=sampling)
+        except MatcamError:
+            continue
+        seen = lobe_widths(table).across
+        width = float(np.nanmedian(seen)) if np.isfinite(seen).any() else np.inf
+        widths.append((width, inputs[place]))
+    if not widths:
+        raise FitError("no table can be read: there is nothing to fit a camera to")
+    order = sorted(widths, key=lambda entry: entry[0])[:FITTED]
+    return [(file, read_merl(file, sampling=sampling)) for _, file in order]
+
+
+def _with(rig: Rig, camera: Camera) -> Rig:
+    return eqx.tree_at(lambda r: r.camera, rig, camera)

@@ -1,0 +1,58 @@
+"""One camera for a run: the oracle's tables, their blur told wrong."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam import Camera, rigs, write_merl
+from matcam.batch import run
+from matcam.batch.job import attempted
+from matcam.batch.run import correct_all
+from matcam.errors import FitError
+from matcam.table import brdf_table
+from tests.batch import simple
+from tests.inverse import recorded
+from tests.oracle import sphere_cells as oracle
+from tests.oracle.merl_lobe import conductor
+
+
+@pytest.fixture
+def here(monkeypatch):
+    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: map(attempted, jobs))
+
+
+@pytest.mark.slow
+def test_the_blur_is_found_and_used(tmp_path, here):
+    """Two materials recorded through 0.5 px, said to be 0.55 px: the camera is fitted to both, with an error that holds, every
+    job is told of it, and the run that is taken up again does not fit it anew."""
+    shot = recorded.pictures(6)
+    theta = shot.cells.theta_d[:, None, None]
+    for seed, alpha in enumerate((0.003, 0.012)):
+        ways = shot.rule.ways(oracle.GGX(alpha)) * conductor(theta, *recorded.CHROMIUM)
+        one = shot.table(shot.rule.noisy(ways, np.random.default_rng(seed), gain=0.01)).values
+        write_merl(tmp_path / f"m{seed}.binary", brdf_table(np.repeat(one, 3, axis=3).clip(min=0), "centre"))
+    (tmp_path / "short.binary").write_bytes(b"short")
+    again = lambda: correct_all(  # noqa: E731
+        [tmp_path], recorded.rig(0.55), tmp_path / "out", "ggx", fit_camera=True, corrector=simple.told_lens
+    )
+    done = again()
+    assert len(done.corrected) == 2
+    camera = Camera.load(tmp_path / "out" / "camera.json")
+    sigma, std = float(camera.optics.sigma), camera.uncertainty.std()["optics.sigma_px"]
+    print(f"sigma {sigma:.5f} +- {std:.5f} px")
+    assert std < 0.005
+    assert abs(sigma - 0.5) < 4 * std
+    told = [json.loads((tmp_path / "out" / f"m{seed}.json").read_text()) for seed in range(2)]
+    assert [one["lens"] for one in told] == [sigma, sigma]
+    assert told[0]["camera"]["uncertainty"]["covariance"][0][0] == pytest.approx(std**2)
+    written = (tmp_path / "out" / "camera.json").stat().st_mtime_ns
+    resumed = again()
+    assert (len(resumed.kept), resumed.corrected) == (2, ())
+    assert (tmp_path / "out" / "camera.json").stat().st_mtime_ns == written
+
+
+def test_nothing_to_fit_a_camera_to(tmp_path, here):
+    (tmp_path / "short.binary").write_bytes(b"short")
+    with pytest.raises(FitError, match="no table can be read"):
+        correct_all([tmp_path], rigs.merl(), tmp_path / "out", fit_camera=True, corrector=simple.told_lens)
