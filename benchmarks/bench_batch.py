@@ -56,6 +56,7 @@ class Watched:
     def end(self) -> int:
         """Wait for its end; its exit code."""
         code = self.process.wait()
+        assert code in (0, 1, -signal.SIGKILL), f"exit code {code}"
         self.seconds = time.monotonic() - self.started
         self.thread.join()
         return code
@@ -92,6 +93,7 @@ def stand_ins(folder: Path, count: int) -> None:
 def difference(a: Path, b: Path) -> float:
     """Largest relative difference of all values of all tables."""
     worst = 0.0
+    assert {p.name for p in a.glob("*.nc")} == {p.name for p in b.glob("*.nc")}
     for path in a.glob("*.nc"):
         one, two = read_netcdf(path), read_netcdf(b / path.name)
         for name in ("brdf", "brdf_std", "response"):

@@ -42,7 +42,7 @@ def database(tmp_path_factory):
 @pytest.fixture
 def here(monkeypatch):
     """Work in this process: no worker has to be started."""
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: map(attempted, jobs))
+    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
 
 
 def times(folder, *names):
@@ -73,7 +73,7 @@ def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):
     assert {p.name for p in out.iterdir() if p.name.startswith(".")} <= {".lock"}
 
     old = times(out, "a", "b")
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: map(attempted, jobs))
+    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
     again = correct_all(
         [database / f"{n}.binary" for n in ("a", "b")], rigs.merl(), out, corrector=simple.deadly
     )  # fmt: skip

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack
 from importlib import metadata
@@ -45,7 +45,7 @@ def check_address(cluster: str) -> None:
         raise ArgumentError("a cluster needs an extra: pip install 'matcam[scale]'") from None
 
 
-def outcomes(jobs: Sequence[Job], cluster: str) -> Iterator[Outcome]:
+def outcomes(jobs: Sequence[Job], cluster: str) -> Generator[Outcome]:
     """Do jobs on a cluster; their outcomes as they come. ClusterError where it cannot be reached, or must not be used: the
     scheduler is silent, no worker is there, a version or the files that it sees are not the same."""
     from distributed import as_completed

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -105,7 +106,7 @@ def correct_all(
         )  # fmt: skip
         _check_picklable(plan)
         jobs = [replace(plan, source=path, output=folder / f"{name}.binary") for name, path in found.items()]
-        _take(folder, settings, jobs, inputs, force)
+        _take(folder, settings, jobs, force)
         if fit_camera:
             rig = with_shared_camera(rig, list(found.values()), folder / CAMERA, options, sampling, force=force)
             key = key_of({**settings, "fitted": numbers_of(rig)})
@@ -130,14 +131,14 @@ def correct_all(
         return run
 
 
-def _take(folder: Path, settings: dict[str, Any], jobs: Sequence[Job], inputs: Sequence[Path], force: bool) -> None:
+def _take(folder: Path, settings: dict[str, Any], jobs: Sequence[Job], force: bool) -> None:
     """Make the folder this run's, and clear what a killed one left there."""
     if not (folder / SETTINGS).exists():  # nobody's folder: what is in it is not ours to replace
         for path in (
             *(path for job in jobs for path in job.files),
             *(folder / name for name in (INDEX, FAILED, CAMERA)),
         ):
-            check_output(path, force=force, inputs=inputs)
+            check_output(path, force=force)
     claim(folder, settings, force=force)
     sweep(folder, [*(job.name for job in jobs), *(Path(name).stem for name in (SETTINGS, FAILED, INDEX, CAMERA))])
 
@@ -147,7 +148,7 @@ def _done(
     waiting: Sequence[Job],
     kept: list[Path],
     refused: list[Outcome],
-    outcomes: Iterator[Outcome],
+    outcomes: Generator[Outcome],
     watch: Callable[[Progress], None],
 ) -> Run:
     """Hear the outcomes to the end, and write down what failed."""
@@ -156,12 +157,13 @@ def _done(
     failures = list(refused)
     watch(Progress(len(kept), 0, len(failures), total, None))
     try:
-        for outcome in outcomes:
-            if outcome.reason is None:
-                good.append(outcome.source)
-            else:
-                failures.append(outcome)
-            watch(Progress(len(kept), len(good), len(failures), total, outcome))
+        with closing(outcomes):  # whatever ends this, no worker goes on
+            for outcome in outcomes:
+                if outcome.reason is None:
+                    good.append(outcome.source)
+                else:
+                    failures.append(outcome)
+                watch(Progress(len(kept), len(good), len(failures), total, outcome))
     finally:
         _write_failures(folder / FAILED, failures)
     return Run(folder, tuple(good), tuple(kept), tuple(failures))

@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from multiprocessing import connection
 from typing import Any
 
@@ -54,7 +54,7 @@ class _Worker:
         self.pipe.close()
 
 
-def outcomes(jobs: Iterable[Job], count: int) -> Iterator[Outcome]:
+def outcomes(jobs: Iterable[Job], count: int) -> Generator[Outcome]:
     """Do jobs in `count` processes; their outcomes as they come. A worker that dies costs the job that it held, no other.
     WorkerError where none could be started."""
     waiting = deque(jobs)
