@@ -131,6 +131,46 @@ def test_a_killed_run_goes_on(tmp_path, monkeypatch, here):
     assert sorted(p.name for p in out.iterdir() if p.name.startswith(".")) == [".lock"]
 
 
+@pytest.mark.slow
+def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
+    """Ctrl-C reaches parent and workers: all end at once, exit code 130, and there is no half file."""
+    database, out, log = write_database(tmp_path / "in", ["a", "b", "c", "d"]), tmp_path / "out", tmp_path / "log"
+    program = tmp_path / "program.py"
+    program.write_text(_PROGRAM)
+    paths = os.pathsep.join([str(REPOSITORY / "src"), str(REPOSITORY)])
+    process = subprocess.Popen(
+        [sys.executable, program, "correct", database, "-o", out, "--workers", "2"],
+        env={**os.environ, "PYTHONPATH": paths, "MATCAM_TEST_LOG": str(log)}, start_new_session=True,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while not log.exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    time.sleep(0.1)  # while files are written
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate()[1]
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "matcam: interrupted; nothing half-written was left"
+    assert "Traceback" not in said
+    for line in log.read_text().splitlines():
+        assert not alive(int(line.split()[1]))
+    assert {p.name for p in out.iterdir() if p.name.startswith(".")} == {".lock"}
+    for path in out.glob("*.binary"):
+        assert path.stat().st_size == 34992012
+
+
+_PROGRAM = """
+import functools
+from matcam.batch import run
+from matcam.cli import main
+from tests.batch import simple
+
+run.correct_all = functools.partial(run.correct_all, corrector=simple.noted_then_slowly)
+if __name__ == "__main__":
+    main()
+"""
+
+
 def test_other_settings_and_changed_inputs(tmp_path, here):
     database = write_database(tmp_path / "in", ["a"])
     out = tmp_path / "out"

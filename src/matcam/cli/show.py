@@ -105,9 +105,15 @@ def tallying(what: str) -> Iterator[Any]:
     ) as progress:
         task = progress.add_task(what, total=None)
         log = _Log(what)
+        begun = False
 
         def update(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
+            nonlocal begun
+            if begun:
+                progress.update(task, completed=done, total=total)
+            else:  # what was done before says nothing of the pace
+                progress.reset(task, completed=done, total=total)
+            begun = True
             if not watched:
                 log.tell(done, total)
 
