@@ -150,10 +150,13 @@ def test_workers_that_must_not_be_used(somewhere, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_workers_that_it_starts_itself(tmp_path):
+def test_workers_that_it_starts_itself(tmp_path, monkeypatch):
+    """And paths that are not from the root."""
+    monkeypatch.chdir(tmp_path)
     database = write_database(tmp_path / "in", ["a", "b"])
     (database / "short.binary").write_bytes(b"short")
-    done = correct_all([database], rigs.merl(), tmp_path / "out", cluster="local:2", corrector=simple.brighter)
+    done = correct_all(["in"], rigs.merl(), "out", cluster="local:2", corrector=simple.brighter)
+    assert (tmp_path / "out" / "a.json").exists()
     assert sorted(path.stem for path in done.corrected) == ["a", "b"]
     assert "short.binary: 5 bytes" in done.failures[0].reason
 

@@ -201,6 +201,9 @@ def test_other_settings_and_changed_inputs(tmp_path, here):
     )
     (out / "a.nc").write_bytes(b"damaged")
     assert len(again().corrected) == 1
+    (database / "a.binary").write_bytes(b"no table any more")
+    assert len(again().failures) == 1
+    assert "0 corrected materials" in (out / "index.html").read_text()
 
 
 def test_one_run_at_a_time(tmp_path, here):

@@ -12,6 +12,7 @@ import re
 from collections.abc import Generator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def outcomes(jobs: Sequence[Job], cluster: str) -> Generator[Outcome]:
             job = next(waiting, None)
             if job is None:
                 return None
-            future = client.submit(_attempted_there, job, pure=False)
+            future = client.submit(_attempted_there, _anywhere(job), pure=False)
             held[future] = job
             return future
 
@@ -82,7 +83,7 @@ def _outcome(future: Any, job: Job) -> Outcome:
     from distributed import KilledWorker
 
     try:
-        return future.result()
+        return future.result()._replace(source=job.source)
     except KilledWorker as error:
         return Outcome(job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers that held it died")
     except CancelledError:
@@ -124,7 +125,7 @@ def _check_workers(client: Any, folder: Path) -> int:
         raise ClusterError("the cluster has no worker: start some (dask worker ADDRESS --nthreads 1)") from None
     ours = versions()
     try:
-        told_by = client.run(_told, str(folder / SETTINGS))
+        told_by = client.run(_told, str((folder / SETTINGS).absolute()))
     except Exception as error:  # where a worker cannot even import what it is asked
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ClusterError(f"the cluster's workers cannot run matcam: {reason:.120}") from None
@@ -159,6 +160,12 @@ def versions() -> dict[str, str]:
 def _told(path: str) -> dict[str, Any]:
     """A worker's versions, and whether it sees a file."""
     return {"versions": versions(), "sees": Path(path).is_file()}
+
+
+def _anywhere(job: Job) -> Job:
+    """The same, whatever folder a worker stands in."""
+    store = job.store and job.store.absolute()
+    return replace(job, source=job.source.absolute(), output=job.output.absolute(), store=store)
 
 
 def _attempted_there(job: Job) -> Outcome:

@@ -118,14 +118,15 @@ def correct_all(
             waiting = with_rows(folder / STORE, jobs, waiting)
         outcomes = cluster_workers.outcomes(waiting, cluster) if cluster else local_workers.outcomes(waiting, count)
         run = _done(folder, waiting, kept, refused, outcomes, watch)
-        ordered = sorted(jobs, key=lambda job: job.name.casefold())
+        finished = {*run.kept, *run.corrected}  # not what lies there of an input that has changed and fails now
+        ordered = sorted((job for job in jobs if job.source in finished), key=lambda job: job.name.casefold())
         failures = [(str(failure.source), failure.reason or "") for failure in run.failures]
         write_run_index(
             folder / INDEX,
             records(ordered),
             failures,
             said=_in_words(options, rig),
-            inline=len(jobs) <= INLINE,
+            inline=len(ordered) <= INLINE,
             force=True,
         )
         return run

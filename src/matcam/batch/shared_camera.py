@@ -43,7 +43,9 @@ def with_shared_camera(
     ):
         raise FitError("these materials do not determine the camera's blur: give its profile instead (camera)")
     names = ", ".join(file.name for file, _ in chosen)
-    source = Provenance(source=f"blur fitted jointly to {names}, a {found.family} lobe for each")
+    source = Provenance(
+        source=f"blur fitted jointly to {names}, a {found.family} lobe for each", notes="; ".join(found.remarks)
+    )
     camera = Camera(
         camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source
     )  # fmt: skip
