@@ -13,12 +13,14 @@ ENVIRONMENT = {
     "NPROC": "1",  # the size of XLA's pool of threads
 }
 """Read by NumPy's BLAS and by XLA when a process loads them."""
+_PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _XLA = "--xla_cpu_multi_thread_eigen=false"
 
 
 def environment() -> dict[str, str]:
     """Variables of a process that is to use one core, what the user has told XLA kept."""
-    return {**ENVIRONMENT, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()}
+    shared = os.environ.get(_PREALLOCATE, "false")  # a GPU that workers share must not be taken whole by the first
+    return {**ENVIRONMENT, _PREALLOCATE: shared, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()}
 
 
 @contextlib.contextmanager
