@@ -119,6 +119,30 @@ def test_a_worker_is_killed_in_the_middle(somewhere, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_the_scheduler_is_lost_in_the_middle(somewhere, tmp_path):
+    """Every material that was not finished is listed; started again elsewhere, the run goes on."""
+    names = ["a", "b", "c", "d", "e"]
+    database, log, out = write_database(tmp_path / "in", names), tmp_path / "log", tmp_path / "out"
+    somewhere.add(MATCAM_TEST_LOG=str(log))
+
+    def kill():
+        while not log.exists():
+            time.sleep(0.01)
+        somewhere.processes[0].kill()
+
+    watcher = threading.Thread(target=kill)
+    watcher.start()
+    lost = correct_all([database], rigs.merl(), out, cluster=somewhere.address, corrector=simple.noted_then_slowly)
+    watcher.join()
+    assert sorted(path.stem for path in lost.corrected) + sorted(f.source.stem for f in lost.failures) == names
+    assert len(lost.failures) >= 4
+    assert all("scheduler was lost" in failure.reason for failure in lost.failures)
+    again = correct_all([database], rigs.merl(), out, workers=1, corrector=simple.noted_then_slowly)
+    assert sorted(path.stem for path in (*again.kept, *again.corrected)) == names
+    assert again.failures == ()
+
+
+@pytest.mark.slow
 def test_workers_that_must_not_be_used(somewhere, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_PATIENCE", 20.0)
     database = write_database(tmp_path / "in", ["a"])
