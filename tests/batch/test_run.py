@@ -379,6 +379,25 @@ def command(monkeypatch, *arguments):
     return CliRunner().invoke(app, ["correct", *(str(a) for a in arguments)])
 
 
+def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
+    def told(paths, rig, output, **options):
+        asked.update(options, radius=float(rig.sample.radius), paths=paths, output=output)
+        return run.Run(tmp_path, (), (), ())
+
+    asked = {}
+    monkeypatch.setattr(run, "correct_all", told)
+    options = (
+        "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --no-pages --zarr --fit-camera"
+    )
+    done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
+    assert done.exit_code == 0, done.output
+    asked.pop("watch")
+    assert asked == {
+        "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "masking": None, "radius": 100.0,
+        "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "force": True,
+    }  # fmt: skip
+
+
 def test_the_command(database, tmp_path, monkeypatch, here):
     """One table in order and one cut short: exit code 1, both said; none in order: 2."""
     out = tmp_path / "out"

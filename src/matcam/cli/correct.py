@@ -85,15 +85,8 @@ def command(
         return
     if output is None or output.suffix.lower() == ".binary":
         raise ArgumentError("several tables need an output folder: -o FOLDER")
-    _run(
-        paths,
-        output,
-        how,
-        rig_options,
-        {"workers": workers, "cluster": cluster, "pages": pages, "zarr": zarr},
-        force,
-        json,
-    )
+    chosen = {"workers": workers, "cluster": cluster, "pages": pages, "zarr": zarr, "fit_camera": fit_camera}
+    _run(paths, output, how, rig_options, chosen, force, json)
 
 
 def _one(
