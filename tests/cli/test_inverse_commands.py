@@ -48,6 +48,16 @@ def test_fit_prints_and_writes(merl_file, tmp_path):
 
 
 @pytest.mark.slow
+def test_fit_sets_the_camera_against_free_shadowing(merl_file, tmp_path):
+    done = run("fit", merl_file, "--every", 18, "--fresnel", "free", "--rival", "--json")
+    assert done.exit_code == 0, done.output
+    rival = json.loads(done.stdout)["rival"]
+    assert rival["verdict"].startswith("the camera explains the data better")
+    assert rival["camera"]["akaike"] < rival["shadowing"]["akaike"]
+    assert "give one file" in str(run("fit", merl_file, "--no-camera", "--rival").exception)
+
+
+@pytest.mark.slow
 def test_correct_writes_four_files(merl_file, tmp_path):
     out = tmp_path / "corrected.binary"
     done = run("correct", merl_file, "--ndf", "ggx", "-o", out, "--json")
