@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from matcam import fit, fresnel_conductor, metal, metal_sources, read_merl, rigs
+from matcam import fit, fresnel_conductor, metal, metal_sources, read_merl, rigs, rivals
 
 MATERIALS = {"chrome": "Cr", "steel": "Fe", "ss440": "Fe", "tungsten-carbide": "W", "nickel": "Ni", "brass": "brass"}
 WAVELENGTH = 550e-9
@@ -59,6 +59,7 @@ def main() -> None:
             f"{name} | lens free | sigma_mtf {lens[0]:.3f} +- {lens[1]:.3f} px, noise {free.noise.relative:.3f}",
             flush=True,
         )
+        print(f"{name} | {rivals(table, rigs.merl(), 'epd', every=EVERY).verdict}", flush=True)
 
 
 if __name__ == "__main__":

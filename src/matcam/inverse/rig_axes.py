@@ -30,6 +30,8 @@ _WIDEST_LENS, _WIDEST = 0.5, 0.2
 """Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the picture."""
 _SHARPEST = 0.1
 """px; below this a lens makes the pixel's border a step, which the rule's nodes do not follow: extrapolated from here."""
+_NARROWEST = 1e-3
+"""px; a lens of 0 is none at all, and no camera of ours."""
 _PRIOR_RANGE = 5.0
 """In standard deviations, where something is known."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
@@ -85,7 +87,8 @@ def free_axis(name: str, rig: Rig) -> Axis:
             raise ArgumentError(f"{name} is 0 in this rig: it cannot be left free")
         return Axis(name, base, 0.0, -_FREE_RANGE, _FREE_RANGE, _points(-_FREE_RANGE, _FREE_RANGE))
     total = base**2 + softening**2
-    low, high = 0.5 * np.log(softening**2 / total), _WIDEST_LENS if name == LENS else _WIDEST
+    narrowest = _NARROWEST if name == LENS else 0.0
+    low, high = 0.5 * np.log((narrowest**2 + softening**2) / total), _WIDEST_LENS if name == LENS else _WIDEST
     sharpest = 0.5 * np.log((_SHARPEST**2 + softening**2) / total) if name == LENS else low
     return Axis(name, base, softening, float(low), high, _points(min(sharpest, -1e-3) if low < 0 else 0.0, high))
 
