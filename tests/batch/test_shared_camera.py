@@ -1,17 +1,20 @@
 """One camera for a run: the oracle's tables, their blur told wrong."""
 
+import functools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from matcam import Camera, rigs, write_merl
-from matcam.batch import run
+from matcam.batch import run, shared_camera
 from matcam.batch.job import attempted
 from matcam.batch.run import correct_all
 from matcam.errors import FitError
 from matcam.table import brdf_table
 from tests.batch import simple
+from tests.batch.tables import write_database
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -50,6 +53,19 @@ def test_the_blur_is_found_and_used(tmp_path, here):
     resumed = again()
     assert (len(resumed.kept), resumed.corrected) == (2, ())
     assert (tmp_path / "out" / "camera.json").stat().st_mtime_ns == written
+
+
+def test_a_blur_that_does_not_show_is_not_used(tmp_path, here, monkeypatch):
+    """As in tables without a camera; the folder stays free for a run without --fit-camera."""
+    write_database(tmp_path / "in", ["a"])
+    fitted = SimpleNamespace(
+        params={"optics.sigma_px": 0.01}, std={"optics.sigma_px": 0.02}, camera=rigs.merl().camera, log_likelihood=0.0
+    )
+    monkeypatch.setattr(shared_camera, "fit", lambda *arguments, **options: fitted)
+    start = functools.partial(correct_all, [tmp_path / "in"], rigs.merl(), tmp_path / "out", corrector=simple.told_lens)
+    with pytest.raises(FitError, match=r"a\.binary do not determine the camera's blur \(0\.01 \+- 0\.02 px\)"):
+        start(fit_camera=True)
+    assert len(start().corrected) == 1
 
 
 def test_nothing_to_fit_a_camera_to(tmp_path, here):

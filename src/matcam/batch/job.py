@@ -119,7 +119,8 @@ def attempted(job: Job) -> Outcome:
     try:
         corrected_files(job)
     except MatcamError as error:
-        return failed(" ".join(str(error).split()))
+        text = " ".join(str(error).split())
+        return failed(text if str(job.source) in text else f"{job.source}: {text}")
     except MemoryError:
         return failed(f"{job.source}: not enough memory")
     except Exception as error:

@@ -10,6 +10,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
+
 from matcam import checks
 from matcam.angles import SAMPLINGS, Sampling
 from matcam.atomic import check_output
@@ -21,9 +23,10 @@ from matcam.batch.inputs import CAMERA, FAILED, INDEX, inputs_of, named
 from matcam.batch.job import Job, Outcome
 from matcam.batch.ledger import is_finished, records
 from matcam.batch.one_core import cores
-from matcam.batch.settings import SETTINGS, claim, key_of, numbers_of, settings_of
-from matcam.batch.shared_camera import with_shared_camera
+from matcam.batch.settings import SETTINGS, belongs, claim, key_of, numbers_of, settings_of
+from matcam.batch.shared_camera import shared_camera
 from matcam.batch.stored_rows import STORE, with_rows
+from matcam.camera.camera import Camera
 from matcam.errors import ArgumentError
 from matcam.figures.run_index import INLINE, write_run_index
 from matcam.inverse.lobe_operator import check_rig
@@ -90,7 +93,7 @@ def correct_all(
     Workers are new processes that import the script which called this: there, call it under `if __name__ == "__main__":`.
 
     ArgumentError for wrong arguments, OutputError for a folder of a run with other settings (which is named), one that another
-    run works in, one that holds an input, or files that are no run's.
+    run works in, one that holds an input, or files that are no run's; FitError where a camera was to be fitted and cannot.
     """
     folder = Path(output)
     check_rig(rig)
@@ -106,9 +109,18 @@ def correct_all(
         )  # fmt: skip
         _check_picklable(plan)
         jobs = [replace(plan, source=path, output=folder / f"{name}.binary") for name, path in found.items()]
-        _take(folder, settings, jobs, force)
+        ours = _checked_folder(folder, settings, jobs, force)
+        fitted: Camera | None = None
+        if fit_camera and (force or not ours or not (folder / CAMERA).exists()):
+            fitted = shared_camera(rig, list(found.values()), options, sampling)
+        # from here on the folder is this run's; before, a run that cannot start has changed nothing
+        if not ours:
+            claim(folder, settings)
+        sweep(folder, [*found, *(Path(name).stem for name in (SETTINGS, FAILED, INDEX, CAMERA))])
+        if fitted is not None:
+            fitted.save(folder / CAMERA, force=True)
         if fit_camera:
-            rig = with_shared_camera(rig, list(found.values()), folder / CAMERA, options, sampling, force=force)
+            rig = eqx.tree_at(lambda r: r.camera, rig, Camera.load(folder / CAMERA))
             key = key_of({**settings, "fitted": numbers_of(rig)})
             jobs = [replace(job, rig=rig, key=key) for job in jobs]
         kept = [] if force else [job.source for job in jobs if is_finished(job)]
@@ -132,16 +144,15 @@ def correct_all(
         return run
 
 
-def _take(folder: Path, settings: dict[str, Any], jobs: Sequence[Job], force: bool) -> None:
-    """Make the folder this run's, and clear what a killed one left there."""
+def _checked_folder(folder: Path, settings: dict[str, Any], jobs: Sequence[Job], force: bool) -> bool:
+    """Whether the folder already is this run's. OutputError where it must not be used."""
     if not (folder / SETTINGS).exists():  # nobody's folder: what is in it is not ours to replace
         for path in (
             *(path for job in jobs for path in job.files),
             *(folder / name for name in (INDEX, FAILED, CAMERA)),
         ):
             check_output(path, force=force)
-    claim(folder, settings, force=force)
-    sweep(folder, [*(job.name for job in jobs), *(Path(name).stem for name in (SETTINGS, FAILED, INDEX, CAMERA))])
+    return belongs(folder, settings, force=force)
 
 
 def _done(

@@ -49,25 +49,27 @@ def key_of(settings: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]
 
 
-def claim(folder: Path, settings: dict[str, Any], *, force: bool = False) -> bool:
-    """Make `folder` this run's; whether it already was. OutputError, naming the setting, where it is another run's, unless
-    `force`."""
+def belongs(folder: Path, settings: dict[str, Any], *, force: bool = False) -> bool:
+    """Whether `folder` already is this run's. OutputError, naming the setting, where it is another run's, unless `force`."""
     path = folder / SETTINGS
-    if path.exists():
-        there = read_json(path, "the settings of a run")
-        if not isinstance(there, dict) or there.get("format") != _FORMAT:
-            raise OutputError(f"output {path} is not the settings of a run: choose another folder")
-        different = _difference(there, settings)
-        if different is None:
-            return True
-        if not force:
-            name, old, new = different
-            raise OutputError(
-                f"output folder {folder} is another run's: its {name} is {old}, this run's is {new}; choose another folder, "
-                "or use --force (force=True) to do everything again"
-            )
-    write_json(path, settings, force=force)
-    return False
+    if not path.exists():
+        return False
+    there = read_json(path, "the settings of a run")
+    if not isinstance(there, dict) or there.get("format") != _FORMAT:
+        raise OutputError(f"output {path} is not the settings of a run: choose another folder")
+    different = _difference(there, settings)
+    if different is not None and not force:
+        name, old, new = different
+        raise OutputError(
+            f"output folder {folder} is another run's: its {name} is {old}, this run's is {new}; choose another folder, or use "
+            "--force (force=True) to do everything again"
+        )
+    return different is None
+
+
+def claim(folder: Path, settings: dict[str, Any]) -> None:
+    """Make a folder this run's."""
+    write_json(folder / SETTINGS, settings, force=True)
 
 
 def _difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str] | None:

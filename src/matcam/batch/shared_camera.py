@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import equinox as eqx
 import numpy as np
 import xarray as xr
 
@@ -17,40 +16,35 @@ from matcam.errors import FitError, MatcamError
 from matcam.files.merl import read_merl
 from matcam.inverse.fit_result import MaterialFit
 from matcam.inverse.material_fit import fit
+from matcam.inverse.rig_axes import LENS
 from matcam.rigs import Rig
 from matcam.trace import lobe_widths
 
 FITTED, LOOKED_AT = 4, 16
 """Materials that are fitted, the narrowest lobes of those that are looked at: a lens hardly shows in a broad lobe."""
+KNOWN = 0.25
+"""Relative standard deviation up to which a fitted blur is used: a correction takes it for small."""
 _FAMILIES = ("ggx", "epd")
 _EVERY = 6
 
 
-def with_shared_camera(
-    rig: Rig, inputs: Sequence[Path], path: Path, options: Options, sampling: Sampling, *, force: bool = False
-) -> Rig:
-    """The rig, its camera's blur as these tables say, with its covariance; the camera is kept at `path`, and taken from there
-    where it is and not `force`. FitError where no table can be read, or they do not determine the blur."""
-    if path.exists() and not force:
-        return _with(rig, Camera.load(path))
+def shared_camera(rig: Rig, inputs: Sequence[Path], options: Options, sampling: Sampling) -> Camera:
+    """The rig's camera, its blur as these tables say, with its variance. FitError where no table can be read, or they do not
+    determine the blur to a quarter."""
     chosen = _narrowest(inputs, sampling)
     found = _fitted([table for _, table in chosen], rig, options)
-    camera = found.camera
-    if (
-        camera is None
-        or camera.uncertainty is None
-        or not np.all(np.isfinite(np.asarray(camera.uncertainty.covariance)))
-    ):
-        raise FitError("these materials do not determine the camera's blur: give its profile instead (camera)")
+    value, std = found.params[LENS], found.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
+    camera = found.camera
+    if camera is None or not std < KNOWN * value:
+        raise FitError(
+            f"{names} do not determine the camera's blur ({value:.3g} +- {std:.2g} px): give its profile instead (--camera), "
+            "or tables with narrower lobes"
+        )
     source = Provenance(
         source=f"blur fitted jointly to {names}, a {found.family} lobe for each", notes="; ".join(found.remarks)
     )
-    camera = Camera(
-        camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source
-    )  # fmt: skip
-    camera.save(path, force=force)
-    return _with(rig, Camera.load(path))  # as a run that is taken up again will read it
+    return Camera(camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source)
 
 
 def _fitted(tables: list[xr.DataArray], rig: Rig, options: Options) -> MaterialFit:
@@ -79,7 +73,3 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
         raise FitError("no table can be read: there is nothing to fit a camera to")
     order = sorted(widths, key=lambda entry: entry[0])[:FITTED]
     return [(file, read_merl(file, sampling=sampling)) for _, file in order]
-
-
-def _with(rig: Rig, camera: Camera) -> Rig:
-    return eqx.tree_at(lambda r: r.camera, rig, camera)
