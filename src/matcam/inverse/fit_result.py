@@ -21,6 +21,7 @@ from matcam.inverse.fit_remarks import remarks_on
 from matcam.inverse.lobe_operator import radius_of
 from matcam.inverse.lobe_width import half_width_of
 from matcam.inverse.rig_axes import WIDTHS
+from matcam.inverse.strengths import strengths_of
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf import NDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
@@ -110,12 +111,6 @@ class MaterialFit:
         inner = slice(place.start, place.start + count)
         return float(curve(at)), float(np.sqrt(slope @ self.solved.covariance[inner, inner] @ slope))
 
-    def strength_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of strengths that are free in every slice: (their standard deviations, all else held, (units, slices); how they
-        fall when the fit's numbers rise, (numbers, units, slices)). The covariance of a unit's strengths is
-        diag(own^2) + taken' covariance taken. 0 where nothing was seen."""
-        return _strength_errors(self.problem, self.solved)
-
     def summary(self) -> dict[str, Any]:
         """Everything that fits on a page, as plain numbers and texts."""
         return {
@@ -160,7 +155,7 @@ def result_of(
     half, half_std = half_width_of(
         layout.family, solved.p[layout.lobe(0)], solved.covariance[layout.lobe(0), layout.lobe(0)]
     )
-    strength, strength_std = _strengths(problem, solved)
+    strength, strength_std = strengths_of(problem, solved)
     labels = ("theta_d", "channel")
     coords: dict[str, Any] = {
         "theta_d": ("theta_d", problem.theta_d, {"units": "rad"}),
@@ -247,44 +242,6 @@ def _named(
         std = float(np.sqrt(solved.covariance[number, number]))
         values[number], slopes[number] = axis.value(solved.p[number]), axis.slope(solved.p[number], std)
     return names, values, slopes
-
-
-def _strengths(problem: Problem, solved: Solved) -> tuple[np.ndarray, np.ndarray]:
-    """F of every unit and slice and its standard deviation, the gain's share included where F is free."""
-    layout = problem.layout
-    strength = solved.model.strength.copy()
-    if layout.fresnel != "free":
-        variance = np.zeros_like(strength)
-        for u in range(len(strength)):
-            place = layout.unit(u)
-            inner = slice(place.start, place.start + len(parameters.fresnel_names(layout.fresnel)))
-
-            def curve(c: jax.Array) -> jax.Array:
-                return parameters.reflectance_at(layout.fresnel, c).at(jnp.asarray(problem.theta_d))
-
-            slope = np.asarray(jax.jacfwd(curve)(jnp.asarray(solved.p[inner])))
-            variance[u] = np.einsum("sa,ab,sb->s", slope, solved.covariance[inner, inner], slope)
-        return strength, np.sqrt(variance)
-    own, taken = _strength_errors(problem, solved)
-    variance = own**2 + np.einsum("pus,pq,qus->us", taken, solved.covariance, taken)
-    variance += (solved.noise.gain * strength) ** 2
-    seen = problem.data.used.any(-1)
-    return np.where(seen, strength, np.nan), np.where(seen, np.sqrt(variance), np.nan)
-
-
-def _strength_errors(problem: Problem, solved: Solved) -> tuple[np.ndarray, np.ndarray]:
-    weighted = np.where(problem.data.used, solved.weight, 0.0) * solved.model.lobe
-    power = np.maximum((weighted * solved.model.lobe).sum(-1), 1e-300)
-    taken = (weighted * solved.model.derivative).sum(-1) / power
-    seen = problem.data.used.any(-1)
-    return np.where(seen, solved.model.strength_std, 0.0), np.where(seen, taken, 0.0)
-
-
-def conditional(covariance: np.ndarray, known: slice) -> tuple[np.ndarray, np.ndarray]:
-    """(covariance if the numbers at `known` were held, what their own uncertainty adds): both of the full shape."""
-    cross = covariance[:, known]
-    added = cross @ np.linalg.pinv(covariance[known, known], hermitian=True) @ cross.T
-    return covariance - added, added
 
 
 def _material(problem: Problem, solved: Solved, ndf: NDF, units: range, strength: np.ndarray) -> Microfacet:

@@ -13,11 +13,12 @@ from matcam.angles import GRID_SHAPE
 from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError, FitError
 from matcam.forward.peak import peak_response
-from matcam.inverse.fit_result import MaterialFit, conditional
+from matcam.inverse.fit_result import MaterialFit
 from matcam.inverse.lobe_operator import check_rig
 from matcam.inverse.material_fit import fit
 from matcam.inverse.refit import bent, resampled
 from matcam.inverse.shape_correction import BENT, remark_on_shape, shape_correction
+from matcam.inverse.strengths import conditional, strength_errors
 from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf import NDF
@@ -158,7 +159,7 @@ class _FresnelTerm:
         mean = np.where(used, strength, 0).sum(-1, keepdims=True) / count
         self.normalised = strength / mean
 
-        own, taken = found.strength_errors()
+        own, taken = strength_errors(found.problem, found.solved)
         noise, camera = conditional(found.solved.covariance, found.problem.layout.camera)
         diagonal = np.eye(theta_d.size) * own[:, None, :] ** 2
         by_noise, by_camera = (np.einsum("pus,pq,qut->ust", taken, c, taken) for c in (noise, camera))
