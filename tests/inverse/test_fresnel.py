@@ -96,9 +96,10 @@ def test_every_slice_of_a_table():
     error = found["corrected"].values[:, 0] / normalised(theta, truth_at(theta)) - 1
     assert np.abs(error[:75]).max() < 0.01
     assert float(found["width_std"]) < 0.6 * float(few["width_std"])
-    pull = error / (found["corrected_std"] / found["corrected"]).values[:, 0]
-    # 82 slices, nearly independent: their rms is known to 8 %
-    assert 0.75 < np.sqrt(np.mean(pull[:82] ** 2)) < 1.3
+    pull = (error / (found["corrected_std"] / found["corrected"]).values[:, 0])[:80]
+    # 80 slices, nearly independent: their rms is known to 8 %
+    assert np.isfinite(pull).sum() > 75
+    assert 0.75 < np.sqrt(np.nanmean(pull**2)) < 1.3
 
 
 def test_beckmanns_lobe_is_the_gaussian_one_when_it_is_sharp(shot):

@@ -38,6 +38,7 @@ def command(
     channel: Annotated[
         Literal["R", "G", "B"], typer.Option("--channel", help="Channel that is drawn and printed.")
     ] = "G",
+    every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.", min=1, max=30)] = 1,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -62,7 +63,7 @@ def command(
     for path in (output.with_suffix(".csv"), output.with_suffix(".nc")):
         check_output(path, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):
-        result, tables = _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise)
+        result, tables = _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise, every)
         _write(result, tables, output, force, channel)
     if json:
         show.as_json(_document(result, tables, output))
@@ -70,7 +71,7 @@ def command(
         _print(result, tables, output, channel)
 
 
-def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise):  # type: ignore[no-untyped-def]
+def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise, every):  # type: ignore[no-untyped-def]
     import math
 
     keep_rules()
@@ -89,6 +90,7 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
         ndf=ndf,
         masking=None if masking == "none" else masking,
         normalise=(math.radians(normalise[0]), math.radians(normalise[1])),
+        every=every,
     )
     return result, tabulated_fresnel(result, metal)
 
