@@ -140,19 +140,17 @@ def test_figures(matcam, measured, tmp_path):
 
 
 def test_demo(matcam, tmp_path):
-    text = matcam("demo", "-o", "d").stdout
-    assert "lobe: epd, width 0.0028" in text
-    for name in ("chromium-fresnel.png", "predicted-loss.png", "figure-5.png", "simulated-chromium.binary"):
-        assert name in text
-        assert (tmp_path / "d" / name).stat().st_size > 10_000
+    done = matcam("demo", "-o", "d", "--json")
+    assert "lobe: epd, width 0.0028" in done.stderr
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "d").iterdir()}
+    assert sorted(json.loads(done.stdout)["files"]) == sorted(str(p.relative_to(tmp_path)) for p in before)
+    for name in ("chromium-fresnel.png", "predicted-loss.png", "figure-5.png", "simulated-chromium.binary"):
+        assert name in done.stderr
+        assert (tmp_path / "d" / name).stat().st_size > 10_000
     (tmp_path / "d" / "simulated-chromium.binary").unlink()
     assert "use --force" in matcam("demo", "-o", "d", code=2).stderr
     before.pop(tmp_path / "d" / "simulated-chromium.binary")
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "d").iterdir()} == before
-    assert sorted(json.loads(matcam("demo", "-o", "e", "--json").stdout)["files"]) == sorted(
-        str(p.relative_to(tmp_path)) for p in (tmp_path / "e").iterdir()
-    )
 
 
 def test_data_merl_lists_and_refuses(matcam, tmp_path):
