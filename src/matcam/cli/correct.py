@@ -115,7 +115,8 @@ def _one(
         f"{document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:
-        show.say(f"note: {remark}")
+        if remark not in document["fit"]["remarks"]:  # said with the fit
+            show.say(f"note: {remark}")
     show.say("written: " + ", ".join(written))
 
 

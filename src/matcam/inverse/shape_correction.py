@@ -100,7 +100,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
 def remark_on_shape(shape: ShapeCorrection, family: str) -> str:
     """What a reader should know of a family that does not explain the data, in plain words."""
     return (
-        f"a {family} lobe does not explain the data: its shape was bent (strength {shape.strength:g}), and what the pixels do "
+        f"no {family} lobe explains the data: its shape was bent (strength {shape.strength:g}), and what the pixels do "
         "not resolve of that shape counts as uncertainty"
     )
 
