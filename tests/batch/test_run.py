@@ -418,3 +418,17 @@ def test_the_command(database, tmp_path, monkeypatch, here):
     assert "-o FOLDER" in str(command(monkeypatch, database).exception)
     assert "-o FOLDER" in str(command(monkeypatch, database, "-o", "x.binary").exception)
     assert "name an output folder" in str(command(monkeypatch, database / "a.binary", "--workers", 2).exception)
+
+
+def test_where_a_gpu_is_at_hand_materials_are_done_side_by_side(database, tmp_path, monkeypatch):
+    """The same files as by workers; what fails stops nothing else."""
+    monkeypatch.setattr(run.side_by_side, "gpu_at_hand", lambda: True)
+    monkeypatch.setattr(run.local_workers, "outcomes", None)
+    done = correct_all([database], rigs.merl(), tmp_path / "gpu", corrector=simple.brighter)
+    assert sorted(path.stem for path in done.corrected) == ["a", "b", "poison"]
+    assert "short.binary" in reasons(done)["short"]
+    monkeypatch.undo()
+    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    correct_all([database], rigs.merl(), tmp_path / "here", corrector=simple.brighter)
+    for name in ("a.binary", "b.binary", "poison.binary"):
+        assert (tmp_path / "gpu" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

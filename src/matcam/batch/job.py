@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
 from dataclasses import dataclass
@@ -9,10 +10,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import xarray as xr
+
 from matcam.angles import Sampling
 from matcam.atomic import check_output
-from matcam.batch.corrector import Corrector, Options, corrected
-from matcam.batch.fingerprint import fingerprint
+from matcam.batch.corrector import Corrected, Corrector, Options, corrected
+from matcam.batch.fingerprint import Fingerprint, fingerprint
 from matcam.batch.store import write_row
 from matcam.errors import ArgumentError, FileFormatError, MatcamError
 from matcam.figures.thumbnails import write_thumbnail
@@ -20,6 +23,9 @@ from matcam.files.merl import read_merl, write_merl
 from matcam.files.netcdf import write_netcdf
 from matcam.json_file import plain, write_json
 from matcam.rigs import Rig
+
+_WRITING = threading.Lock()
+"""Materials that are done side by side are written one after the other: neither HDF5 nor Matplotlib's styles know threads."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,11 @@ def corrected_files(job: Job) -> dict[str, Any]:
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is whole")
     done = job.corrector(table, job.rig, job.options)
+    with _WRITING:
+        return _written(job, table, done, before, started)
+
+
+def _written(job: Job, table: xr.DataArray, done: Corrected, before: Fingerprint, started: float) -> dict[str, Any]:
     # an old record must not vouch for new files
     if job.force:
         job.record.unlink(missing_ok=True)

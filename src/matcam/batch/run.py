@@ -16,6 +16,7 @@ from matcam import checks
 from matcam.angles import SAMPLINGS, Sampling
 from matcam.atomic import check_output
 from matcam.batch import cluster as cluster_workers
+from matcam.batch import side_by_side
 from matcam.batch import workers as local_workers
 from matcam.batch.corrector import Corrector, Options, corrected
 from matcam.batch.folder import held, sweep
@@ -79,8 +80,9 @@ def correct_all(
     last, NAME.json; settings.json says how, failed.json what was not done and why, index.html shows them all.
 
     paths: files, and folders whose *.binary are meant. ndf, masking, glare: as for `correct`. sampling: as for `read_merl`.
-    workers: processes of one core each; None: one for each core that this process may use. cluster: do it on Dask instead,
-    "local:2" for workers on this machine, or the address of a scheduler whose workers have one thread, see the same folders
+    workers: processes of one core each; None: one for each core that this process may use, or, where JAX has a GPU, this
+    process with many materials side by side on it. cluster: do it on Dask instead, "local:2" for workers on this machine, or
+    the address of a scheduler whose workers have one thread, see the same folders
     and hold the same versions. pages: a page for each material. zarr: all materials as one Zarr besides, run.zarr. fit_camera:
     the rig's blur is fitted jointly to a few of the materials, those with the narrowest lobes, and used for all with its
     covariance; kept as camera.json. watch: called at the start and after each material. corrector: what does the work, the
@@ -128,7 +130,12 @@ def correct_all(
         waiting = [job for job in jobs if job.source not in done_before]
         if zarr:
             waiting = with_rows(folder / STORE, jobs, waiting)
-        outcomes = cluster_workers.outcomes(waiting, cluster) if cluster else local_workers.outcomes(waiting, count)
+        if cluster:
+            outcomes = cluster_workers.outcomes(waiting, cluster)
+        elif workers is None and side_by_side.gpu_at_hand():
+            outcomes = side_by_side.outcomes(waiting)
+        else:
+            outcomes = local_workers.outcomes(waiting, count)
         run = _done(folder, waiting, kept, refused, outcomes, watch)
         finished = {*run.kept, *run.corrected}  # not what lies there of an input that has changed and fails now
         ordered = sorted((job for job in jobs if job.source in finished), key=lambda job: job.name.casefold())

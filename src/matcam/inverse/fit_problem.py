@@ -18,6 +18,7 @@ from matcam.inverse import fit_parameters as parameters
 from matcam.inverse.fit_data import FitData
 from matcam.inverse.fit_parameters import FresnelModel
 from matcam.inverse.lobe_operator import LobeOperator
+from matcam.inverse.lobe_slopes import recorded
 from matcam.inverse.picture_noise import Whitening, whitening
 from matcam.material.masking import Masking
 
@@ -92,20 +93,6 @@ class Model(NamedTuple):
 @eqx.filter_jit
 def _lobe(operator: LobeOperator, family: str, masking: Masking, q: jax.Array, size: int) -> jax.Array:
     return operator.record(parameters.ndf_at(family, q[:size]), masking, q[size:])
-
-
-@eqx.filter_jit
-def lobe_and_slope(
-    operator: LobeOperator, family: str, masking: Masking, q: jax.Array, size: int
-) -> tuple[jax.Array, jax.Array]:
-    """A of a lobe, (slices, cells), and its derivatives by q: `size` logarithms (and bends), then the camera's shifts."""
-
-    def record(q: jax.Array) -> tuple[jax.Array, jax.Array]:
-        value = operator.record(parameters.ndf_at(family, q[:size]), masking, q[size:])
-        return value, value
-
-    slope, value = jax.jacfwd(record, has_aux=True)(q)
-    return value, jnp.moveaxis(slope, -1, 0)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -185,8 +172,8 @@ class Problem:
         key = q.tobytes()
         if number not in self._last or self._last[number][0] != key:
             layout = self.layout
-            pair = lobe_and_slope(self.operator, layout.family, layout.masking, jnp.asarray(q), layout.lobe_size)
-            self._last[number] = key, np.asarray(pair[0]), np.asarray(pair[1])
+            pair = recorded(self.operator, layout.family, layout.masking, q, layout.lobe_size)
+            self._last[number] = key, *pair
         return self._last[number]
 
     def gain(self, noise: PixelNoise) -> float:

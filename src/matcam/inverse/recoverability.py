@@ -14,8 +14,8 @@ from matcam.angles import Sampling
 from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError
 from matcam.inverse.chosen_cells import ChosenCells
-from matcam.inverse.fit_problem import lobe_and_slope
 from matcam.inverse.lobe_operator import check_rig, lobe_operator
+from matcam.inverse.lobe_slopes import lobe_and_slope
 from matcam.inverse.rig_axes import LENS, known_axis
 from matcam.material.families import ONE_WIDTH
 from matcam.rigs import Rig

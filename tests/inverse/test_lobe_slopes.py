@@ -1,0 +1,61 @@
+"""Fits side by side are the fits alone."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from matcam import fit, rigs
+from matcam.inverse.lobe_operator import lobe_operator
+from matcam.inverse.lobe_slopes import RecordBatch, recorded
+from tests.inverse import recorded as made
+from tests.oracle import sphere_cells as oracle
+from tests.oracle.merl_lobe import conductor
+
+
+@pytest.fixture(scope="module")
+def operator():
+    return lobe_operator(rigs.merl(), "centre", 30)[1]
+
+
+def test_questions_of_several_threads_are_answered_as_alone(operator):
+    questions = [("ggx", np.log([a])) for a in (0.001, 0.01, 0.1)] + [("gaussian", np.log([0.02]))]
+    alone = [recorded(operator, family, "smith", q, 1) for family, q in questions]
+    with RecordBatch(3) as batch, ThreadPoolExecutor(4) as pool:
+
+        def asked(question):
+            with batch.joined():
+                return recorded(operator, question[0], "smith", question[1], 1)
+
+        together = list(pool.map(asked, questions))
+        assert sum(batch.sizes) == 4
+        assert max(batch.sizes) <= 3
+        wrong = pool.submit(asked, ("no family", np.zeros(1)))
+        with pytest.raises(KeyError):
+            wrong.result()
+    for ours, truth in zip(together, alone, strict=True):
+        for a, b in zip(ours, truth, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max())
+    assert recorded(operator, *questions[0][:1], "smith", questions[0][1], 1)[0].shape == alone[0][0].shape
+
+
+@pytest.mark.slow
+def test_fits_side_by_side_are_the_fits_alone():
+    shot, every = made.pictures(18), 18
+    light = [
+        shot.rule.ways(oracle.GGX(a)) * conductor(shot.cells.theta_d, *made.CHROMIUM)[:, None, None]
+        for a in (0.002, 0.02)
+    ]
+    tables = [shot.table(shot.rule.noisy(one, np.random.default_rng(seed))) for seed, one in enumerate(light)]
+    alone = [fit(table, made.rig(), noise=made.NOISE, every=every) for table in tables]
+    with RecordBatch(2) as batch, ThreadPoolExecutor(2) as pool:
+
+        def fitted(table):
+            with batch.joined():
+                return fit(table, made.rig(), noise=made.NOISE, every=every)
+
+        together = list(pool.map(fitted, tables))
+    assert max(batch.sizes) == 2
+    for ours, truth in zip(together, alone, strict=True):
+        np.testing.assert_allclose(list(ours.params.values()), list(truth.params.values()), rtol=1e-6)
+        np.testing.assert_allclose(ours.covariance, truth.covariance, rtol=1e-4)
