@@ -115,6 +115,8 @@ def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
         "normalised_over": np.degrees(result.attrs["normalised_over"]),
         "width": float(result["width"]),
         "width_std": float(result["width_std"]),
+        "half_width_deg": float(np.degrees(result["half_width"])),
+        "half_width_std_deg": float(np.degrees(result["half_width_std"])),
         "supported_angle_deg": dict(
             zip(result["channel"].values.tolist(), np.degrees(result["supported_angle"].values), strict=True)
         ),
@@ -160,7 +162,11 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     )
     attrs = result.attrs
     determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
-    show.say(f"lobe: {attrs['ndf']}, width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}")
+    width = f"width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}"
+    half, std = (float(np.degrees(result[name])) for name in ("half_width", "half_width_std"))
+    show.say(
+        f"lobe: {attrs['ndf']}, {'bent' if attrs['bent'] else width}; half width at half maximum {half:.4g}° ± {std:.1g}°"
+    )
     show.say(
         f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, "
         f"{attrs['noise_floor']:.2%} of the picture's peak"

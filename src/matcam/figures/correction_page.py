@@ -86,7 +86,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     peak = peak * np.cos(angle) ** 2
     middle = (angle > np.radians(10)) & (angle < np.radians(45))
     used = (theta > 10) & (theta < 45)
-    scale = np.nanmean(fitted[used])
+    scale = np.nanmean(fitted[used])  # below 0 where noise is all that there is of a lobe
     with styled():
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
         axes = figure.subplots()
@@ -97,7 +97,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
             label="recorded peak × cos², no masking",
         )
         axes.errorbar(
-            theta, fitted / scale, std / scale, color=BLUE, fmt="o", ms=4, label="through the camera, ± 1 std"
+            theta, fitted / scale, std / abs(scale), color=BLUE, fmt="o", ms=4, label="through the camera, ± 1 std"
         )
         degrees_axis(axes, r"difference angle $\theta_d$")
         axes.set_ylabel("F / mean of F over 10 to 45° [-]")

@@ -66,7 +66,8 @@ def fresnel(
       absolute, absolute_std      the same, not normalised; NaN where the lobe is too narrow for its strength to be known
       response                    recorded / true peak; masking: G in the mirror direction
       supported_angle             last theta_d, rad, up to which corrected_std stays under 5 % of corrected
-      width, width_std            of the lobe, as its NDF defines it, freed from the camera
+      width, width_std            of the lobe, as its NDF defines it, freed from the camera; of a bent lobe, its family's
+      half_width, half_width_std  of the lobe at half its maximum, rad, whatever its shape
     corrected and corrected_peak have mean 1 over the range; raw has not: it is corrected_peak times the loss relative to
     theta_d = 0. Where corrected and corrected_peak disagree by more than their errors, the lobe is not the shape, or does
     not widen with theta_d as, this camera would make it. Errors: ArgumentError for a wrong argument, FitError without a
@@ -120,6 +121,12 @@ def fresnel(
             "supported_angle": ("channel", _supported(term, theta_d), {"units": "rad"}),
             "width": ((), found.params[width], {"long_name": f"width of the {found.family} lobe ({width})"}),
             "width_std": ((), found.std[width] if found.resolved else np.inf, {"long_name": "its standard deviation"}),
+            "half_width": (
+                (),
+                found.half_width,
+                {"units": "rad", "long_name": "half width of the lobe at half its maximum"},
+            ),
+            "half_width_std": ((), found.half_width_std, {"units": "rad", "long_name": "its standard deviation"}),
         },
         coords={
             "theta_d": ("theta_d", theta_d, {"units": "rad", "long_name": "difference angle"}),
@@ -135,6 +142,7 @@ def fresnel(
             "noise": "given" if noise else "estimated from the residuals",
             "camera_uncertainty": "stated" if rig.camera.uncertainty else "none stated: taken as exact",
             "width_determined": int(found.resolved),
+            "bent": int(bool(bend)),
             "sampling": brdf.attrs["sampling"],
             "source": str(brdf.attrs.get("source", "")),
             "remarks": "; ".join(remarks),
