@@ -140,7 +140,8 @@ def main() -> None:
         print(f"largest relative difference of their results: {difference(folder / 'w1', folder / 'w2'):.1e}")
 
         times = sorted(runs[1].finished.values())
-        slopes = {n: times[n - 1] / n for n in sorted({max(count // 4, 1), max(count // 2, 1), count})}
+        done = len(times)
+        slopes = {n: times[n - 1] / n for n in sorted({max(done // 4, 1), max(done // 2, 1), done})}
         print("seconds a material, one worker: " + ", ".join(f"{s:.1f} over {n}" for n, s in slopes.items()))
         size = sum(p.stat().st_size for p in (folder / "w1").iterdir() if p.stem in runs[1].finished) / count
         print(f"bytes a material: {size / 1e6:.1f} MB")

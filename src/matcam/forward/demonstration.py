@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import xarray as xr
 
 from matcam.camera.noise import PixelNoise
@@ -22,6 +24,11 @@ def simulated_chromium(seed: int = 1) -> xr.DataArray:
     """BRDF table of chromium (n, k of Rakic et al. 1998) with a Gaussian lobe of 0.002 rad, recorded by the MERL rig
     with 1 % noise per pixel, and no floor: a MERL file cannot hold what is below 0. The true answer is known: a test of eyes
     and installation, not of the method (tests/oracle is that)."""
+    return _simulated(seed).copy()
+
+
+@lru_cache(maxsize=1)
+def _simulated(seed: int) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
     # without masking: for so smooth a surface it is 1 to within 1e-6 up to 89 degrees
     chromium = Microfacet(GaussianNDF(WIDTH), Conductor(n, k), masking=None)
