@@ -102,6 +102,7 @@ def test_every_slice_of_a_table():
     assert 0.75 < np.sqrt(np.nanmean(pull**2)) < 1.3
 
 
+@pytest.mark.slow
 def test_beckmanns_lobe_is_the_gaussian_one_when_it_is_sharp(shot):
     """alpha = sqrt(2) width, and the same Fresnel term."""
     table = shot.table(light(shot, GAUSSIAN).mean(-1))
