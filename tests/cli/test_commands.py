@@ -132,6 +132,7 @@ def test_inspect(matcam, measured, tmp_path):
     assert "MTF50" in text
 
 
+@pytest.mark.slow
 def test_figures(matcam, measured, tmp_path):
     files = json.loads(matcam("figures", measured, "-o", "figs", "--vector", "svg", "--json").stdout)["files"]
     names = {p.name for p in (tmp_path / "figs").iterdir()}

@@ -179,6 +179,7 @@ def test_camera_uncertainty_reaches_the_result():
     assert float(one["corrected_std_camera"][AT_75]) < shift
 
 
+@pytest.mark.slow
 def test_a_wrong_camera_that_nobody_declared_is_seen_in_the_noise():
     """5 % wrong and undeclared: the estimated noise is several times that of the pixels, and F lies within the errors that
     follow from it."""
@@ -260,6 +261,7 @@ def test_missing_data_stay_missing(shot):
     )
 
 
+@pytest.mark.slow
 def test_masking_is_divided_out(shot):
     """A wide lobe recorded with Smith's masking: F comes out with it; without it, F times what it took."""
     table = shot.table(light(shot, oracle.GGX(0.3)).mean(-1))
@@ -277,7 +279,8 @@ def test_masking_is_divided_out(shot):
 
 
 @pytest.mark.parametrize(
-    "material", ["chrome", *(pytest.param(m, marks=pytest.mark.slow) for m in ("steel", "ss440", "tungsten-carbide"))]
+    "material",
+    [pytest.param(m, marks=pytest.mark.slow) for m in ("chrome", "steel", "ss440", "tungsten-carbide")],
 )
 def test_real_metals_run_through(stand_in, material):
     found = fresnel(read_merl(stand_in(material)), rigs.merl(), every=EVERY)
