@@ -22,7 +22,9 @@ from matcam import (
     rigs,
     tabulated_fresnel,
 )
+from matcam.angles import merl_grid
 from matcam.errors import ArgumentError, FitError
+from matcam.inverse.fresnel_term import recorded_peak
 from matcam.table import brdf_table
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -100,6 +102,16 @@ def test_every_slice_of_a_table():
     # 80 slices, nearly independent: their rms is known to 8 %
     assert np.isfinite(pull).sum() > 75
     assert 0.75 < np.sqrt(np.nanmean(pull**2)) < 1.3
+
+
+@pytest.mark.parametrize("sampling", ["centre", "edge"])
+def test_the_recorded_peak_is_that_of_its_own_slices(sampling):
+    """A table whose peak is its slice's number, missing in one and dark in another."""
+    table = brdf_table(np.broadcast_to(np.arange(90.0)[:, None, None], (90, 90, 180, 3)).copy(), sampling)
+    table[0, 20] = np.nan
+    slices = np.array([0, 1, 2, 20, 45, 89])
+    peak = recorded_peak(table, merl_grid(sampling).theta_d[slices])
+    np.testing.assert_array_equal(peak, np.broadcast_to([np.nan, 1, 2, np.nan, 45, 89], (3, 6)))
 
 
 @pytest.mark.slow

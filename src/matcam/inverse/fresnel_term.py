@@ -9,7 +9,7 @@ import xarray as xr
 
 from matcam import checks
 from matcam._jax import jnp
-from matcam.angles import GRID_SHAPE
+from matcam.angles import merl_grid
 from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError, FitError
 from matcam.forward.peak import peak_response
@@ -23,7 +23,7 @@ from matcam.material.families import FAMILIES
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf import NDF
 from matcam.rigs import Rig
-from matcam.table import checked_table
+from matcam.table import checked_table, sampling_of
 
 SUPPORTED_STD = 0.05
 """Relative standard deviation beyond which an angle is no longer supported by the data."""
@@ -95,7 +95,7 @@ def fresnel(
     hidden = _mirror_masking(lobe, theta_d, masking)
     *response, centre = np.asarray(peak_response(rig, lobe, np.append(theta_d, 0.0), exact=True, masking=masking))
     per_peak = 4 * np.cos(theta_d) ** 2 / (float(lobe.d(0.0)) * hidden)
-    raw = _recorded_peak(brdf, found) * per_peak
+    raw = recorded_peak(brdf, theta_d) * per_peak
     corrected_peak = raw / (np.array(response) / centre)
     scale = np.nanmean(np.where(term.used, corrected_peak, np.nan), axis=-1, keepdims=True)
     raw, corrected_peak = raw / scale, corrected_peak / scale
@@ -195,10 +195,10 @@ def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarr
     return np.asarray(g2(masking, hidden, hidden, jnp.asarray(jnp.pi)))
 
 
-def _recorded_peak(brdf: xr.DataArray, found: MaterialFit) -> np.ndarray:
-    """(channels, slices) mean of the cells nearest to the highlight; NaN where they are missing or not positive."""
-    slices = np.rint(found.problem.theta_d / (np.pi / 2) * GRID_SHAPE[1] - 0.5).astype(int)
-    ring = brdf.values[0, slices]
+def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
+    """(channels, slices) mean of the cells nearest to the highlight in the slices at theta_d; NaN where they are missing or not
+    positive."""
+    ring = brdf.values[0, np.searchsorted(merl_grid(sampling_of(brdf)).theta_d, theta_d)]
     count = np.isfinite(ring).sum(axis=1)
     peak = np.where(count > 0, np.nansum(ring, axis=1) / np.maximum(count, 1), np.nan).T
     return np.where(np.nan_to_num(peak) > 0, peak, np.nan)
