@@ -61,7 +61,7 @@ def test_a_blur_that_does_not_show_is_not_used(tmp_path, here, monkeypatch):
     fitted = SimpleNamespace(
         params={"optics.sigma_px": 0.01}, std={"optics.sigma_px": 0.02}, camera=rigs.merl().camera, log_likelihood=0.0
     )
-    monkeypatch.setattr(shared_camera, "fit", lambda *arguments, **options: fitted)
+    monkeypatch.setattr(shared_camera, "candidate_fits", lambda *arguments, **options: [fitted])
     start = functools.partial(correct_all, [tmp_path / "in"], rigs.merl(), tmp_path / "out", corrector=simple.told_lens)
     with pytest.raises(FitError, match=r"a\.binary do not determine the camera's blur \(0\.01 \+- 0\.02 px\)"):
         start(fit_camera=True)

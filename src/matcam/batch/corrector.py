@@ -57,6 +57,6 @@ def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
     }
 
     def write_page(path: Path, name: str, force: bool) -> None:
-        write_correction_page(path, table, done, done.remarks, name, force=force)
+        write_correction_page(path, table, done, name, force=force)
 
     return Corrected(done.table, document, write_page)

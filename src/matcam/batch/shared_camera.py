@@ -14,8 +14,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.uncertainty import Provenance
 from matcam.errors import FitError, MatcamError
 from matcam.files.merl import read_merl
-from matcam.inverse.fit_result import MaterialFit
-from matcam.inverse.material_fit import fit
+from matcam.inverse.candidates import candidate_fits, likeliest
 from matcam.inverse.rig_axes import LENS
 from matcam.rigs import Rig
 from matcam.trace import lobe_widths
@@ -24,15 +23,14 @@ FITTED, LOOKED_AT = 4, 16
 """Materials that are fitted, the narrowest lobes of those that are looked at: a lens hardly shows in a broad lobe."""
 KNOWN = 0.25
 """Relative standard deviation up to which a fitted blur is used: a correction takes it for small."""
-_FAMILIES = ("ggx", "epd")
-_EVERY = 6
 
 
 def shared_camera(rig: Rig, inputs: Sequence[Path], options: Options, sampling: Sampling) -> Camera:
     """The rig's camera, its blur as these tables say, with its variance. FitError where no table can be read, or they do not
     determine the blur to a quarter."""
     chosen = _narrowest(inputs, sampling)
-    found = _fitted([table for _, table in chosen], rig, options)
+    tables = [table for _, table in chosen]
+    found = likeliest(candidate_fits(tables, rig, options.ndf, masking=options.masking, camera="free"))
     value, std = found.params[LENS], found.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
     camera = found.camera
@@ -45,15 +43,6 @@ def shared_camera(rig: Rig, inputs: Sequence[Path], options: Options, sampling: 
         source=f"blur fitted jointly to {names}, a {found.family} lobe for each", notes="; ".join(found.remarks)
     )
     return Camera(camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source)
-
-
-def _fitted(tables: list[xr.DataArray], rig: Rig, options: Options) -> MaterialFit:
-    families = _FAMILIES if options.ndf == "auto" else (options.ndf,)
-    fits = [
-        fit(tables, rig, family, fresnel="free", diffuse=True, masking=options.masking, camera="free", every=_EVERY)
-        for family in families
-    ]
-    return max(fits, key=lambda found: found.log_likelihood)
 
 
 def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, xr.DataArray]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import io
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,16 +24,16 @@ td:first-child,th:first-child{text-align:left}img{max-width:100%}.verdict{backgr
 
 
 def write_correction_page(
-    path: str | Path, raw: xr.DataArray, done: Correction, remarks: Sequence[str], name: str, *, force: bool = False
+    path: str | Path, raw: xr.DataArray, done: Correction, name: str, *, force: bool = False
 ) -> None:
     """Write the page of a correction: verdict, numbers with errors, F, lobes and spheres before and after, no network
-    needed. raw: the table that was corrected; remarks: in plain words."""
+    needed. raw: the table that was corrected."""
     found = done.fit
     rows = "".join(
         f"<tr><td>{html.escape(key)}</td><td>{value:.6g}</td><td>{found.std[key]:.2g}</td></tr>"
         for key, value in found.params.items()
     )
-    notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in remarks)
+    notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in done.remarks)
     pictures = [
         ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
         ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),

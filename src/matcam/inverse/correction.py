@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,11 +11,11 @@ from matcam import checks
 from matcam.angles import merl_grid
 from matcam.camera.noise import PixelNoise
 from matcam.errors import FitError
+from matcam.inverse.candidates import AUTO, EVERY, candidate_fits, likeliest
 from matcam.inverse.doubts import Doubt, doubts
 from matcam.inverse.fit_result import MaterialFit
-from matcam.inverse.lobe_operator import check_rig
+from matcam.inverse.lobe_operator import check_rig, radius_of
 from matcam.inverse.lobe_ratio import LobeRatio, lobe_ratio
-from matcam.inverse.material_fit import fit
 from matcam.inverse.refit import bent
 from matcam.inverse.response_lattice import seen_cells
 from matcam.inverse.shape_correction import BENT, ShapeCorrection, remark_on_shape, shape_correction, unshaped
@@ -27,8 +27,6 @@ from matcam.table import checked_table, sampling_of
 SUPPORTED = 0.05
 """Relative standard deviation up to which an entry is supported."""
 
-_CANDIDATES = ("ggx", "epd")
-_EVERY = 6
 _NEAREST_GLARE = 8.0
 """px; a halo closer to the highlight than this is the lens's core, and told by its profile."""
 
@@ -85,18 +83,14 @@ def correction(
     """
     brdf = checked_table(brdf)
     check_rig(rig)
-    checks.choice("ndf", ndf, ("auto", *FAMILIES))
+    checks.choice("ndf", ndf, (AUTO, *FAMILIES))
     checks.choice("masking", masking, MASKINGS)
     checks.within("glare", glare, 0, 0.5)
-    options: dict[str, Any] = {"fresnel": "free", "diffuse": True, "masking": masking, "noise": noise, "every": _EVERY}
-    fits = []
-    for candidate in _CANDIDATES if ndf == "auto" else (ndf,):
-        fits.append(fit(brdf, rig, candidate, **options))
-    best = family = max(fits, key=lambda found: found.log_likelihood)
-    doubted = doubts(family, brdf, rig, noise, _EVERY)
+    best = family = likeliest(candidate_fits(brdf, rig, ndf, masking=masking, noise=noise))
+    doubted = doubts(family, brdf, rig, noise, EVERY)
     shape = shape_correction(best, noise)
     if shape.strength > BENT:  # too far for what is linear: the lobe itself is bent
-        best = bent(family, brdf, rig, 1.0, noise, 3 * _EVERY)
+        best = bent(family, brdf, rig, 1.0, noise, 3 * EVERY)
         shape = unshaped(best, shape.strength)
     ratio = lobe_ratio(rig, sampling_of(brdf), best, shape, family, doubted)
     table = _assembled(brdf, rig, best, shape, ratio, glare)
@@ -161,7 +155,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
         raise FitError("no picture shows a highlight")
     seen = found.problem.theta_d[there]
     f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
-    radius = float(rig.sample.radius)  # type: ignore[attr-defined]
+    radius = radius_of(rig)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     x = radius * (np.sin(td) * (np.cos(th) - 1) - np.sin(th) * np.cos(ph) * np.cos(td))
     distance2 = np.maximum(x**2 + (radius * np.sin(th) * np.sin(ph)) ** 2, _NEAREST_GLARE**2)

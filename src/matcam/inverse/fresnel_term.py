@@ -13,9 +13,9 @@ from matcam.angles import merl_grid
 from matcam.camera.noise import PixelNoise
 from matcam.errors import ArgumentError, FitError
 from matcam.forward.peak import peak_response
+from matcam.inverse.candidates import AUTO, EVERY, candidate_fits, likeliest
 from matcam.inverse.fit_result import MaterialFit
 from matcam.inverse.lobe_operator import check_rig
-from matcam.inverse.material_fit import fit
 from matcam.inverse.refit import bent, resampled
 from matcam.inverse.shape_correction import BENT, remark_on_shape, shape_correction
 from matcam.inverse.strengths import conditional, strength_errors
@@ -32,9 +32,7 @@ NORMALISE = (np.radians(10.0), np.radians(45.0))
 """theta_d over whose mean F is normalised. Below 10 degrees lamp and camera are in each other's way on real rigs; metals'
 F is flat to 45."""
 
-_CANDIDATES = ("ggx", "epd")  # of "auto"
 _BEND = 1.0
-_EVERY = 6  # slices that the lobe is looked for in, before all are fitted
 _QUIET = slice(6, 60, 3)  # slices of theta_d where lobes of real tables are whole
 
 
@@ -77,16 +75,13 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     _check_highlight(brdf)
-    fits = [
-        fit(brdf, rig, family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=max(every, _EVERY))
-        for family in (_CANDIDATES if ndf == "auto" else (ndf,))
-    ]
-    found = max(fits, key=lambda one: one.log_likelihood)
+    fits = candidate_fits(brdf, rig, ndf, masking=masking, noise=noise, every=max(every, EVERY))
+    found = likeliest(fits)
     shape = shape_correction(found, noise)
     bend = _BEND if shape.strength > BENT else 0.0
     if bend:
-        found = bent(found, brdf, rig, bend, noise, max(every, _EVERY))
-    if every < _EVERY:
+        found = bent(found, brdf, rig, bend, noise, max(every, EVERY))
+    if every < EVERY:
         found = resampled(found, brdf, rig, noise, every, bend)
     remarks = [*found.remarks, *([remark_on_shape(shape, found.family)] if bend else [])]
     lobe = found.ndf
@@ -234,7 +229,7 @@ def _supported(term: _FresnelTerm, theta_d: np.ndarray) -> np.ndarray:
 
 def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
     check_rig(rig)
-    checks.choice("ndf", ndf, ("auto", *FAMILIES))
+    checks.choice("ndf", ndf, (AUTO, *FAMILIES))
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
         raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")

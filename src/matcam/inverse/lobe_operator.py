@@ -188,7 +188,7 @@ def operator_of(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], descriptio
 
 def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
     """The arrays of `_Rules` by name; those of the axes as along0, along1 ..."""
-    radius = float(rig.sample.radius)  # type: ignore[attr-defined]
+    radius = radius_of(rig)
     flat = np.flatnonzero(np.repeat(cells.kept.ravel(), 2))
     theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
     pixels = Pixels(*(filled(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, 0.5 / cells.cos_i)))

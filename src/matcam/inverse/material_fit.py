@@ -98,7 +98,7 @@ def fit(
     checks.within("bend", bend, 0, 10)
     layout = Layout(ndf, masking, fresnel, diffuse, tuple(int(n) for n in lobes), len(prior.axes), KNOTS if bend else 0)
     problem = Problem(data, operator, cells.theta_d, layout)
-    solved = Search(problem, prior, noise and noise.checked(), radius_of(rig), bend).best()
+    solved = Search(problem, prior, noise, radius_of(rig), bend).best()
     return result_of(problem, solved, tables, rig, prior, channels, cells, noise is not None)
 
 
@@ -147,7 +147,7 @@ class Search:
     """From a row of widths to the best fit."""
 
     def __init__(self, problem: Problem, prior: Prior, noise: PixelNoise | None, radius: float, bend: float = 0.0):
-        self.problem, self.prior, self.given = problem, prior, noise
+        self.problem, self.prior, self.given = problem, prior, noise and noise.checked()
         layout = problem.layout
         self.known = prior_rows(layout, prior, bend)
         bounds = parameters.lobe_bounds(layout.family, radius, layout.bends + layout.shadows) * layout.lobes

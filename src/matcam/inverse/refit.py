@@ -25,7 +25,7 @@ def resampled(
     cells, operator = lobe_operator(rig, sampling_of(brdf), every, found.prior.axes)
     problem = Problem(fit_data(brdf, cells), operator, cells.theta_d, found.problem.layout)
     weight = 1 / picture_noise.variance(problem.data, np.abs(problem.data.values), found.noise)
-    search = Search(problem, found.prior, noise and noise.checked(), radius_of(rig), bend)
+    search = Search(problem, found.prior, noise, radius_of(rig), bend)
     solved = search.adjusted(found.solved.p, weight, found.noise)
     return result_of(problem, solved, [brdf], rig, found.prior, [brdf.sizes["channel"]], cells, noise is not None)
 
@@ -40,7 +40,7 @@ def freed(
     layout, numbers = found.problem.layout, found.solved.p
     problem = Problem(found.problem.data, operator, cells.theta_d, layout._replace(axes=1))
     start = np.concatenate([numbers[: layout.camera.start], [0.0], numbers[layout.camera.stop :]])
-    search = Search(problem, prior, noise and noise.checked(), radius_of(rig))
+    search = Search(problem, prior, noise, radius_of(rig))
     solved = search.continued(start, found.solved.weight, found.noise)
     return result_of(problem, solved, [brdf], rig, prior, [brdf.sizes["channel"]], cells, noise is not None)
 
@@ -54,6 +54,6 @@ def bent(
     problem = Problem(fit_data(brdf, cells), operator, cells.theta_d, layout._replace(bends=KNOTS))
     start = np.concatenate([numbers[layout.lobe(0)], np.zeros(KNOTS), numbers[layout.lobe(0).stop :]])
     weight = 1 / picture_noise.variance(problem.data, np.abs(problem.data.values), found.noise)
-    search = Search(problem, prior, noise and noise.checked(), radius_of(rig), bend)
+    search = Search(problem, prior, noise, radius_of(rig), bend)
     solved = search.continued(start, weight, found.noise)
     return result_of(problem, solved, [brdf], rig, prior, [brdf.sizes["channel"]], cells, noise is not None)

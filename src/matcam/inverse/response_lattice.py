@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.angles import GRID_SHAPE, Sampling, merl_grid
 from matcam.inverse.chosen_cells import FAR_COSINE, NEAR_COSINE, ChosenCells, places
-from matcam.inverse.lobe_operator import LobeOperator, described, operator_of, point_operator
+from matcam.inverse.lobe_operator import LobeOperator, described, operator_of, point_operator, radius_of
 from matcam.inverse.rig_axes import Axis
 from matcam.keyed import Keyed
 from matcam.rigs import Rig
@@ -70,7 +70,7 @@ def _lattice(rig_and_key: Keyed[Rig], sampling: Sampling, spacing: Spacing, axes
     shape = (slices.size, ring.size)
     theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[slices]
     phi_d = np.broadcast_to(azimuth, shape)
-    x, y, cos_i, cos_o = places(float(rig.sample.radius), theta_h, theta_d[:, None], phi_d)  # type: ignore[attr-defined]
+    x, y, cos_i, cos_o = places(radius_of(rig), theta_h, theta_d[:, None], phi_d)
     kept = np.minimum(cos_i, cos_o).min(-1) > NEAR_COSINE
     safe = np.where(kept[..., None], cos_i, 1.0)
     cells = ChosenCells(

@@ -13,7 +13,7 @@ from matcam.material.ndf import NDF, MixtureNDF
 from matcam.material.sgd import SGD
 
 ONE_WIDTH: dict[str, type[MixtureNDF]] = {cls.family: cls for cls in (GaussianNDF, GGX, Beckmann)}
-"""Those of one roughness and nothing else, whose record by a camera has a closed form: what `fresnel` can fit."""
+"""Those of one roughness and nothing else, whose record by a camera has a closed form in the tangent plane."""
 
 WITH_POWER: dict[str, type[NDF]] = {cls.family: cls for cls in (EPD, SGD)}
 """Those of a roughness and a power."""
