@@ -36,7 +36,7 @@ bench: $(VENV)/.installed-test
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(VENV)/bin/python $$script || exit 1; done
 
 tables: $(VENV)/.installed
-	$(RUN) matcam.forward.build_peak_tables
+	$(RUN) matcam.forward.peaks.build_peak_tables
 
 clean:
 	rm -rf $(VENV) demo

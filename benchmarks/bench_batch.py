@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 
 from matcam import read_netcdf
-from matcam.json_file import read_json
+from matcam.core.json import read_json
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 NOT_MATERIALS = {"settings", "failed", "camera"}

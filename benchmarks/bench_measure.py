@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from matcam import GGX, Microfacet, rigs
-from matcam.angles import below_horizon, merl_grid
+from matcam.core.grid import below_horizon, merl_grid
 from matcam.forward.measurement import measured_values
 
 ALPHA, NODES, RADIUS, SIGMA, HALF, BATCH, ROUNDS = 0.005, 16, 256.0, 0.5, 0.5, 4096, 3

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from matcam.angles import GRID_SHAPE, azimuth_difference, below_horizon, cosines, merl_grid, theta_h_edges
+from matcam.core.grid import GRID_SHAPE, azimuth_difference, below_horizon, cosines, merl_grid, theta_h_edges
 
 ANGLES = st.tuples(st.floats(0, 1.5), st.floats(0, 1.5), st.floats(-7, 7))
 

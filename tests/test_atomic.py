@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from matcam.atomic import check_output, replacing
-from matcam.errors import OutputError
+from matcam.core.errors import OutputError
+from matcam.core.io import check_output, replacing
 
 
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):

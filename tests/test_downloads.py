@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from matcam import downloads
-from matcam.errors import ArgumentError, DownloadError
+from matcam.core.errors import ArgumentError, DownloadError
+from matcam.files import downloads
 from tests.conftest import SHARED
 
 CONTENT = bytes(range(256)) * 20_000

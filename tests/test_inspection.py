@@ -17,11 +17,10 @@ from matcam import (
     write_netcdf,
 )
 from matcam.cli import _run
-from matcam.errors import FileFormatError
-from matcam.exchange.contents import read_contents
-from matcam.files.recognition import identify
-from matcam.inspection import inspect_camera, inspect_contents, inspect_table
-from matcam.table import brdf_table
+from matcam.core.errors import FileFormatError
+from matcam.core.grid import brdf_table
+from matcam.exchange.contents import identify, read_contents
+from matcam.exchange.inspection import inspect_camera, inspect_contents, inspect_table
 from tests.oracle import merl_lobe
 
 

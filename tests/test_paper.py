@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere, paper
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
 
 
 @pytest.mark.parametrize("ratio", [10.0, 1.0])

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from matcam.angles import cosines
-from matcam.shading import shading
+from matcam.core.grid import cosines
+from matcam.core.shading import shading
 
 
 def _rotated(vector, axis, angle):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcam import srgb
+from matcam.files import tone_curve as srgb
 
 
 # codes of 8 bits and their light as the standard's own formula gives them, to the digits that tables print

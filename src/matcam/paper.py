@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import jax, jnp
-from matcam.forward.lobe import lobe_record
-from matcam.forward.peak import peak_response
-from matcam.material.gaussian_lobe import GaussianNDF
+from matcam.core import checks
+from matcam.core.jax import jax, jnp
+from matcam.forward.peaks.lobe import lobe_record
+from matcam.forward.peaks.peak import peak_response
+from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.rigs import Rig, merl
 
 FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)

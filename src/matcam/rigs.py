@@ -8,13 +8,13 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import is_concrete, jax, jnp
 from matcam.camera.camera import Camera
-from matcam.camera.gaussian import GaussianOptics
+from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.pixel import BoxPixel
 from matcam.camera.uncertainty import Provenance
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp
 from matcam.sample.shape import Curved, Sample
 from matcam.sample.sphere import Sphere
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.batch.corrector import Corrected
-from matcam.camera.gaussian import GaussianOptics
+from matcam.batch.job import Corrected
+from matcam.camera.optics.gaussian import GaussianOptics
 
 GAIN = 1.25
 

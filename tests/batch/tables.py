@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from matcam.angles import GRID_SHAPE, below_horizon
+from matcam.core.grid import GRID_SHAPE, below_horizon
 from matcam.files.merl import SCALE
 
 HIDDEN = below_horizon("centre")

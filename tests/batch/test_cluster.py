@@ -12,10 +12,10 @@ import pytest
 from distributed import Client
 
 from matcam import rigs
-from matcam.batch import cluster
-from matcam.batch.cluster import ClusterError, outcomes
+from matcam.batch.executors import cluster
+from matcam.batch.executors.cluster import ClusterError, outcomes
 from matcam.batch.run import correct_all
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
 from tests.batch import simple
 from tests.batch.tables import write_database
 from tests.conftest import REPOSITORY

@@ -20,12 +20,11 @@ from typer.testing import CliRunner
 
 from matcam import Cylinder, Rig, read_merl, read_netcdf, rigs
 from matcam.batch import job, run
-from matcam.batch.corrector import Options
-from matcam.batch.job import Job, attempted
+from matcam.batch.executors.processes import WorkerError
+from matcam.batch.job import Job, Options, attempted
 from matcam.batch.run import correct_all
-from matcam.batch.workers import WorkerError
 from matcam.cli.app import app
-from matcam.errors import ArgumentError, OutputError
+from matcam.core.errors import ArgumentError, OutputError
 from tests.batch import simple
 from tests.batch.tables import write_database, write_table
 from tests.conftest import REPOSITORY

@@ -11,8 +11,8 @@ from matcam import Camera, rigs, write_merl
 from matcam.batch import run, shared_camera
 from matcam.batch.job import attempted
 from matcam.batch.run import correct_all
-from matcam.errors import FitError
-from matcam.table import brdf_table
+from matcam.core.errors import FitError
+from matcam.core.grid import brdf_table
 from tests.batch import simple
 from tests.batch.tables import write_database
 from tests.inverse import recorded

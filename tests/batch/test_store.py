@@ -10,7 +10,7 @@ from matcam import read_netcdf, rigs
 from matcam.batch import run
 from matcam.batch.job import attempted
 from matcam.batch.run import correct_all
-from matcam.errors import OutputError
+from matcam.core.errors import OutputError
 from tests.batch import simple
 from tests.batch.tables import write_database
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from matcam import Camera, MTFSamples, calibrate
-from matcam.calibration import planes
-from matcam.errors import ArgumentError, FitError
-from matcam.files.exif import Exif
+from matcam.calibration.photograph import planes
+from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import Photograph
+from matcam.files.picture_header import Exif
 from tests.oracle import slanted_edge, slanted_squares
 
 F = np.linspace(0.02, 0.5, 25)

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from matcam.calibration.chart import Chart, Dots, Grating, Square, Star, harmonic
-from matcam.calibration.chart_file import json_schema, read_chart, write_chart
-from matcam.calibration.chart_layout import KINDS, design_chart
-from matcam.errors import ArgumentError, FileFormatError
+from matcam.calibration.chart.chart import Chart, Dots, Grating, Square, Star, harmonic
+from matcam.calibration.chart.chart_file import json_schema, read_chart, write_chart
+from matcam.calibration.chart.chart_layout import KINDS, design_chart
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.figures.chart import chart_figure
 from matcam.figures.style import save
 from tests.conftest import REPOSITORY

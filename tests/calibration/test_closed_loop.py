@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from matcam import calibrate
-from matcam.calibration.chart_file import write_chart
-from matcam.calibration.chart_layout import design_chart
-from matcam.files.exif import Exif
+from matcam.calibration.chart.chart_file import write_chart
+from matcam.calibration.chart.chart_layout import design_chart
 from matcam.files.photographs import Photograph
+from matcam.files.picture_header import Exif
 from tests.oracle.chart_camera import ChartCamera
 
 WIDTH, HEIGHT = 560, 420

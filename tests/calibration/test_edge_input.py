@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from matcam import edge_mtf, edge_mtf_stack
-from matcam.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge as oracle
 

@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from matcam.calibration import region, stack, strips
-from matcam.calibration.edge import edge_mtf_stack
-from matcam.calibration.edge_search import find_edges
-from matcam.calibration.maximum_likelihood import Noise
-from matcam.calibration.profiles import Gaussian
+from matcam.calibration.edge import edge as stack
+from matcam.calibration.edge.edge import edge_mtf_stack
+from matcam.calibration.edge.maximum_likelihood import Noise
+from matcam.calibration.edge.profiles import Gaussian
+from matcam.calibration.photograph import region
+from matcam.calibration.search import photograph_edges as strips
+from matcam.calibration.search.edge_search import find_edges
 from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge, slanted_squares
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.chart import Grating
-from matcam.calibration.gratings import coltman, grating_mtf
-from matcam.errors import ArgumentError, FitError
+from matcam.calibration.chart.chart import Grating
+from matcam.calibration.targets.gratings import coltman, grating_mtf
+from matcam.core.errors import ArgumentError, FitError
 from tests.calibration.photographed import ASLANT, page_of
 from tests.oracle.chart_camera import ChartCamera
 

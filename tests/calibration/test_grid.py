@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.chart import Dots
-from matcam.calibration.grid import dot_grid
-from matcam.errors import ArgumentError, FitError
+from matcam.calibration.chart.chart import Dots
+from matcam.calibration.targets.grid import dot_grid
+from matcam.core.errors import ArgumentError, FitError
 from tests.calibration.photographed import ASLANT, page_of
 from tests.oracle.chart_camera import ChartCamera
 

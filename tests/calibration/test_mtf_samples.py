@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.mtf_samples import MTFSamples
-from matcam.errors import ArgumentError
+from matcam.calibration.targets.mtf_samples import MTFSamples
+from matcam.core.errors import ArgumentError
 
 GOOD = {
     "kind": "star",

@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from matcam.calibration.chart_file import write_chart
-from matcam.calibration.chart_layout import design_chart
-from matcam.calibration.registration import register_chart
-from matcam.errors import ArgumentError, FitError
+from matcam.calibration.chart.chart_file import write_chart
+from matcam.calibration.chart.chart_layout import design_chart
+from matcam.calibration.chart.registration import register_chart
+from matcam.core.errors import ArgumentError, FitError
 from tests.oracle.chart_camera import ChartCamera
 
 SIZE = {"width": 800, "height": 620}

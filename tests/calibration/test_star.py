@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from matcam.calibration import wave_fit
-from matcam.calibration.chart import Star
-from matcam.calibration.star import star_mtf
-from matcam.errors import ArgumentError, FitError
+from matcam.calibration.chart.chart import Star
+from matcam.calibration.targets import wave_fit
+from matcam.calibration.targets.star import star_mtf
+from matcam.core.errors import ArgumentError, FitError
 from tests.calibration.photographed import ASLANT, page_of
 from tests.oracle.chart_camera import ChartCamera
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from matcam.calibration.chart import Square
-from matcam.calibration.chart_file import read_chart, write_chart
-from matcam.calibration.chart_layout import design_chart
-from matcam.calibration.targets import measure_targets
-from matcam.errors import FitError
+from matcam.calibration.chart.chart import Square
+from matcam.calibration.chart.chart_file import read_chart, write_chart
+from matcam.calibration.chart.chart_layout import design_chart
+from matcam.calibration.targets.targets import measure_targets
+from matcam.core.errors import FitError
 from matcam.figures.chart import chart_figure
 from matcam.figures.style import save
 from tests.oracle.chart_camera import ChartCamera

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.tone import linearised, tone_from_patches
-from matcam.errors import ArgumentError, FileFormatError
+from matcam.calibration.photograph.tone import linearised, tone_from_patches
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.files.tone_curve import read_tone_curve
 
 LIGHT = np.linspace(0, 1, 40)

@@ -6,8 +6,8 @@ import pytest
 from scipy.special import j1
 
 from matcam import BoxPixel, Camera, DefocusOptics, DiffractionOptics
-from matcam._jax import jax, jnp
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
 from tests.oracle.pupil import defocused_otf
 
 WAVELENGTH, PITCH = 550e-9, 4.73e-6

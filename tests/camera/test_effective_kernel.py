@@ -17,9 +17,10 @@ from matcam import (
     MeasuredOptics,
     WindowedGaussianPixel,
 )
-from matcam._jax import jax, jnp
-from matcam.camera import effective, fourier
+from matcam.camera import kernel as effective
+from matcam.camera.optics import fourier
 from matcam.camera.pixel import gaussian_over_interval
+from matcam.core.jax import jax, jnp
 from tests.golden import rows
 
 CAMERAS = {

@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import linprog
 
 from matcam import BoxPixel, Camera, DefocusOptics, DiffractionOptics, GaussianOptics, HaloOptics, MeasuredOptics
-from matcam._jax import jax
-from matcam.camera.gaussian_sum import gaussian_sum
-from matcam.errors import ArgumentError
+from matcam.camera.optics.gaussian_sum import gaussian_sum
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax
 
 WAVELENGTH, PITCH = 550e-9, 4.73e-6
 

@@ -14,9 +14,10 @@ from matcam import (
     MeasuredOptics,
     WindowedGaussianPixel,
 )
-from matcam._jax import jax, jnp
-from matcam.camera import effective, fourier
-from matcam.errors import ArgumentError
+from matcam.camera import kernel as effective
+from matcam.camera.optics import fourier
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
 
 CORES = {
     "gaussian": GaussianOptics(0.5),

@@ -14,7 +14,7 @@ from matcam import (
     Uncertainty,
     WindowedGaussianPixel,
 )
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from matcam import (
     Uncertainty,
     WindowedGaussianPixel,
 )
-from matcam.camera import profile_schema
-from matcam.errors import FileFormatError, OutputError
+from matcam.camera import profile as profile_schema
+from matcam.core.errors import FileFormatError, OutputError
 from tests.conftest import REPOSITORY
 
 CAMERAS = [

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from matcam import Camera, DiffractionOptics, GaussianOptics, HaloOptics, Sensor
-from matcam._jax import jax
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax
 
 PITCH = 4.73e-6
 SAMPLES = 60_000

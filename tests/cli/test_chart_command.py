@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from matcam.calibration.chart_file import read_chart
+from matcam.calibration.chart.chart_file import read_chart
 from matcam.cli import main
 
 

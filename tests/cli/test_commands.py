@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 from matcam import BoxPixel, Camera, GaussianOptics, Uncertainty, write_merl
-from matcam.table import brdf_table
+from matcam.core.grid import brdf_table
 from tests.oracle import epd_peak, merl_lobe
 
 

@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 
 from matcam import read_merl, write_merl
 from matcam.cli.app import app
-from matcam.inverse.lobe_operator import lobe_operator
-from matcam.material.ggx import GGX
-from matcam.table import brdf_table
+from matcam.core.grid import brdf_table
+from matcam.inverse.operator.lobe_operator import lobe_operator
+from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
 
 

@@ -30,7 +30,7 @@ from matcam import (
     write_sidecar,
 )
 from matcam.cli import _run
-from matcam.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from matcam import (
     rigs,
     write_rgl,
 )
-from matcam.errors import ArgumentError
-from matcam.table import brdf_table
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import brdf_table
 from tests.material.test_adaptive import directions, outgoing
 from tests.oracle import measured_bsdf
 

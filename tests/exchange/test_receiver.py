@@ -7,8 +7,8 @@ import pytest
 from scipy.special import erf
 
 from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, metadata, receiver, rigs
-from matcam.errors import ArgumentError
-from matcam.exchange.receiver import effective_area
+from matcam.core.errors import ArgumentError
+from matcam.exchange.solid_angles import effective_area
 
 
 @pytest.mark.parametrize(("sigma", "half"), [(0.1, 0.5), (0.5, 0.5), (0.5, 0.35), (2.0, 0.5)])

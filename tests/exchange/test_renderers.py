@@ -19,8 +19,8 @@ from matcam import (
     mitsuba_material,
     pbrt_material,
 )
-from matcam.errors import ArgumentError
-from matcam.table import CHANNEL_WAVELENGTHS, brdf_table
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import CHANNEL_WAVELENGTHS, brdf_table
 from tests.material.test_adaptive import directions, outgoing
 
 METAL = Conductor([0.2, 1.1, 3.0], [3.0, 2.0, 4.0])

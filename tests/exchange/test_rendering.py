@@ -7,7 +7,7 @@ import pytest
 
 from matcam import GGX, Microfacet, adaptive_grid, read_exr, rendered_sphere, write_exr, write_rgl
 from matcam.cli import _run
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
 
 WHITE = Microfacet(GGX(0.3), 0.0, 1.0)
 

@@ -7,15 +7,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from matcam import GGX, Camera, GaussianOptics, MTFSamples, edge_mtf, fresnel, paper, rigs, tabulated_fresnel
-from matcam.errors import OutputError
+from matcam.core.errors import OutputError
+from matcam.core.grid import brdf_table
+from matcam.figures.calibration import targets_figure
+from matcam.figures.curves import fresnel_figure, highlight_figure, loss_figure, prediction_figure
 from matcam.figures.edge import edge_figure
-from matcam.figures.fresnel_term import fresnel_figure
-from matcam.figures.paper import highlight_figure, loss_figure
-from matcam.figures.prediction import prediction_figure
 from matcam.figures.style import save
-from matcam.figures.targets import targets_figure
-from matcam.forward.peak import predict
-from matcam.table import brdf_table
+from matcam.forward.peaks.peak import predict
 from tests.oracle import merl_lobe, slanted_edge
 
 

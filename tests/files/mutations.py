@@ -5,7 +5,7 @@ import tracemalloc
 
 import numpy as np
 
-from matcam.errors import MatcamError
+from matcam.core.errors import MatcamError
 
 
 def mutated(content, count, seed, header):

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from matcam import read_netcdf, read_zarr, write_netcdf, write_zarr
-from matcam.errors import FileFormatError
+from matcam.core.errors import FileFormatError
 from tests.files.mutations import mutated, survives
 
 

@@ -20,7 +20,7 @@ from matcam import (
     write_float_tiff,
     write_sidecar,
 )
-from matcam.files.float_picture import DEFLATE_LIMIT
+from matcam.files.float_pictures import DEFLATE_LIMIT
 from matcam.files.photographs import read_photograph
 from tests.files.mutations import mutated, refusal, survives
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from matcam import read_merl, write_merl
-from matcam.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.grid import brdf_table
 from matcam.files.merl import FILE_BYTES, SCALE
-from matcam.table import brdf_table
 
 CELLS = 90 * 90 * 180
 

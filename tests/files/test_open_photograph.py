@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from matcam.errors import FileFormatError
-from matcam.files import picture_size
-from matcam.files.exif import read_exif
-from matcam.files.exr import write_exr
-from matcam.files.photographs import open_photograph
-from matcam.files.raw import read_raw
+from matcam.core.errors import FileFormatError
+from matcam.files import picture_header as picture_size
+from matcam.files.float_pictures import write_exr
+from matcam.files.photographs import open_photograph, read_raw
+from matcam.files.picture_header import read_exif
 
 RNG = np.random.default_rng(0)
 COUNTS = RNG.integers(600, 15000, (64, 96), dtype=np.uint16)

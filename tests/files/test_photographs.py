@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from matcam.errors import FileFormatError
+from matcam.core.errors import FileFormatError
 from matcam.files.photographs import read_photograph
 
 RNG = np.random.default_rng(0)

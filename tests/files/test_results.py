@@ -5,8 +5,8 @@ import csv
 import numpy as np
 import xarray as xr
 
-from matcam.files.columns import write_columns
-from matcam.files.netcdf import write_netcdf
+from matcam.core.io import write_columns
+from matcam.files.datasets import write_netcdf
 
 
 def result():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matcam import read_rgl, write_rgl
-from matcam.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from tests.files.mutations import mutated, survives
 
 MATERIALS = ("cc_ibiza_sunset", "paper_white", "satin_rosaline", "vch_golden_yellow")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from matcam import read_samples, write_samples
-from matcam.errors import ArgumentError, FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import brdf_table
+from matcam.core.shading import shading
 from matcam.files.samples import samples_of, table_of
-from matcam.shading import shading
-from matcam.table import brdf_table
 from tests.files.mutations import mutated, survives
 
 HEAD = "theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr\n"

@@ -17,7 +17,7 @@ from matcam import (
     sidecar_path,
     write_sidecar,
 )
-from matcam.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.files import sidecar
 from tests.conftest import REPOSITORY
 

@@ -22,8 +22,8 @@ from matcam import (
     Sphere,
     peak_response,
 )
-from matcam._jax import jax
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax
 from tests.golden import rows
 
 FAMILIES = {"gaussian": GaussianNDF, "ggx": GGX, "beckmann": Beckmann, "epd": EPD}

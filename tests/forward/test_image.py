@@ -20,10 +20,10 @@ from matcam import (
     picture,
     picture_values,
 )
-from matcam._jax import jax, jnp
-from matcam.forward.blur import blur_of
-from matcam.forward.plan import Targets, planned
-from matcam.forward.recording import record as taken_by
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.blur import blur_of
+from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.recording import record as taken_by
 from matcam.material.material import Material
 from tests.oracle.sphere_record import Setup, Surface, record
 

@@ -16,9 +16,9 @@ from matcam import (
     rigs,
     with_pixel_noise,
 )
-from matcam.angles import GRID_SHAPE, below_horizon, merl_grid
-from matcam.errors import ArgumentError
-from matcam.forward.cells import PICTURE_STRIDE, CellSet, cell_pixels
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import GRID_SHAPE, below_horizon, merl_grid
+from matcam.forward.lobe_table import PICTURE_STRIDE, CellSet, cell_pixels
 from tests.oracle import merl_lobe
 
 ALL_CELLS = CellSet(*(a.ravel() for a in np.indices((90, 180))), np.ones(90 * 180))

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from matcam import GGX, Microfacet, measure, rigs
-from matcam.angles import below_horizon, cosines, merl_grid
-from matcam.forward.blur import blur_of
-from matcam.forward.plan import Targets, planned
-from matcam.forward.recording import record
+from matcam.core.grid import below_horizon, cosines, merl_grid
+from matcam.forward.integral.blur import blur_of
+from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.recording import record
 from tests.golden import rows
 from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
 

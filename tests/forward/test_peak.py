@@ -24,12 +24,12 @@ from matcam import (
     rigs,
     texture_contrast,
 )
-from matcam._jax import jax, jnp
-from matcam.camera import fourier
-from matcam.errors import ArgumentError
-from matcam.forward.lobe import lobe_record
-from matcam.forward.peak import predict
-from matcam.material.families import ONE_WIDTH
+from matcam.camera.optics import fourier
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+from matcam.forward.peaks.lobe import lobe_record
+from matcam.forward.peaks.peak import predict
+from matcam.material.ndf.families import ONE_WIDTH
 from tests.golden import rows
 
 

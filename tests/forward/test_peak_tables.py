@@ -20,10 +20,10 @@ from matcam import (
     peak_response,
     rigs,
 )
-from matcam._jax import jax, jnp
-from matcam.errors import ArgumentError
-from matcam.forward import build_peak_tables
-from matcam.forward.peak_tables import FILE
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+from matcam.forward.peaks import build_peak_tables
+from matcam.forward.peaks.peak_tables import FILE
 from tests.golden import rows
 from tests.oracle import epd_peak
 

@@ -13,8 +13,8 @@ from matcam import (
     WindowedGaussianPixel,
     highlight_stamps,
 )
-from matcam._jax import jax, jnp
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
 
 TIGHT = galsim.GSParams(
     folding_threshold=1e-9, maxk_threshold=1e-10, kvalue_accuracy=1e-12, xvalue_accuracy=1e-12, maximum_fft_size=32768

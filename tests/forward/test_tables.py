@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from matcam import GGX, BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Schlick, Sphere, measure
-from matcam._jax import jax, jnp
-from matcam.angles import cosines, merl_grid, theta_h_edges
-from matcam.forward.blur import blur_of
+from matcam.core.grid import cosines, merl_grid, theta_h_edges
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.blur import blur_of
+from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.recording import record
 from matcam.forward.measurement import measured_values
-from matcam.forward.plan import Targets, planned
-from matcam.forward.recording import record
 from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
 
 pytestmark = pytest.mark.slow

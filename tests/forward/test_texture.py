@@ -4,19 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import (
-    BoxPixel,
-    Camera,
-    DiffractionOptics,
-    Flat,
-    GaussianOptics,
-    HaloOptics,
-    Rig,
-    rigs,
-    textured_picture,
-)
-from matcam._jax import jax
-from matcam.errors import ArgumentError
+from matcam import BoxPixel, Camera, DiffractionOptics, Flat, GaussianOptics, HaloOptics, Rig, rigs, textured_picture
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax
 from tests.golden import rows
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 
 from matcam import BoxPixel, Camera, GaussianOptics, PixelNoise, Rig, Sphere, Uncertainty, rigs
-from matcam.angles import merl_grid
-from matcam.inverse.chosen_cells import chosen_cells
+from matcam.core.grid import merl_grid
+from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
 

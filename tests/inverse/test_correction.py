@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 from matcam import PixelNoise, Rig, Sphere, correction, limits
-from matcam.errors import ArgumentError
-from matcam.inverse.chosen_cells import chosen_cells
+from matcam.core.errors import ArgumentError
+from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

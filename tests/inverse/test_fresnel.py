@@ -22,10 +22,9 @@ from matcam import (
     rigs,
     tabulated_fresnel,
 )
-from matcam.angles import merl_grid
-from matcam.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.grid import brdf_table, merl_grid
 from matcam.inverse.fresnel_term import recorded_peak
-from matcam.table import brdf_table
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 
 from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF, Microfacet, rigs
-from matcam._jax import jnp
-from matcam.angles import merl_grid
-from matcam.errors import ArgumentError
-from matcam.forward.blur import blur_of
-from matcam.inverse import rule_cache
-from matcam.inverse.chosen_cells import chosen_cells, places
-from matcam.inverse.lobe_operator import lobe_operator
-from matcam.inverse.polar_rule import THROUGH_SAMPLES, Pixels, filled, nodes_of, reach_of, sampled, window
-from matcam.inverse.rig_axes import free_axis, known_axis, moved
+from matcam.core import workspace as rule_cache
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import merl_grid
+from matcam.core.jax import jnp
+from matcam.forward.integral.blur import blur_of
+from matcam.inverse.operator.chosen_cells import chosen_cells, places
+from matcam.inverse.operator.lobe_operator import lobe_operator
+from matcam.inverse.operator.polar_rule import THROUGH_SAMPLES, Pixels, filled, nodes_of, reach_of, sampled, window
+from matcam.inverse.operator.rig_axes import free_axis, known_axis, moved
 from tests.golden import rows
 from tests.inverse.recorded import pictures, rig
 from tests.oracle import sphere_cells as oracle

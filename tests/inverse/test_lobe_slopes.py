@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from matcam import fit, rigs
-from matcam.inverse.lobe_operator import lobe_operator
-from matcam.inverse.lobe_slopes import RecordBatch, recorded
+from matcam.inverse.fit.lobe_slopes import RecordBatch, recorded
+from matcam.inverse.operator.lobe_operator import lobe_operator
 from tests.inverse import recorded as made
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from matcam import PixelNoise, Rig, Sampled, Sphere, fit
-from matcam.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, FitError
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 from matcam import Adaptive, GaussianOptics, read_rgl, write_rgl
-from matcam._jax import jax, jnp
-from matcam.errors import ArgumentError
-from matcam.shading import Shading, shading
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading, shading
 from tests.files.test_rgl import MATERIALS
 from tests.oracle import measured_bsdf
 

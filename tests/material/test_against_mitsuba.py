@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from matcam import GGX, AnisotropicBeckmann, AnisotropicGGX, Beckmann, Conductor, Microfacet
-from matcam._jax import jnp
-from matcam.shading import shading
+from matcam.core.jax import jnp
+from matcam.core.shading import shading
 
 NDFS = {
     "isotropic ggx": ("ggx", 0.2, 0.2, GGX(0.2)),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from matcam import EPD, GGX, SGD, AnisotropicBeckmann, AnisotropicGGX, Beckmann, GaussianNDF, Microfacet
-from matcam._jax import jnp
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jnp
 from matcam.material.material import seen_at
 
 RANDOM = np.random.default_rng(3)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from matcam import GGX, Sampled
-from matcam._jax import jax, jnp
-from matcam.errors import ArgumentError
-from matcam.material.bent import KNOTS, BentNDF, bend_basis
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+from matcam.material.ndf.free_lobe import KNOTS, BentNDF, bend_basis
 
 THETA = np.concatenate([[0.0], np.geomspace(1e-5, 1.5, 40)])
 

@@ -3,21 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from matcam import (
-    EPD,
-    GGX,
-    SGD,
-    AnisotropicBeckmann,
-    AnisotropicGGX,
-    Beckmann,
-    Conductor,
-    GaussianNDF,
-    Microfacet,
-)
-from matcam.angles import cosines
-from matcam.errors import ArgumentError
+from matcam import EPD, GGX, SGD, AnisotropicBeckmann, AnisotropicGGX, Beckmann, Conductor, GaussianNDF, Microfacet
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import cosines
+from matcam.core.shading import shading
 from matcam.material.masking import MASKINGS
-from matcam.shading import shading
 from tests.golden import rows
 
 MATERIALS = [

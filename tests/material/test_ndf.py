@@ -10,10 +10,10 @@ from scipy.integrate import quad
 from scipy.special import gammainccinv
 
 from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF
-from matcam._jax import jnp
-from matcam.errors import ArgumentError
-from matcam.material.families import FAMILIES, WITH_POWER, ndf_of
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jnp
 from matcam.material.masking import g2, smith_lambda
+from matcam.material.ndf.families import FAMILIES, WITH_POWER, ndf_of
 from tests.golden import rows as golden_rows
 from tests.oracle.smith import smith_lambda as lambda_by_quadrature
 

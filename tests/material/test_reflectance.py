@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from matcam import Conductor, Constant, Dielectric, Schlick, fresnel_conductor, metal, metal_sources, metals
-from matcam._jax import jnp
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jnp
 from tests.golden import rows
 from tests.oracle.merl_lobe import conductor
 

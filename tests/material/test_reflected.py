@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from matcam import EPD, GGX, SGD, AnisotropicBeckmann, Beckmann, Conductor, GaussianNDF, Microfacet
-from matcam._jax import jax, jnp
-from matcam.angles import cosines
+from matcam.core.grid import cosines
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading, shading
 from matcam.material.masking import MASKINGS
 from matcam.material.material import seen_at
-from matcam.shading import Shading, shading
 
 RANDOM = np.random.default_rng(11)
 ANGLES = RANDOM.uniform(0, 1.57, 200), RANDOM.uniform(0, 1.57, 200), RANDOM.uniform(0, 6.28, 200)

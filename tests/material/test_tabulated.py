@@ -5,12 +5,11 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from matcam import GGX, Conductor, Microfacet, Tabulated
-from matcam._jax import jax, jnp
-from matcam.angles import GRID_SHAPE, below_horizon, cosines, merl_grid, theta_h_edges
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, cosines, merl_grid, theta_h_edges
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading
 from matcam.material.material import seen_at
-from matcam.shading import Shading
-from matcam.table import brdf_table
 
 SMOOTH = Microfacet(GGX(0.4), Conductor([0.2, 1.0, 2.0], 3.0), diffuse=0.1)
 

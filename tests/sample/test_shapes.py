@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from matcam import Cylinder, Flat, Sphere
-from matcam.errors import ArgumentError
-from matcam.shading import shading
+from matcam.core.errors import ArgumentError
+from matcam.core.shading import shading
 
 DISTANCES = (np.inf, 30.0, 3.0, 1.2)
 

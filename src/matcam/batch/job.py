@@ -1,28 +1,119 @@
-"""One material: a table goes in, its files come out. What a worker is told is a `Job`, and what it does `corrected_files`."""
+"""What an input was when it was read: enough to tell later whether it still is.
+
+What is done to one table: `correction`, and what a reader is told of it.
+
+One material: a table goes in, its files come out. What a worker is told is a `Job`, and what it does `corrected_files`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import xarray as xr
 
-from matcam.angles import Sampling
-from matcam.atomic import check_output
-from matcam.batch.corrector import Corrected, Corrector, Options, corrected
-from matcam.batch.fingerprint import Fingerprint, fingerprint
 from matcam.batch.store import write_row
-from matcam.errors import ArgumentError, FileFormatError, MatcamError
-from matcam.figures.thumbnails import write_thumbnail
+from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
+from matcam.core.grid import Sampling
+from matcam.core.io import check_output, reading
+from matcam.core.json import plain, write_json
+from matcam.figures.correction_page import verdict, write_correction_page
+from matcam.figures.spheres import write_thumbnail
+from matcam.files.datasets import write_netcdf
 from matcam.files.merl import read_merl, write_merl
-from matcam.files.netcdf import write_netcdf
-from matcam.json_file import plain, write_json
+from matcam.inverse.correction.correction import correction
 from matcam.rigs import Rig
+
+
+class Fingerprint(NamedTuple):
+    """A file's size (bytes), time of change (ns) and SHA-256."""
+
+    bytes: int
+    mtime_ns: int
+    sha256: str
+
+    def document(self) -> dict[str, Any]:
+        """As plain numbers and texts."""
+        return {**self._asdict()}
+
+
+def fingerprint(path: Path) -> Fingerprint:
+    """Of a file's content. FileFormatError where it cannot be read."""
+    with reading(path, "a table"):
+        status = path.stat()
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return Fingerprint(status.st_size, status.st_mtime_ns, digest)
+
+
+def unchanged(path: Path, known: Any) -> bool:
+    """Whether a file still is what `known`, a fingerprint's document, says. Its content is read only where its time is not
+    the same: hashing a hundred thousand tables would take an hour, and looking at their times takes seconds."""
+    try:
+        status = path.stat()
+        if status.st_size != known["bytes"]:
+            return False
+        return status.st_mtime_ns == known["mtime_ns"] or fingerprint(path).sha256 == known["sha256"]
+    except (OSError, KeyError, TypeError, FileFormatError):
+        return False
+
+
+_ANGLES = (5, 45, 75)
+"""Degrees of theta_d at which the peak's loss is told."""
+
+
+class Options(NamedTuple):
+    """How a table is corrected: family of the lobe or "auto"; masking or None; share of light that the lens may scatter."""
+
+    ndf: str = "auto"
+    masking: Any = "smith"
+    glare: float = 1e-3
+
+
+class Corrected(NamedTuple):
+    """A table corrected: Dataset (brdf, brdf_std, supported, response), what is to be said of it as plain numbers and texts,
+    and write_page(path, name, force), which draws the page to read."""
+
+    table: xr.Dataset
+    document: dict[str, Any]
+    write_page: Callable[[Path, str, bool], None]
+
+
+Corrector = Callable[[xr.DataArray, Rig, Options], Corrected]
+"""Does the work on one table. Workers are told its name, so it stands at the top of a module that they can import."""
+
+
+def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
+    """The table that a perfect camera would have measured. Errors as `correction`'s."""
+    done = correction(table, rig, options.ndf, masking=options.masking, glare=options.glare)
+    there = np.isfinite(table.values)
+    response = done.table["response"].values[0, :, 90]
+    document = {
+        "camera": rig.camera.profile(),
+        "fit": done.fit.summary(),
+        "doubts": {doubt.axis.name: {**doubt.fit.summary(), "contradicts": doubt.contradicts} for doubt in done.doubts},
+        "shape": {"strength": done.shape.strength, "b": done.shape.b},
+        "glare": options.glare,
+        "supported_share": float(done.table["supported"].values[there].mean()),
+        "peak_gain_75": float(1 / response[75]),
+        "peak_lost": {str(angle): float(1 - response[angle]) for angle in _ANGLES},
+        "verdict": verdict(table, done),
+        "remarks": list(done.remarks),
+    }
+
+    def write_page(path: Path, name: str, force: bool) -> None:
+        write_correction_page(path, table, done, name, force=force)
+
+    return Corrected(done.table, document, write_page)
+
 
 _WRITING = threading.Lock()
 """Materials that are done side by side are written one after the other: neither HDF5 nor Matplotlib's styles know threads."""

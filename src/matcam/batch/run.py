@@ -12,28 +12,35 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
-from matcam import checks
-from matcam.angles import SAMPLINGS, Sampling
-from matcam.atomic import check_output
-from matcam.batch import cluster as cluster_workers
-from matcam.batch import side_by_side
-from matcam.batch import workers as local_workers
-from matcam.batch.corrector import Corrector, Options, corrected
-from matcam.batch.folder import held, sweep
-from matcam.batch.inputs import CAMERA, FAILED, INDEX, inputs_of, named
-from matcam.batch.job import Job, Outcome
-from matcam.batch.ledger import is_finished, records
-from matcam.batch.one_core import cores
-from matcam.batch.settings import SETTINGS, belongs, claim, key_of, numbers_of, settings_of
+from matcam.batch.executors import cluster as dask
+from matcam.batch.executors import processes, threads
+from matcam.batch.executors.processes import cores
+from matcam.batch.folder import STORE, held, is_finished, records, sweep, with_rows
+from matcam.batch.inputs import (
+    CAMERA,
+    FAILED,
+    INDEX,
+    SETTINGS,
+    belongs,
+    claim,
+    inputs_of,
+    key_of,
+    named,
+    numbers_of,
+    settings_of,
+)
+from matcam.batch.job import Corrector, Job, Options, Outcome, corrected
 from matcam.batch.shared_camera import shared_camera
-from matcam.batch.stored_rows import STORE, with_rows
 from matcam.camera.camera import Camera
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import SAMPLINGS, Sampling
+from matcam.core.io import check_output
+from matcam.core.json import write_json
 from matcam.figures.run_index import INLINE, write_run_index
-from matcam.inverse.lobe_operator import check_rig
-from matcam.json_file import write_json
-from matcam.material.families import FAMILIES
+from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
+from matcam.material.ndf.families import FAMILIES
 from matcam.rigs import Rig
 
 
@@ -131,11 +138,11 @@ def correct_all(
         if zarr:
             waiting = with_rows(folder / STORE, jobs, waiting)
         if cluster:
-            outcomes = cluster_workers.outcomes(waiting, cluster)
-        elif workers is None and side_by_side.gpu_at_hand():
-            outcomes = side_by_side.outcomes(waiting)
+            outcomes = dask.outcomes(waiting, cluster)
+        elif workers is None and threads.gpu_at_hand():
+            outcomes = threads.outcomes(waiting)
         else:
-            outcomes = local_workers.outcomes(waiting, count)
+            outcomes = processes.outcomes(waiting, count)
         run = _done(folder, waiting, kept, refused, outcomes, watch)
         finished = {*run.kept, *run.corrected}  # not what lies there of an input that has changed and fails now
         ordered = sorted((job for job in jobs if job.source in finished), key=lambda job: job.name.casefold())
@@ -215,7 +222,7 @@ def _checked(ndf: str, masking: Masking, glare: float, sampling: Sampling) -> tu
 
 def _count(workers: int | None, cluster: str | None) -> int:
     if cluster is not None:
-        cluster_workers.check_address(cluster)
+        dask.check_address(cluster)
         if workers is not None:
             raise ArgumentError("workers are of this machine, cluster says where others are: give one of them")
     if workers is None:

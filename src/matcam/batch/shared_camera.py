@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.angles import Sampling
-from matcam.batch.corrector import Options
+from matcam.batch.job import Options
 from matcam.camera.camera import Camera
 from matcam.camera.uncertainty import Provenance
-from matcam.errors import FitError, MatcamError
+from matcam.core.errors import FitError, MatcamError
+from matcam.core.grid import Sampling
+from matcam.exchange.inspection import lobe_widths
 from matcam.files.merl import read_merl
-from matcam.inverse.candidates import candidate_fits, likeliest
-from matcam.inverse.rig_axes import LENS
+from matcam.inverse.fit.candidates import candidate_fits, likeliest
+from matcam.inverse.operator.rig_axes import LENS
 from matcam.rigs import Rig
-from matcam.trace import lobe_widths
 
 FITTED, LOOKED_AT = 4, 16
 """Materials that are fitted, the narrowest lobes of those that are looked at: a lens hardly shows in a broad lobe."""

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from matcam.angles import GRID_SHAPE, Sampling, merl_grid
-from matcam.errors import ArgumentError, OutputError
-from matcam.table import CHANNELS, DIMS
+from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
 
 _ROW, _DONE = "material", "corrected"
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {

@@ -9,15 +9,16 @@ from typing import Any
 import equinox as eqx
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import is_concrete, jax, jnp
-from matcam.camera import effective, parameters, profile
-from matcam.camera.optics import Optics
+from matcam.camera import kernel as effective
+from matcam.camera import parameters, profile
+from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
-from matcam.errors import ArgumentError, FileFormatError
-from matcam.json_file import write_json
+from matcam.core import checks
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.json import write_json
 
 
 class Camera(eqx.Module):

@@ -10,13 +10,12 @@ from typing import Any
 
 import equinox as eqx
 
-from matcam._jax import jax, jnp
-from matcam.camera.defocus import DefocusOptics
-from matcam.camera.diffraction import DiffractionOptics
-from matcam.camera.gaussian import GaussianOptics
-from matcam.camera.halo import HaloOptics
-from matcam.camera.measured import MeasuredOptics
+from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.optics.halo import HaloOptics
+from matcam.camera.optics.measured import MeasuredOptics
+from matcam.camera.optics.pupil import DefocusOptics, DiffractionOptics
 from matcam.camera.pixel import BoxPixel, WindowedGaussianPixel
+from matcam.core.jax import jax, jnp
 
 MODELS: dict[str, tuple[type, dict[str, str]]] = {
     "gaussian": (GaussianOptics, {"sigma_px": "sigma"}),

@@ -1,21 +1,54 @@
-"""The sensor behind the lens: from radiance in the pixels to the numbers in a raw file (EMVA Standard 1288, release 4).
+"""Noise of a pixel, as a reflectance measurement states it.
+
+The sensor behind the lens: from radiance in the pixels to the numbers in a raw file (EMVA Standard 1288, release 4).
 
     radiance --exposure--> expected electrons --fixed-pattern gain--> + dark electrons --Poisson--> --full well-->
     + read noise --gain, black level--> --rounding, range--> DN
 
 Fixed-pattern gain comes before the photons are counted: a more sensitive pixel counts more of them, noise included.
 The well fills before it is read, so read noise sits on top of saturated pixels too.
+
+Exposure bracketing: several pictures of one scene, merged into the radiance that they all saw, with its uncertainty.
+
+Every picture's weight is the inverse variance that the sensor's law gives it at the merged radiance (MODEL 8), never
+that of its own noisy pixels. Close to saturation a picture's weight is faded out: a sharp limit would let pixels in by
+their own noise, and bias what is left.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import is_concrete, jax, jnp
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+
+
+class PixelNoise(NamedTuple):
+    """Standard deviation of a pixel: relative * its value, and floor * the brightest value of its picture, in quadrature.
+    gain: relative standard deviation of a picture's exposure, common to all its pixels.
+
+    Noise belongs to pixels: table cells that were read from one pixel share it.
+    """
+
+    relative: float = 0.01
+    floor: float = 1e-4
+    gain: float = 0.0
+
+    def checked(self) -> PixelNoise:
+        """Itself; ArgumentError if a number is negative, not finite, or both are 0."""
+        for name, value in self._asdict().items():
+            if not 0 <= value < 1:
+                raise ArgumentError(f"noise.{name} must lie in [0, 1), got {value!r}")
+        if self.relative == self.floor == 0:
+            raise ArgumentError("noise must not be zero altogether: no measurement is")
+        return self
+
 
 CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Bayer mosaics: the colours of the upper left 2 x 2 pixels, row by row."""
@@ -197,3 +230,87 @@ def random_key(seed: Seed) -> jax.Array:
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
         raise ArgumentError(f"seed must be a whole number >= 0 or a key of jax.random, got {seed!r:.60}")
     return jax.random.key(int(seed))
+
+
+_FADE = (0.85, 0.95)  # of saturation: from full weight to none
+_ROUNDS = 3
+
+
+class Merged(NamedTuple):
+    """A radiance estimate of shape (H, W) or (H, W, channels), in the unit that the exposures are per."""
+
+    radiance: jax.Array
+    """NaN where every picture is saturated, or the data are missing."""
+    std: jax.Array
+    """Standard deviation, fixed-pattern gain included."""
+    saturated: jax.Array
+    """True where every picture is."""
+
+
+def expose_bracket(
+    sensor: Sensor, radiance: ArrayLike, exposures: Sequence[float], seed: Seed, times: Sequence[float] | None = None
+) -> jax.Array:
+    """Pictures of one scene, DN, shape (pictures, H, W[, channels]): `Sensor.expose` at each of `exposures`, e- per unit
+    of radiance, and `times`, s. Their noise is independent, their fixed patterns are the sensor's."""
+    exposures, times = _checked(exposures, times)
+    pairs = zip(jax.random.split(random_key(seed), len(exposures)), exposures, times, strict=True)
+    return jnp.stack([sensor.expose(radiance, exposure, one, time) for one, exposure, time in pairs])
+
+
+def merge_bracket(
+    sensor: Sensor, pictures: AnyArray, exposures: Sequence[float], times: Sequence[float] | None = None
+) -> Merged:
+    """Radiance from pictures of one scene: DN, shape (pictures, H, W[, channels]), taken at `exposures` and `times`.
+
+    The minimum-variance weighted mean of the pictures less their mean dark electrons. Without saturation it is unbiased
+    but for the weights' faint dependence on the data.
+    """
+    exposures, times = _checked(exposures, times)
+    pictures = jnp.asarray(pictures, dtype=jnp.float64)
+    if pictures.shape[:1] != (len(exposures),) or pictures.ndim not in (3, 4):
+        raise ArgumentError(
+            f"pictures must have shape ({len(exposures)}, H, W) or ({len(exposures)}, H, W, channels), one per exposure, "
+            f"got {pictures.shape}"
+        )
+    column = (-1,) + (1,) * (pictures.ndim - 1)
+    exposure, time = (jnp.asarray(a, dtype=jnp.float64).reshape(column) for a in (exposures, times))
+    dark = time * sensor.dark_current
+    electrons = sensor.electrons(pictures)
+    low, high = _FADE
+    share = jnp.clip((high - electrons / sensor.saturation) / (high - low), 0, 1)
+    usable = share > 0
+    saturated = ~jnp.any(usable | jnp.isnan(electrons), axis=0)
+
+    # the mean for shot noise alone needs no variance to start from
+    weight = share * exposure
+    radiance = jnp.sum(share * (electrons - dark), axis=0) / _nan_where_zero(jnp.sum(weight, axis=0))
+    for _ in range(_ROUNDS):
+        variance = _variance(sensor, radiance, exposure, dark)
+        weight = share / variance
+        weight = weight / _nan_where_zero(jnp.sum(weight, axis=0))
+        radiance = jnp.sum(weight * (electrons - dark) / exposure, axis=0)
+    # patterns are the same in all pictures: averaging does not help against them
+    common = (sensor.prnu * radiance) ** 2
+    common += (sensor.dark_nonuniformity * jnp.sum(weight * dark / exposure, axis=0)) ** 2
+    std = jnp.sqrt(jnp.sum(weight**2 * _variance(sensor, radiance, exposure, dark), axis=0) + common)
+    return Merged(radiance, std, saturated)
+
+
+def _variance(sensor: Sensor, radiance: jax.Array, exposure: jax.Array, dark: jax.Array) -> jax.Array:
+    return sensor.variance(exposure * jnp.maximum(radiance, 0) + dark) / exposure**2
+
+
+def _nan_where_zero(total: jax.Array) -> jax.Array:
+    return jnp.where(total > 0, total, jnp.nan)
+
+
+def _checked(exposures: Sequence[float], times: Sequence[float] | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    positive = checks.positive("exposures", jnp.atleast_1d(jnp.asarray(exposures)), "e- per unit of radiance")
+    if positive.ndim != 1 or positive.size == 0:
+        raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
+    exposed = tuple(positive.tolist())
+    lasted = (0.0,) * len(exposed) if times is None else tuple(float(t) for t in times)
+    if len(lasted) != len(exposed):
+        raise ArgumentError(f"times must be as many as exposures ({len(exposed)}), got {len(lasted)}")
+    checks.within("times", jnp.asarray(lasted), 0, float("inf"), "s", open_high=True)
+    return exposed, lasted

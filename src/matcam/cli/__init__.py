@@ -31,7 +31,7 @@ def _run(arguments: list[str] | None) -> int:
     import typer
 
     from matcam.cli.app import app
-    from matcam.errors import MatcamError
+    from matcam.core.errors import MatcamError
 
     # typer carries a click of its own, and does not export this one
     usage_error: type[Any] = typer.BadParameter.__mro__[1]

@@ -69,7 +69,7 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
-    from matcam.atomic import check_output
+    from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
     files = _files(pictures)
@@ -79,10 +79,10 @@ def command(
     check_output(table, force=force, inputs=files)
     check_picture(figure, force=force, inputs=files)
     with show.working(f"measuring {len(files)} pictures"):
-        from matcam._jax import use_compilation_cache
+        from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
-        from matcam.calibration.combine import calibrate
+        from matcam.calibration.camera.combine import calibrate
 
         found = calibrate(
             files,
@@ -108,7 +108,7 @@ def command(
 
 def _files(given: list[Path]) -> list[Path]:
     """The pictures; of folders all that are in them."""
-    from matcam.errors import FileFormatError
+    from matcam.core.errors import FileFormatError
     from matcam.files.photographs import PICTURES
 
     files: list[Path] = []
@@ -124,12 +124,12 @@ def _files(given: list[Path]) -> list[Path]:
 
 
 def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
-    from matcam.errors import ArgumentError
+    from matcam.core.errors import ArgumentError
 
     if patches is not None:
         if tone is not None:
             raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
-        from matcam.calibration.tone import measured_tone
+        from matcam.calibration.photograph.tone import measured_tone
 
         return measured_tone(files[0], patches)
     if tone is None or tone in ("linear", "srgb"):
@@ -147,10 +147,9 @@ def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
 
 
 def _write(found: Any, output: Path, figure: Path, table: Path, files: list[Path], force: bool) -> list[Path]:
-    from matcam.atomic import check_output
+    from matcam.core.io import check_output, write_columns
     from matcam.figures.calibration import calibration_figure
     from matcam.figures.style import save
-    from matcam.files.columns import write_columns
     from matcam.files.photographs import open_photograph
 
     profiles = {output: found.camera}

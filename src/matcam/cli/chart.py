@@ -34,9 +34,9 @@ def command(
 
     Example: `matcam chart squares star --pixels 4000 -o chart.pdf`
     """
-    from matcam.atomic import check_output
-    from matcam.calibration.chart_file import description_path, write_chart
-    from matcam.calibration.chart_layout import design_chart
+    from matcam.calibration.chart.chart_file import description_path, write_chart
+    from matcam.calibration.chart.chart_layout import design_chart
+    from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
     description = description_path(output)

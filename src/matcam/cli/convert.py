@@ -39,12 +39,12 @@ def command(
 
     Example: `matcam convert chrome.binary chrome.bsdf`
     """
-    from matcam._jax import use_compilation_cache
-    from matcam.atomic import check_output
-    from matcam.errors import OutputError
+    from matcam.core.errors import OutputError
+    from matcam.core.io import check_output
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.json import write_json
     from matcam.exchange.conversion import convert
-    from matcam.exchange.receiver import metadata as about
-    from matcam.json_file import write_json
+    from matcam.exchange.solid_angles import metadata as about
 
     use_compilation_cache()
     if metadata:

@@ -67,7 +67,7 @@ def command(
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
-    from matcam.errors import ArgumentError
+    from matcam.core.errors import ArgumentError
 
     how = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
     rig_options = (camera, radius, lamp, sampling)
@@ -95,9 +95,9 @@ def _one(
     output = output or Path(f"{file.stem}-corrected.binary")
     camera, radius, lamp, sampling = rig_options
     with show.working(f"{file}: correcting"):
-        from matcam.atomic import check_output
-        from matcam.batch.caches import keep_rules
         from matcam.batch.job import Job, Options, corrected_files
+        from matcam.core.io import check_output
+        from matcam.core.workspace import keep_rules
 
         rig = rig_of(camera, radius, lamp, cell_value=sampling)
         job = Job(file, output, rig, Options(**how), sampling, page=pages, force=force)
@@ -131,8 +131,8 @@ def _run(
 ) -> None:
     camera, radius, lamp, sampling = rig_options
     with show.tallying("correcting") as watch:
-        from matcam.batch.caches import keep_rules
         from matcam.batch.run import correct_all
+        from matcam.core.workspace import keep_rules
 
         keep_rules()
         rig = rig_of(camera, radius, lamp, cell_value=sampling)

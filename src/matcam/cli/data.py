@@ -37,8 +37,8 @@ def merl(
 
     Example: `matcam data merl chrome nickel -o merl`
     """
-    from matcam.downloads import fetch_merl, merl_checksums
-    from matcam.errors import ArgumentError, DownloadError, OutputError, unknown_name
+    from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
+    from matcam.files.downloads import fetch_merl, merl_checksums
 
     known = merl_checksums()
     if listing:

@@ -22,8 +22,8 @@ def command(
 
     Example: `matcam demo -o demo`
     """
-    from matcam._jax import use_compilation_cache
-    from matcam.atomic import check_output
+    from matcam.core.io import check_output
+    from matcam.core.jax import use_compilation_cache
 
     table, loss, term = (
         output / name for name in ("simulated-chromium.binary", "predicted-loss.png", "chromium-fresnel.png")

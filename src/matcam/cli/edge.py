@@ -54,17 +54,17 @@ def command(
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
-    from matcam.atomic import check_output
+    from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
     output = output or Path(f"{picture.stem}-edge.png")
     check_picture(output, force=force, inputs=[picture])
     check_output(output.with_suffix(".csv"), force=force, inputs=[picture])
     with show.working(f"{picture}: measuring the edge"):
-        from matcam._jax import use_compilation_cache
+        from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
-        from matcam.calibration.edge import edge_mtf
+        from matcam.calibration.edge.edge import edge_mtf
         from matcam.files.photographs import read_photograph
 
         image = read_photograph(picture)
@@ -88,9 +88,9 @@ def command(
 
 
 def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:
+    from matcam.core.io import write_columns
     from matcam.figures.edge import edge_figure
     from matcam.figures.style import save
-    from matcam.files.columns import write_columns
 
     write_columns(output.with_suffix(".csv"), result.dataset(), force=force)
     save(edge_figure(result, image, roi, name), output, force=force)

@@ -27,8 +27,8 @@ def command(
 
     Example: `matcam figures chrome.binary -o figures`
     """
-    from matcam.atomic import check_output
-    from matcam.errors import ArgumentError
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output
 
     sources = measured or []
     stems = ["figure-3", "figure-4", "figure-5", *(f"figure-6-{path.stem}" for path in sources or [_SIMULATED])]
@@ -36,7 +36,7 @@ def command(
         raise ArgumentError("two files of one name would become one figure: draw them into two folders")
     for path in outputs(output, stems, vector):
         check_output(path, force=force, inputs=sources)
-    from matcam._jax import use_compilation_cache
+    from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
     drawn = []
@@ -59,7 +59,7 @@ def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
 
 def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:
     from matcam import paper
-    from matcam.figures.paper import highlight_figure, loss_figure
+    from matcam.figures.curves import highlight_figure, loss_figure
 
     if stem in ("figure-3", "figure-4"):
         data = paper.figure_3_4(10.0 if stem == "figure-3" else 1.0)
@@ -68,19 +68,18 @@ def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:
         data = paper.figure_5()
         return data, loss_figure(data)
     from matcam import rigs
-    from matcam.figures.fresnel_term import fresnel_figure
+    from matcam.figures.curves import fresnel_figure
     from matcam.files.merl import read_merl
     from matcam.forward.demonstration import simulated_chromium
-    from matcam.inverse.fresnel_term import fresnel
-    from matcam.inverse.tabulated import tabulated_fresnel
+    from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
 
     result = fresnel(simulated_chromium() if source is None else read_merl(source), rigs.merl())
     return result, fresnel_figure(result, tabulated_fresnel(result, "Cr" if source is None else None))
 
 
 def _write(data: Any, figure: Any, stem: Path, vector: str, force: bool) -> None:
+    from matcam.core.io import write_columns
     from matcam.figures.style import save
-    from matcam.files.columns import write_columns
 
     write_columns(stem.with_name(f"{stem.name}.csv"), data, force=force)
     for suffix in ("png", vector):

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from matcam.batch.caches import keep_rules
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.core.workspace import keep_rules
 
 Family = Annotated[
     Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
@@ -53,8 +53,8 @@ def command(
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """
-    from matcam.atomic import check_output
-    from matcam.errors import ArgumentError
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output
 
     if blind and lens != "auto":
         raise ArgumentError("--no-camera and --lens contradict each other")
@@ -64,7 +64,7 @@ def command(
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
     keep_rules()
     from matcam.files.merl import read_merl
-    from matcam.inverse.material_fit import fit
+    from matcam.inverse.fit.material_fit import fit
 
     rig = None if blind else rig_of(camera, radius, lamp, cell_value=sampling)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
@@ -84,7 +84,7 @@ def command(
     if rival:
         document["rival"] = _rival(files[0], rig, ndf, sampling, every)
     if output:
-        from matcam.json_file import plain, write_json
+        from matcam.core.json import plain, write_json
 
         write_json(output, plain(document), force=force)
     if json:

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from matcam.batch.caches import keep_rules
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.core.workspace import keep_rules
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -54,7 +54,7 @@ def command(
 
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
-    from matcam.atomic import check_output
+    from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
     output = output or Path(f"{file.stem}-fresnel.png")
@@ -76,8 +76,7 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
 
     keep_rules()
     from matcam.files.merl import read_merl
-    from matcam.inverse.fresnel_term import fresnel
-    from matcam.inverse.tabulated import tabulated_fresnel
+    from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
     from matcam.material.metals import metal_sources
 
     if metal is not None:
@@ -96,10 +95,10 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
 
 
 def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) -> None:
-    from matcam.figures.fresnel_term import fresnel_figure
+    from matcam.core.io import write_columns
+    from matcam.figures.curves import fresnel_figure
     from matcam.figures.style import save
-    from matcam.files.columns import write_columns
-    from matcam.files.netcdf import write_netcdf
+    from matcam.files.datasets import write_netcdf
 
     place = result["channel"].values.tolist().index(channel)
     write_netcdf(output.with_suffix(".nc"), result, force=force)

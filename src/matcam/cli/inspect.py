@@ -23,7 +23,7 @@ def command(
 
     Example: `matcam inspect chrome.binary`
     """
-    from matcam.files.recognition import identify
+    from matcam.exchange.contents import identify
 
     kind = identify(file)
     report = {"file": str(file), "format": kind, **_report(file, kind, sampling)}
@@ -39,16 +39,16 @@ def command(
 
 def _report(file: Path, kind: str, sampling: Any) -> dict[str, Any]:
     if kind == "camera profile":
-        from matcam.inspection import inspect_camera
+        from matcam.exchange.inspection import inspect_camera
 
         return inspect_camera(file)
     if kind == "picture sidecar":
         from matcam.files.sidecar import read_sidecar
 
         return read_sidecar(file)
-    from matcam._jax import use_compilation_cache
+    from matcam.core.jax import use_compilation_cache
     from matcam.exchange.contents import read_contents
-    from matcam.inspection import inspect_contents
+    from matcam.exchange.inspection import inspect_contents
 
     use_compilation_cache()
     with show.working("looking into it"):

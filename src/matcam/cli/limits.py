@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from matcam.batch.caches import keep_rules
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, rig_of
+from matcam.core.workspace import keep_rules
 
 
 def command(
@@ -27,7 +27,7 @@ def command(
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
     keep_rules()
-    from matcam.camera.noise import PixelNoise
+    from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
     rig = rig_of(camera, radius, lamp)

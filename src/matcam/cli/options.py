@@ -56,10 +56,9 @@ def rig_of(
     """The MERL rig, with what the user has replaced."""
     from matcam import rigs
     from matcam.camera.camera import Camera
-    from matcam.camera.halo import HaloOptics
+    from matcam.camera.optics.halo import HaloOptics
     from matcam.sample.cylinder import Cylinder
-    from matcam.sample.flat import Flat
-    from matcam.sample.shape import Sample
+    from matcam.sample.shape import Flat, Sample
     from matcam.sample.sphere import Sphere
 
     merl = rigs.merl()

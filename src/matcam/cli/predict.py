@@ -54,7 +54,7 @@ def command(
 
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
-    from matcam._jax import use_compilation_cache
+    from matcam.core.jax import use_compilation_cache
     from matcam.figures.style import check_picture
 
     inputs = [camera] if camera else []
@@ -62,8 +62,8 @@ def command(
         if path:
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
-    from matcam.forward.peak import predict
-    from matcam.material.families import ndf_of
+    from matcam.forward.peaks.peak import predict
+    from matcam.material.ndf.families import ndf_of
 
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
@@ -136,11 +136,11 @@ def _haze(false, degrees: float = 2.0) -> float:  # type: ignore[no-untyped-def]
 def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
     import numpy as np
 
-    from matcam.figures.prediction import plane_figure
+    from matcam.core.io import write_columns
+    from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
-    from matcam.files.columns import write_columns
-    from matcam.forward.peak import predict
-    from matcam.material.families import ndf_of
+    from matcam.forward.peaks.peak import predict
+    from matcam.material.ndf.families import ndf_of
 
     with show.working("drawing the plane"):
         data = predict(rig, [ndf_of(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
@@ -155,9 +155,9 @@ def _degrees(angles) -> list[float]:  # type: ignore[no-untyped-def]
 
 
 def _write(data, rig, output: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
-    from matcam.figures.prediction import prediction_figure
+    from matcam.core.io import write_columns
+    from matcam.figures.curves import prediction_figure
     from matcam.figures.style import save
-    from matcam.files.columns import write_columns
 
     parameters = ", ".join(
         f"{name.split('.')[1]} {float(value):g}" for name, value in list(rig.camera.parameters().items())[:3]

@@ -33,14 +33,14 @@ def command(
 
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
-    from matcam._jax import use_compilation_cache
-    from matcam.atomic import check_output
-    from matcam.errors import ArgumentError
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output
+    from matcam.core.jax import use_compilation_cache
     from matcam.exchange.contents import material_of, read_contents
-    from matcam.exchange.rendering import rendered_sphere
+    from matcam.exchange.renderers import rendered_sphere
     from matcam.figures.spheres import spheres_figure
     from matcam.figures.style import check_picture, save
-    from matcam.files.exr import write_exr
+    from matcam.files.float_pictures import write_exr
 
     if len(files) > 2:
         raise ArgumentError(f"one file is rendered, or two side by side; got {len(files)}")

@@ -78,8 +78,8 @@ def command(
 
     Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
     """
-    from matcam.atomic import check_output
-    from matcam.errors import ArgumentError
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output
 
     suffix = output.suffix.lower()
     if suffix not in _TABLES + _PICTURES:
@@ -96,7 +96,7 @@ def command(
         if suffix in _TABLES:
             raise ArgumentError("--preview shows a picture, and the output is a table")
         check_picture(preview, force=force, inputs=inputs)
-    from matcam._jax import use_compilation_cache
+    from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, cell_value=cell)
@@ -118,14 +118,14 @@ def command(
 def _material(table, sampling, ndf, roughness, power, metal, source, diffuse):  # type: ignore[no-untyped-def]
     if table:
         from matcam.files.merl import read_merl
-        from matcam.material.tabulated import Tabulated
+        from matcam.material.material import Tabulated
 
         return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
-    from matcam.material.families import ndf_of
+    from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.metals import metal as constants
     from matcam.material.microfacet import Microfacet
+    from matcam.material.ndf.families import ndf_of
     from matcam.material.reflectance import Conductor
-    from matcam.table import CHANNEL_WAVELENGTHS
 
     n, k, used = constants(metal, CHANNEL_WAVELENGTHS, *([source] if source else []))
     described = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": used, "diffuse": diffuse}
@@ -133,8 +133,8 @@ def _material(table, sampling, ndf, roughness, power, metal, source, diffuse):  
 
 
 def _table(material, rig, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]
+    from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
-    from matcam.files.netcdf import write_netcdf
     from matcam.forward.measurement import measure
 
     with show.working("measuring every cell"):
@@ -147,11 +147,10 @@ def _table(material, rig, output: Path, described: dict[str, Any], force: bool) 
 
 
 def _picture(material, rig, lamp_angle, options, output: Path, described, force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]
-    from matcam.files.exr import write_exr
-    from matcam.files.float_tiff import write_float_tiff
+    from matcam.core.grid import CHANNEL_WAVELENGTHS
+    from matcam.files.float_pictures import write_exr, write_float_tiff
     from matcam.files.sidecar import sidecar_path, write_sidecar
     from matcam.forward.image import picture
-    from matcam.table import CHANNEL_WAVELENGTHS
 
     with show.working("taking the picture"):
         taken = picture(material, rig, lamp_angle, **options)
@@ -187,7 +186,7 @@ def _picture(material, rig, lamp_angle, options, output: Path, described, force:
 
 
 def _preview(taken, described: dict[str, Any], rig, path: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
-    from matcam.figures.picture import picture_figure
+    from matcam.figures.spheres import picture_figure
     from matcam.figures.style import save
 
     name = described.get("table") or f"{described['metal']}, {described['ndf']} {described['roughness']:g}"

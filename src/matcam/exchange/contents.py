@@ -1,27 +1,66 @@
-"""What a file holds, whatever its format: a table on the MERL grid, RGL's fields, samples, any other result, or a picture."""
+"""What a file is, by its content.
+
+What a file holds, whatever its format: a table on the MERL grid, RGL's fields, samples, any other result, or a picture.
+"""
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from matcam.angles import Sampling
-from matcam.errors import ArgumentError, FileFormatError
-from matcam.files.exr import read_exr
-from matcam.files.float_tiff import read_float_tiff
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import GRID_SHAPE, Sampling, checked_table
+from matcam.core.io import reading
+from matcam.files.datasets import read_netcdf, read_zarr
+from matcam.files.float_pictures import read_exr, read_float_tiff
 from matcam.files.merl import read_merl
-from matcam.files.netcdf import read_netcdf
-from matcam.files.recognition import Format, identify
 from matcam.files.rgl import check_fields, read_rgl
 from matcam.files.samples import read_samples, table_of
-from matcam.files.zarr_store import read_zarr
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material
-from matcam.material.tabulated import Tabulated
-from matcam.table import checked_table
+from matcam.material.material import Material, Tabulated
+
+Format = Literal["merl", "rgl", "csv", "netcdf", "zarr", "exr", "tiff", "camera profile", "picture sidecar"]
+
+_STARTS: tuple[tuple[bytes, Format], ...] = (
+    (np.array(GRID_SHAPE, dtype="<i4").tobytes(), "merl"),
+    (b"tensor_file\0", "rgl"),
+    (b"\x89HDF\r\n\x1a\n", "netcdf"),
+    (struct.pack("<i", 20000630), "exr"),
+    (b"II*\0", "tiff"),
+    (b"MM\0*", "tiff"),
+)
+_TEXT_LENGTH = 4096
+
+
+def identify(path: str | Path) -> Format:
+    """Format of a file, by its content, or by its name where that is damaged. FileFormatError for anything that matcam does
+    not read."""
+    path = Path(path)
+    with reading(path), path.open("rb") as file:
+        head = file.read(_TEXT_LENGTH)
+        file.seek(max(0, path.stat().st_size - _TEXT_LENGTH))
+        tail = file.read(_TEXT_LENGTH)
+    for start, kind in _STARTS:
+        if head.startswith(start):
+            return kind
+    if head.startswith(b"PK\3\4") and b"zarr.json" in head + tail:
+        return "zarr"
+    if head.lstrip().startswith(b"{"):
+        return "picture sidecar" if b'"matcam picture sidecar"' in head else "camera profile"
+    first = head.split(b"\n", 1)[0]
+    if b"_per_sr" in first and b"," in first:
+        return "csv"
+    by_name: dict[str, Format] = {".binary": "merl", ".bsdf": "rgl", ".csv": "csv", ".nc": "netcdf", ".exr": "exr"}
+    if path.suffix in by_name:
+        return by_name[path.suffix]
+    raise FileFormatError(
+        f"{path}: none of what matcam reads: MERL (starts with {GRID_SHAPE}), RGL, CSV of samples, NetCDF-4, Zarr in a zip, "
+        "OpenEXR, TIFF, camera profile or picture sidecar (JSON)"
+    )
 
 
 class Contents(NamedTuple):

@@ -9,26 +9,22 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from matcam.angles import Sampling
-from matcam.atomic import check_output
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import Sampling
+from matcam.core.io import check_output, write_columns
+from matcam.core.json import write_json
+from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents
 from matcam.exchange.parameterisation import SQUARE, adaptive_grid
-from matcam.files.columns import write_columns
-from matcam.files.exr import write_exr
-from matcam.files.float_tiff import write_float_tiff
+from matcam.files.datasets import write_netcdf, write_zarr
+from matcam.files.float_pictures import write_exr, write_float_tiff
 from matcam.files.merl import write_merl
-from matcam.files.netcdf import write_netcdf
 from matcam.files.rgl import write_rgl
 from matcam.files.samples import samples_of, write_samples
 from matcam.files.sidecar import read_sidecar, sidecar_path
-from matcam.files.zarr_store import write_zarr
 from matcam.forward.measurement import true_table
-from matcam.json_file import write_json
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material
-from matcam.material.tabulated import Tabulated
-from matcam.shading import Vector, local_shading, vector
+from matcam.material.material import Material, Tabulated
 
 SUFFIXES = (".binary", ".bsdf", ".csv", ".nc", ".zarr.zip", ".exr", ".tif", ".tiff")
 """Of the outputs, which say their format."""

@@ -17,14 +17,13 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from matcam.errors import ArgumentError
-from matcam.material.adaptive import Adaptive
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import CHANNELS
+from matcam.core.shading import local_shading, vector
+from matcam.material.adaptive import Adaptive, Warp
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
-from matcam.material.ndf import NDF
-from matcam.material.warp import Warp
-from matcam.shading import local_shading, vector
-from matcam.table import CHANNELS
+from matcam.material.ndf.distribution import NDF
 
 _HALF_PI = np.pi / 2
 

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from matcam import checks, srgb
-from matcam.calibration.chart import Chart, Dots, Element, Fiducial, Grating, Star
-from matcam.errors import ArgumentError
+from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Star
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
 from matcam.figures.style import styled
+from matcam.files import tone_curve as srgb
 
 _STEPS = 24  # polygons per cycle of a sine
 _AROUND = 64  # corners of a circle

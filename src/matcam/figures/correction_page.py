@@ -11,10 +11,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from matcam.atomic import replacing
-from matcam.figures.ball import ball, body_white, shown
+from matcam.core.io import replacing
+from matcam.figures.spheres import ball, body_white, shown
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
-from matcam.inverse.correction import BENT, Correction
+from matcam.inverse.correction.correction import BENT, Correction
 
 _SLICES = (5, 45, 65, 75)
 _BALL = 180

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from matcam.calibration.edge_result import EdgeMTF
+from matcam.calibration.edge.edge_result import EdgeMTF
 from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, nyquist_line, styled
 
 

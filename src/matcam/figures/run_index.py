@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from matcam.atomic import replacing
-from matcam.inverse.correction import BENT
-from matcam.inverse.rig_axes import LAMP, LENS
+from matcam.core.io import replacing
+from matcam.inverse.correction.correction import BENT
+from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 INLINE = 1000
 """Materials up to which thumbnails (16 kB each) should stand in the page itself."""

@@ -1,14 +1,76 @@
-"""Rendered spheres beside each other, on one scale."""
+"""A sphere in the light of one distant lamp, drawn straight from the entries of a table.
+
+A material's sphere before and after, as small as a row of a table is high.
+
+Rendered spheres beside each other, on one scale.
+
+A picture for the eye: tone-mapped, with axes in pixels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
+import imagecodecs
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 
-from matcam import srgb
+from matcam.core.grid import cosines
+from matcam.core.io import replacing
 from matcam.figures.style import GREY, styled
+from matcam.files import tone_curve as srgb
+
+LAMP = np.radians(50.0)
+"""Angle between lamp and camera."""
+
+
+def ball(values: np.ndarray, size: int, zoom: float = 1.0) -> np.ndarray:
+    """Radiance of a sphere under a lamp 50 degrees from the camera, (size, size, channels), by the nearest entries of a
+    table's values (theta_h, theta_d, phi_d, channel); missing is dark. zoom: about its highlight."""
+    t = ((np.arange(size) + 0.5) / size * 2 - 1) / zoom
+    half = LAMP / 2
+    x, y = np.meshgrid(t + (np.sin(half) if zoom > 1 else 0), -t)
+    inside = x**2 + y**2 < 1
+    z = np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
+    along, up = x * np.cos(half) - z * np.sin(half), x * np.sin(half) + z * np.cos(half)
+    theta_h = np.arctan2(np.hypot(along, y), up)
+    azimuth = np.arctan2(y, along)
+    phi_d = np.mod(np.pi - azimuth, np.pi)
+    i = np.clip((90 * np.sqrt(np.clip(theta_h, 0, None) / (np.pi / 2))).astype(int), 0, 89)
+    j, k = int(np.degrees(half)), np.clip((phi_d / np.pi * 180).astype(int), 0, 179)
+    cos_i = np.asarray(cosines(theta_h, half, np.pi - azimuth)[0])
+    light = np.nan_to_num(values[i, j, k]) * np.maximum(cos_i, 0)[..., None]
+    return np.where(inside[..., None], light, 0.0)
+
+
+def shown(picture: np.ndarray, white: float) -> np.ndarray:
+    """A radiance as a screen shows it (sRGB), in [0, 1]: `white` is white, and what is brighter stays white."""
+    return srgb.encoded(np.clip(picture / max(white, 1e-300), 0, 1))
+
+
+def body_white(corrected: np.ndarray) -> float:
+    """The radiance to show as white so that a ball's body is well exposed: what all but the brightest hundredth stay under."""
+    lit = corrected[corrected > 0]
+    return float(np.quantile(lit, 0.99)) if lit.size else 0.0
+
+
+SIZE = 64
+"""Height of the picture and width of each half, px."""
+
+
+def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray, *, force: bool = False) -> None:
+    """Write a PNG of 128 x 64 px: a sphere under one lamp from the recorded table (left) and from the corrected one (right),
+    at one exposure."""
+    before, after = (ball(table.values, SIZE) for table in (raw, corrected))
+    white = body_white(after)
+    both = np.concatenate([shown(half, white) for half in (before, after)], axis=1)
+    if both.shape[-1] != 3:
+        both = np.repeat(both[..., :1], 3, axis=-1)
+    encoded = imagecodecs.png_encode(np.ascontiguousarray((both * 255 + 0.5).astype(np.uint8)))
+    with replacing(path, force=force) as temporary:
+        temporary.write_bytes(encoded)
 
 
 def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: float = 1.0) -> Figure:
@@ -23,4 +85,35 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
             axes.set_title(title)
             axes.set_axis_off()
         figure.supxlabel(f"{light}; white: radiance {1 / exposure:.3g}", fontsize=8.5, color=GREY)
+    return figure
+
+
+def picture_figure(data: xr.DataArray, title: str) -> Figure:
+    """The picture (row, column[, channel]) of `forward.image.picture` beside the profile through its axis.
+
+    Left: display-encoded, the 99.5th percentile of what is lit as white; right: the row through the optical axis on a
+    logarithmic scale, which shows what the eye does not.
+    """
+    values = np.nan_to_num(data.values)
+    lit = values[values > 0]
+    white = np.percentile(lit, 99.5) if lit.size else 1.0
+    shown = np.clip(values / white, 0, 1) ** (1 / 2.2)
+    x, y = data["x"].values, data["y"].values
+    with styled():
+        figure = Figure(figsize=(8.6, 4.0), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+        left.grid(False)
+        edges = (x[0] - 0.5, x[-1] + 0.5, y[-1] - 0.5, y[0] + 0.5)
+        grey = shown[..., 0] if shown.ndim == 3 and shown.shape[2] == 1 else shown
+        left.imshow(grey, extent=edges, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+        left.set_xlabel("x, towards the lamp [px]")
+        left.set_ylabel("y [px]")
+        row = values[len(y) // 2]
+        row = row.mean(axis=-1) if row.ndim == 2 else row
+        above = row > 0
+        right.semilogy(x[above], row[above])
+        right.set_xlabel("x [px]")
+        what = data.attrs["quantity"].replace("digital", "raw value")
+        right.set_ylabel(f"{what} in the row through the axis [{data.attrs['units']}]")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     return figure

@@ -17,11 +17,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.angles import GRID_SHAPE, SAMPLINGS, Sampling
-from matcam.atomic import replacing
-from matcam.errors import ArgumentError, FileFormatError
-from matcam.input_file import reading
-from matcam.table import CHANNELS, brdf_table, checked_table
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import CHANNELS, GRID_SHAPE, SAMPLINGS, Sampling, brdf_table, checked_table
+from matcam.core.io import reading, replacing
 
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 """BRDF in 1/sr per stored unit, for R, G, B."""

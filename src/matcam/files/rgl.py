@@ -30,9 +30,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.atomic import replacing
-from matcam.errors import ArgumentError, FileFormatError
-from matcam.input_file import reading
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import reading, replacing
 
 _MAGIC, _VERSION = b"tensor_file\0", b"\1\0"
 _TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))

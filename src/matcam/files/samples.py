@@ -15,11 +15,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.angles import SAMPLINGS, half_and_difference, merl_grid
-from matcam.atomic import replacing
-from matcam.errors import ArgumentError, FileFormatError
-from matcam.input_file import reading
-from matcam.table import CHANNELS, brdf_table, checked_table
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import CHANNELS, SAMPLINGS, brdf_table, checked_table, half_and_difference, merl_grid
+from matcam.core.io import reading, replacing
 
 _HALF = ("theta_h", "theta_d", "phi_d")
 _PAIR = ("theta_i", "phi_i", "theta_o", "phi_o")

@@ -1,4 +1,6 @@
-r"""Tone curves as text (OECF tables, ISO 14524): what light a code stands for.
+"""sRGB's transfer function (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full scale.
+
+Tone curves as text (OECF tables, ISO 14524): what light a code stands for.
 
     one number a line           linear value of code 0, 1, 2, ...
     three numbers a line        the same for red, green and blue
@@ -12,9 +14,23 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from matcam.errors import ArgumentError, FileFormatError
-from matcam.input_file import reading
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import reading
+
+
+def encoded(light: ArrayLike) -> np.ndarray:
+    """Codes of linear light; of light below 0 as well, on the straight part."""
+    light = np.asarray(light, dtype=np.float64)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
+
+
+def decoded(code: ArrayLike) -> np.ndarray:
+    """Linear light of codes, the inverse of `encoded`."""
+    code = np.asarray(code, dtype=np.float64)
+    return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
+
 
 _LARGEST = 4 << 20  # bytes: 65,536 lines of three numbers fit
 _DEEPEST = 65535

@@ -6,15 +6,15 @@ from functools import lru_cache
 
 import xarray as xr
 
-from matcam.camera.noise import PixelNoise
+from matcam.camera.sensor import PixelNoise
+from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.forward.lobe_table import with_pixel_noise
 from matcam.forward.measurement import measure
-from matcam.material.gaussian_lobe import GaussianNDF
 from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
+from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.reflectance import Conductor
 from matcam.rigs import merl
-from matcam.table import CHANNEL_WAVELENGTHS
 
 WIDTH = 0.002
 """Width of the simulated lobe, rad: half a pixel on the MERL rig's sphere."""

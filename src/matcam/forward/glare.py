@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from matcam import checks
-from matcam._jax import jnp
-from matcam.angles import cosines
 from matcam.camera.camera import Camera
-from matcam.camera.halo import HaloOptics
-from matcam.errors import ArgumentError
-from matcam.forward.blur import blur_of
-from matcam.forward.plan import Targets, planned
-from matcam.forward.recording import record
+from matcam.camera.optics.halo import HaloOptics
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import cosines
+from matcam.core.jax import jnp
+from matcam.forward.integral.blur import blur_of
+from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.recording import record
 from matcam.material.material import Material
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere

@@ -14,12 +14,12 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import is_concrete, jax, jnp
 from matcam.camera.camera import Camera
-from matcam.camera.gaussian import GaussianOptics
+from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.pixel import BoxPixel
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp
 
 _ERROR = 1e-8
 """Of the rule over a pixel's height, relative to the highlight's density."""

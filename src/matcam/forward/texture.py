@@ -11,11 +11,11 @@ from typing import Literal, get_args
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import is_concrete, jax, jnp
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp
 from matcam.rigs import Rig
-from matcam.sample.flat import Flat
+from matcam.sample.shape import Flat
 
 Texels = Literal["band-limited", "squares"]
 _MOST_WAVES = 1 << 23  # in the quarter plane: half a GB per channel

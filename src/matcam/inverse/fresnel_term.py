@@ -1,29 +1,33 @@
-"""The Fresnel term of a measured material, with and without the camera: the paper's equation (13) and Figure 6."""
+"""The Fresnel term of a measured material, with and without the camera: the paper's equation (13) and Figure 6.
+
+Published Fresnel curves of metals beside a measured one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from matcam import checks
-from matcam._jax import jnp
-from matcam.angles import merl_grid
-from matcam.camera.noise import PixelNoise
-from matcam.errors import ArgumentError, FitError
-from matcam.forward.peak import peak_response
-from matcam.inverse.candidates import AUTO, EVERY, candidate_fits, likeliest
-from matcam.inverse.fit_result import MaterialFit
-from matcam.inverse.lobe_operator import check_rig
-from matcam.inverse.refit import bent, resampled
-from matcam.inverse.shape_correction import BENT, remark_on_shape, shape_correction
-from matcam.inverse.strengths import conditional, strength_errors
-from matcam.material.families import FAMILIES
+from matcam.camera.sensor import PixelNoise
+from matcam.core import checks
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
+from matcam.core.jax import jnp
+from matcam.forward.peaks.peak import peak_response
+from matcam.inverse.correction.shape_correction import BENT, remark_on_shape, shape_correction
+from matcam.inverse.fit.candidates import AUTO, EVERY, bent, candidate_fits, likeliest, resampled
+from matcam.inverse.fit.fit_result import MaterialFit, conditional, strength_errors
+from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking, g2
-from matcam.material.ndf import NDF
+from matcam.material.metals import metal as metal_index
+from matcam.material.metals import metal_sources, metals
+from matcam.material.ndf.distribution import NDF
+from matcam.material.ndf.families import FAMILIES
+from matcam.material.reflectance import fresnel_conductor
 from matcam.rigs import Rig
-from matcam.table import checked_table, sampling_of
 
 SUPPORTED_STD = 0.05
 """Relative standard deviation beyond which an angle is no longer supported by the data."""
@@ -233,3 +237,50 @@ def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
         raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")
+
+
+def tabulated_fresnel(
+    result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
+) -> xr.Dataset:
+    """Conductor Fresnel curves of every table that the package carries for `metal` (None: for all metals).
+
+    result: from `fresnel`. wavelengths: m, one per channel of it. Returns a Dataset over (table, theta_d, channel):
+      tabulated            F of the table's n, k, normalised over the same range of theta_d as `result`
+      tabulated_f0         F at normal incidence, (table, channel)
+      rms_corrected, rms_raw    rms over theta_d of (result / tabulated - 1), from the start of the normalisation to
+                           the supported angle, (table, channel); NaN where nothing is supported
+    """
+    channels = result.sizes["channel"]
+    if len(wavelengths) != channels:
+        raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
+    theta_d = result["theta_d"].values
+    low, high = result.attrs["normalised_over"]
+    inside = (theta_d >= low) & (theta_d <= high)
+    judged = (theta_d[:, None] >= low) & (theta_d[:, None] <= result["supported_angle"].values)
+    tables = [(name, source) for name in (metals() if metal is None else [metal]) for source in metal_sources(name)]
+    indices = [metal_index(name, wavelengths, source) for name, source in tables]
+    n, k = (np.stack([getattr(index, part) for index in indices])[:, None, :] for part in ("n", "k"))
+    *curves, f0 = np.asarray(fresnel_conductor(np.append(theta_d, 0.0)[:, None], n, k)).transpose(1, 0, 2)
+    normalised = np.stack(curves, axis=1)
+    normalised /= normalised[:, inside].mean(axis=1, keepdims=True)
+
+    def rms(name: str) -> np.ndarray:
+        squared = (result[name].values / normalised - 1) ** 2
+        used = judged & np.isfinite(squared)
+        count = used.sum(axis=1)
+        return np.sqrt(np.where(count > 0, np.where(used, squared, 0).sum(axis=1) / np.maximum(count, 1), np.nan))
+
+    return xr.Dataset(
+        {
+            "tabulated": (("table", "theta_d", "channel"), normalised),
+            "tabulated_f0": (("table", "channel"), f0),
+            "rms_corrected": (("table", "channel"), rms("corrected")),
+            "rms_raw": (("table", "channel"), rms("raw")),
+        },
+        coords={
+            "table": [f"{name} ({source})" for name, source in tables],
+            "theta_d": result["theta_d"],
+            "channel": result["channel"],
+        },
+        attrs={"wavelengths_m": list(wavelengths)},
+    )

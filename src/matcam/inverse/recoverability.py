@@ -8,16 +8,16 @@ import equinox as eqx
 import numpy as np
 import xarray as xr
 
-from matcam import checks
-from matcam._jax import jnp
-from matcam.angles import Sampling
-from matcam.camera.noise import PixelNoise
-from matcam.errors import ArgumentError
-from matcam.inverse.chosen_cells import ChosenCells
-from matcam.inverse.lobe_operator import check_rig, lobe_operator
-from matcam.inverse.lobe_slopes import lobe_and_slope
-from matcam.inverse.rig_axes import LENS, known_axis
-from matcam.material.families import ONE_WIDTH
+from matcam.camera.sensor import PixelNoise
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import Sampling
+from matcam.core.jax import jnp
+from matcam.inverse.fit.lobe_slopes import lobe_and_slope
+from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
+from matcam.inverse.operator.rig_axes import LENS, known_axis
+from matcam.material.ndf.families import ONE_WIDTH
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 

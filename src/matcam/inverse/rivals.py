@@ -12,18 +12,17 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam import checks
-from matcam.inverse.fit_data import fit_data
-from matcam.inverse.fit_problem import Layout, Problem
-from matcam.inverse.fit_result import MaterialFit, result_of
-from matcam.inverse.lobe_operator import perfect_operator, radius_of
-from matcam.inverse.material_fit import Prior, Search, fit, prior_rows
-from matcam.inverse.refit import bent
-from matcam.material.bent import KNOTS
-from matcam.material.families import FAMILIES
-from matcam.material.shadowed import SHADOWS
+from matcam.core import checks
+from matcam.core.grid import checked_table, sampling_of
+from matcam.inverse.fit.candidates import bent
+from matcam.inverse.fit.fit_data import fit_data
+from matcam.inverse.fit.fit_problem import Layout, Problem
+from matcam.inverse.fit.fit_result import MaterialFit, result_of
+from matcam.inverse.fit.material_fit import Prior, Search, fit, prior_rows
+from matcam.inverse.operator.lobe_operator import perfect_operator, radius_of
+from matcam.material.ndf.families import FAMILIES
+from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
-from matcam.table import checked_table, sampling_of
 
 _SMOOTH = 1.0
 _CLEAR = 10.0

@@ -1,4 +1,11 @@
-"""BRDFs in RGL's adaptive parameterisation as materials (Dupuy & Jakob 2018; files/rgl.py has the fields).
+"""Densities on the unit square, bilinear between the nodes of a grid and given for some directions of light; and the map
+that flattens them (Dupuy & Jakob 2018, section 4; the marginal first, then the conditional).
+
+The map runs row by row: y is the marginal distribution along the rows' axis, x that along the columns within a row. Between
+the directions of light the densities AND their integrals are interpolated linearly, as Mitsuba's `Marginal2D` does, so that
+what is stored on the flattened square is found where that renderer finds it.
+
+BRDFs in RGL's adaptive parameterisation as materials (Dupuy & Jakob 2018; files/rgl.py has the fields).
 
 The half vector m, as a point u of the unit square (theta = u^2 pi / 2, phi = (2 v - 1) pi; azimuth from that of the light
 where the material is isotropic), is carried by the map that flattens `vndf` to the point s where `rgb` is tabulated:
@@ -10,15 +17,131 @@ where the material is isotropic), is carried by the map that flattens `vndf` to 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import equinox as eqx
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 
-from matcam._jax import jax, jnp
-from matcam.errors import ArgumentError
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading
 from matcam.material.material import Material, above_horizon
-from matcam.material.warp import Warp, bilinear, blend
-from matcam.shading import Shading
+
+
+class Blend(NamedTuple):
+    """Slices that stand for a direction of light, and their weights; both shape (points, slices)."""
+
+    slices: jax.Array
+    weight: jax.Array
+
+    def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
+        """sum of weight * grids[slices, ..., *at], shape (points,) and what axes are left of a grid."""
+        picked = grids[(self.slices, *(a[:, None] for a in at))]
+        return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (picked.ndim - 2)) * picked, axis=1)
+
+
+def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
+    """Linear interpolation between the grid (azimuths P, angles T) of light directions, P T slices; clamped at its ends."""
+    (i_p, w_p), (i_t, w_t) = (_between(axis, value) for axis, value in zip(axes, (azimuth, theta), strict=True))
+    index = i_p[:, :, None] * axes[1].size + i_t[:, None, :]
+    return Blend(index.reshape(theta.size, -1), (w_p[:, :, None] * w_t[:, None, :]).reshape(theta.size, -1))
+
+
+def _between(axis: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
+    if axis.size == 1:
+        return jnp.zeros((value.size, 1), dtype=int), jnp.ones((value.size, 1))
+    low = jnp.clip(jnp.searchsorted(axis, value, side="right") - 1, 0, axis.size - 2)
+    share = jnp.clip((value - axis[low]) / (axis[low + 1] - axis[low]), 0, 1)
+    return jnp.stack([low, low + 1], axis=-1), jnp.stack([1 - share, share], axis=-1)
+
+
+def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Values at (x, y) of grids (rows, columns), or (slices, rows, columns, ...) blended; x along the columns."""
+    rows, columns = slices.shape[:2] if chosen is None else slices.shape[1:3]
+    (i_x, t_x), (i_y, t_y) = _cell(x, columns), _cell(y, rows)
+    look = (lambda r, c: slices[r, c]) if chosen is None else (lambda r, c: chosen.of(slices, r, c))
+    if slices.ndim == 4:
+        t_x, t_y = t_x[:, None], t_y[:, None]
+    upper = (1 - t_x) * look(i_y, i_x) + t_x * look(i_y, i_x + 1)
+    lower = (1 - t_x) * look(i_y + 1, i_x) + t_x * look(i_y + 1, i_x + 1)
+    return (1 - t_y) * upper + t_y * lower
+
+
+def _cell(place: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
+    scaled = jnp.clip(place, 0, 1) * (nodes - 1)
+    low = jnp.minimum(jnp.floor(scaled).astype(int), nodes - 2)
+    return low, scaled - low
+
+
+class Warp(eqx.Module):
+    """Densities (slices, rows, columns), each normalised to 1 over the square."""
+
+    density: jax.Array
+    """Per node, in units that make trapezoid sums over whole grid steps 1."""
+    conditional: jax.Array
+    """Its integral along each row up to each node."""
+    marginal: jax.Array
+    """That of whole rows up to each row."""
+
+    def __init__(self, density: ArrayLike):
+        raw = np.asarray(density, dtype=np.float64)
+        along = _running(raw)
+        down = _running(along[..., -1])
+        total = down[..., -1]
+        self.density = jnp.asarray(raw / total[:, None, None])
+        self.conditional = jnp.asarray(along / total[:, None, None])
+        self.marginal = jnp.asarray(down / total[:, None])
+
+    def flattened(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Where the map takes (x, y), shape (points,) each. A place without any density around it goes to its cell's start."""
+        i_x, t_x = _cell(x, self.density.shape[2])
+        i_y, t_y = _cell(y, self.density.shape[1])
+        corner = {(a, b): chosen.of(self.density, i_y + b, i_x + a) for a in (0, 1) for b in (0, 1)}
+        left, right = ((1 - t_y) * corner[a, 0] + t_y * corner[a, 1] for a in (0, 1))
+        before = [chosen.of(self.conditional, i_y + b, i_x) for b in (0, 1)]
+        whole = [chosen.of(self.conditional[..., -1], i_y + b) for b in (0, 1)]
+        part = t_x * (left + t_x * (right - left) / 2) + (1 - t_y) * before[0] + t_y * before[1]
+        row = (1 - t_y) * whole[0] + t_y * whole[1]
+        above = t_y * (whole[0] + t_y * (whole[1] - whole[0]) / 2) + chosen.of(self.marginal, i_y)
+        return jnp.where(row > 0, part / jnp.where(row > 0, row, 1.0), 0.0), above
+
+    def placed(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The inverse for every slice: where on the density's square the grid x (nx,) by y (ny,) of the flattened square
+        comes from, and the density there; shapes (slices, ny, nx) each. Every row must hold something above 0."""
+        density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
+        slices, rows, columns = density.shape
+        found_x, found_y, found = (np.empty((slices, y.size, x.size)) for _ in range(3))
+        for s in range(slices):
+            whole = conditional[s, :, -1]
+            i = np.clip(np.searchsorted(marginal[s], y, side="right") - 1, 0, rows - 2)
+            t = _within(whole[i], whole[i + 1], y - marginal[s, i])
+            found_y[s] = ((i + t) / (rows - 1))[:, None]
+            t = t[:, None]
+            row = (1 - t) * conditional[s, i] + t * conditional[s, i + 1]
+            values = (1 - t) * density[s, i] + t * density[s, i + 1]
+            for k in range(y.size):
+                wanted = x * row[k, -1]
+                j = np.clip(np.searchsorted(row[k], wanted, side="right") - 1, 0, columns - 2)
+                share = _within(values[k, j], values[k, j + 1], wanted - row[k, j])
+                found_x[s, k] = (j + share) / (columns - 1)
+                found[s, k] = (1 - share) * values[k, j] + share * values[k, j + 1]
+        return found_x, found_y, found
+
+
+def _running(values: np.ndarray) -> np.ndarray:
+    """Trapezoid sums along the last axis, from 0."""
+    steps = (values[..., 1:] + values[..., :-1]) / 2
+    return np.concatenate([np.zeros_like(values[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
+
+
+def _within(first: np.ndarray, last: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """t in [0, 1] with the integral of a density, linear from `first` to `last`, up to t equal to `area`."""
+    root = np.sqrt(np.maximum(first**2 + 2 * area * (last - first), 0))
+    total = first + root
+    return np.clip(2 * area / np.where(total > 0, total, 1.0), 0, 1)
+
 
 _HALF_PI = np.pi / 2
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from matcam._jax import jax, jnp
+from matcam.core.jax import jax, jnp
 
 Masking = Literal["smith", "smith-separable", "van-ginneken"] | None
 MASKINGS: tuple[Masking, ...] = ("smith", "smith-separable", "van-ginneken", None)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.errors import ArgumentError, unknown_name
+from matcam.core.errors import ArgumentError, unknown_name
 
 
 class MetalIndex(NamedTuple):

@@ -5,15 +5,15 @@ from __future__ import annotations
 import equinox as eqx
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import jax, jnp
-from matcam.angles import azimuth_difference
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import azimuth_difference
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.material import Material, above_horizon, theta_h_of
-from matcam.material.ndf import SlopeDistribution
+from matcam.material.ndf.distribution import SlopeDistribution
 from matcam.material.reflectance import Reflectance, as_reflectance, per_channel
-from matcam.shading import Shading
 
 
 class Microfacet(Material):

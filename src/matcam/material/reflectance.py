@@ -8,9 +8,9 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import is_concrete, jax, jnp
-from matcam.errors import ArgumentError
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp
 
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:

@@ -2,6 +2,8 @@
 
 x runs on the sensor in the plane of camera and lamp, y across it; both in px from the optical axis, on which the sample's
 centre lies. The lamp is far away, in the plane of x and the axis, towards +x. Distances are in radii of the sample.
+
+The flat sample: one normal, and a texture.
 """
 
 from __future__ import annotations
@@ -13,9 +15,9 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import AnyArray, is_concrete, jax, jnp
-from matcam.shading import Vector
+from matcam.core import checks
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.shading import Vector
 
 
 class Element(NamedTuple):
@@ -210,3 +212,19 @@ def shown(shape: Curved) -> str:
     """Constructor call that makes the shape."""
     far = "" if shape.distant else f", distance={shape.distance!s}"
     return f"{type(shape).__name__}(radius={shape.radius!s}{far})"
+
+
+class Flat(Sample):
+    """A flat sample, tilted away from the camera. Its normal is the same everywhere: the camera cannot blur its
+    reflectance, only its texture."""
+
+    def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Infinite in both directions."""
+        return jnp.full_like(theta_o, jnp.inf), jnp.full_like(theta_o, jnp.inf)
+
+    def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
+        """Cycles/px at which a texture of `frequency` cycles/px (seen head-on) arrives, varying along the tilt (paper (4))."""
+        return checks.number("frequency", frequency) / jnp.cos(checks.viewing_angle("theta_o", theta_o))
+
+    def __repr__(self) -> str:
+        return "Flat()"

@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam import checks
-from matcam._jax import AnyArray, jax, jnp
+from matcam.core import checks
+from matcam.core.jax import AnyArray, jax, jnp
 from matcam.sample.shape import Curved, Element, Place, angle_on_circle, checked_distance, depth_of, is_infinite, shown
 
 

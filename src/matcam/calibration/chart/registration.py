@@ -1,0 +1,241 @@
+"""Where a chart's page lies in a photograph: its fiducials found, and a pinhole with a distorting lens fitted to them.
+
+A fiducial is a dark disc in dark rings that share its centre: nothing else in a photograph is. The one with two rings tells
+which way is up. The fit only has to lead each target's own estimator to its place: those find their geometry to 0.01 px.
+
+Where a chart's page lies in a picture, as the estimators of its targets take it: a `Registration`, or anything like it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import least_squares
+
+from matcam.calibration.chart.chart import Chart, Element
+from matcam.calibration.photograph.light import smoothed
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.jax import FloatArray
+
+_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
+_DARK = 0.6  # of the paper around
+_CONCENTRIC = 0.35  # radii of the disc
+_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
+_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
+_NEAR = 0.06  # of the chart's size in the picture: how far a mark may lie from where four others put it
+_SETTLED = 0.1  # of that: mean distance at which no better match is looked for
+_WORST = 3.0  # px: root mean square of what the fit may leave
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """A page in a picture. Callable: mm on the page (n, 2) -> px in the picture (n, 2)."""
+
+    homography: FloatArray
+    """(3, 3): mm to px from the picture's middle, before distortion."""
+    distortion: tuple[float, float]
+    """Of the radius in half diagonals: r -> r (1 + a r^2 + b r^4)."""
+    shape: tuple[int, int]
+    residual: float
+    """px, root mean square at the fiducials."""
+    found: int
+    """How many of the fiducials were found."""
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """px, pixel centres on whole numbers, of points on the page, mm."""
+        return _project(np.append(self.homography.ravel()[:8], self.distortion), np.asarray(points, float), self.shape)
+
+    def scale(self, point: tuple[float, float]) -> float:
+        """px per mm at a point of the page."""
+        step = 1e-3
+        around = self(np.array(point) + step * np.array([[0, 0], [1, 0], [0, 1]]))
+        (a, b), (c, d) = (around[1:] - around[0]) / step
+        return float(np.sqrt(abs(a * d - b * c)))
+
+
+class _Mark(NamedTuple):
+    x: float
+    y: float
+    rings: int
+
+
+def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -> Registration:
+    """Find a chart in a photograph (height, width), linear, NaN where there are no data.
+
+    mosaic: its 2 x 2 px have colours of their own, which are made equally bright before anything is looked for.
+
+    Raises FitError where too few fiducials are found, or they do not lie as on the chart; ArgumentError for a chart without.
+    """
+    if len(chart.fiducials) < 4:
+        raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
+    picture = _evened(np.asarray(picture, dtype=np.float64)) if mosaic else np.asarray(picture, dtype=np.float64)
+    marks = _marks(picture)
+    tops = [mark for mark in marks if mark.rings == 2]
+    if len(marks) < 4 or not tops:
+        raise FitError(
+            f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found, "
+            f"{len(tops) or 'none'} of them with two rings; 4, and that one, are needed"
+        )
+    best: tuple[int, float, list[tuple[int, int]]] = (0, np.inf, [])
+    for top in tops:
+        best = max(best, _matched(chart, marks, top, picture.shape), key=lambda b: (b[0], -b[1]))
+    # four marks fit any four places: a fifth must agree
+    if best[0] < min(5, len(chart.fiducials)):
+        raise FitError(
+            f"no chart of this description in the picture: {len(marks)} fiducials found, but not where it has them"
+        )
+    places = np.array([chart.fiducials[i].centre for i, _ in best[2]])
+    seen = np.array([marks[j][:2] for _, j in best[2]])
+    free = 10 if len(places) >= 7 else 9 if len(places) >= 6 else 8
+    start = np.append(_homography(places, _centred(seen, picture.shape)).ravel()[:8], [0.0, 0.0])
+    size = np.maximum(np.abs(start), 1e-6)
+    size[8:] = 0.1
+
+    def full(p: FloatArray) -> FloatArray:
+        return np.append(p, np.zeros(10 - p.size)) * size
+
+    def residual(p: FloatArray) -> FloatArray:
+        return np.asarray((_project(full(p), places, picture.shape) - seen).ravel())
+
+    fit = least_squares(residual, (start / size)[:free], x_scale="jac")
+    rms = float(np.sqrt((fit.fun**2).mean() * 2))
+    if rms > _WORST:
+        raise FitError(f"the fiducials do not lie as on the chart: {rms:.1f} px off; is this the right description?")
+    parameters = full(fit.x)
+    return Registration(
+        np.append(parameters[:8], 1.0).reshape(3, 3), (float(parameters[8]), float(parameters[9])), picture.shape[:2], rms,
+        len(places),
+    )  # fmt: skip
+
+
+def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    h = np.append(parameters[:8], 1.0).reshape(3, 3)
+    u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
+    u, v = u / w, v / w
+    square = (u * u + v * v) / ((shape[0] ** 2 + shape[1] ** 2) / 4)
+    bent = 1 + parameters[8] * square + parameters[9] * square * square
+    return np.stack([u * bent + (shape[1] - 1) / 2, v * bent + (shape[0] - 1) / 2], axis=-1)
+
+
+def _centred(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    return points - (np.array(shape[1::-1]) - 1) / 2
+
+
+def _evened(mosaic: FloatArray) -> FloatArray:
+    """A mosaic whose four planes have the same bright level."""
+    even = mosaic.copy()
+    for row, column in itertools.product((0, 1), repeat=2):
+        even[row::2, column::2] /= max(float(np.nanquantile(mosaic[row::2, column::2], 0.9)), 1e-300)
+    return even
+
+
+def _marks(picture: FloatArray) -> list[_Mark]:
+    """All concentric dark discs and rings of a picture."""
+    smooth = smoothed(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    # the paper's level nearby: the brightest there is, of means that noise does not reach
+    cell = max(4, round(min(picture.shape) / 60))
+    coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
+    paper = ndimage.uniform_filter(ndimage.maximum_filter(coarse, 9), 5)
+    rows, columns = (np.minimum(np.arange(n) // cell, m - 1) for n, m in zip(picture.shape, paper.shape, strict=True))
+    label, count = ndimage.label(smooth < _DARK * paper[np.ix_(rows, columns)], np.ones((3, 3)))
+    if not count:
+        return []
+    every = np.arange(1, count + 1)
+    area = ndimage.sum_labels(np.ones(picture.shape), label, every)
+    y, x = np.array(ndimage.center_of_mass(np.ones(picture.shape), label, every)).T
+    found = []
+    for i in np.flatnonzero((area >= _SMALLEST) & (area < _LARGEST * picture.size)):
+        radius = np.sqrt(area[i] / np.pi)
+        near = np.hypot(x - x[i], y - y[i]) < max(_CONCENTRIC * radius, 0.7)
+        sizes = area / area[i]
+        first = near & (sizes > _RING[0]) & (sizes < _RING[1])
+        if not first.any() or (near & (sizes < 1)).any():
+            continue
+        ring = np.flatnonzero(first)[np.argmin(sizes[first])]
+        second = near & (sizes > max(_SECOND[0], 1.3 * sizes[ring])) & (sizes < _SECOND[1])
+        # the disc's own place is that of all its dark, ring included
+        parts = [i, ring]
+        weight = area[parts]
+        found.append(
+            _Mark(
+                float((x[parts] * weight).sum() / weight.sum()),
+                float((y[parts] * weight).sum() / weight.sum()),
+                1 + second.any(),
+            )
+        )
+    return found
+
+
+def _matched(
+    chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, ...]
+) -> tuple[int, float, list[tuple[int, int]]]:  # fmt: skip
+    """How many marks lie where the chart has them if `top` is the one with two rings; how far off; and the pairs."""
+    first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
+    places = np.array([fiducial.centre for fiducial in chart.fiducials])
+    seen = _centred(np.array([mark[:2] for mark in marks]), shape)
+    start = marks.index(top)
+    others = _round(places, first)
+    settled = False
+    best: tuple[int, float, list[tuple[int, int]]] = (0, np.inf, [])
+    # three others, met in the same turn on the page and in the picture, fix a pinhole's view
+    for three in itertools.combinations(_round(seen, start), 3):
+        for where in itertools.combinations(others, 3):
+            chosen, at = [first, *where], [start, *three]
+            try:
+                view = _homography(places[chosen], seen[at])
+            except np.linalg.LinAlgError:
+                continue
+            u, v, w = view @ np.column_stack([places, np.ones(len(places))]).T
+            if not (w > 0).all():
+                continue
+            expected = np.stack([u / w, v / w], axis=-1)
+            off = np.hypot(*(expected[:, None] - seen[None]).transpose(2, 0, 1))
+            nearest = off.argmin(1)
+            reach = _NEAR * float(np.ptp(expected, axis=0).max())
+            pairs = [(i, int(j)) for i, j in enumerate(nearest) if off[i, j] < reach]
+            if len({j for _, j in pairs}) != len(pairs):
+                continue
+            total = float(sum(off[i, j] for i, j in pairs))
+            if (len(pairs), -total) > (best[0], -best[1]):
+                best = (len(pairs), total, pairs)
+                settled = len(pairs) == len(places) and total < _SETTLED * reach * len(places)
+        if settled:
+            break
+    return best
+
+
+def _round(points: FloatArray, start: int) -> list[int]:
+    """The other points as they are met turning round the middle, from `start` on."""
+    turn = np.arctan2(*(points - points.mean(0)).T[::-1])
+    after = np.mod(turn - turn[start], 2 * np.pi)
+    return [int(i) for i in np.argsort(after) if i != start]
+
+
+def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
+    """(3, 3), last entry 1, that takes points (n >= 4, 2) to points, least squares. LinAlgError if they do not fix it."""
+    scale = np.abs(source).max()
+    rows = []
+    for (x, y), (u, v) in zip(source / scale, target, strict=True):
+        rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
+        rows.append([0, 0, 0, x, y, 1, -v * x, -v * y])
+    design = np.array(rows)
+    if len(source) == 4:
+        solution = np.linalg.solve(design, target.ravel())
+    else:
+        solution = np.linalg.lstsq(design, target.ravel(), rcond=None)[0]
+    return np.append(solution, 1.0).reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
+
+
+Projection = Callable[[FloatArray], FloatArray]
+"""mm on the page (n, 2) -> px in the picture (n, 2)."""
+
+
+def check_given(name: str, element: Element | None, projection: Projection | None) -> None:
+    """ArgumentError where a chart's element, the argument `name`, comes without a projection, or a projection without it."""
+    if (element is None) != (projection is None):
+        raise ArgumentError(f"{name} and projection must be given together, or neither")

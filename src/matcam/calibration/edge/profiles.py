@@ -1,0 +1,314 @@
+"""Lenses with parameters, and their edge profiles as a fit wants them: E, its slope and its derivatives, over cells.
+
+The edges are the camera's own: closed forms for Gaussians, and for other lenses one fast Fourier transform of the total
+MTF, from which cells are interpolated.
+
+A lens behind a pixel of unknown size, so that both can be told apart: diffraction x Gaussian core x square pixel (MODEL 7).
+
+The core and the pixel differ in nothing but the shape of their transforms: in a Gaussian's and a box's fourth cumulants,
+2 (half width)^4 / 15 for the pixel. A lens whose core is not quite Gaussian would pass for another pixel. Therefore the core
+may have an excess kurtosis, known to be 0 within a stated tolerance; the errors of core and pixel contain what that leaves
+open.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from functools import lru_cache
+
+import equinox as eqx
+
+from matcam.calibration.edge.geometry import Cells
+from matcam.calibration.edge.maximum_likelihood import Profile
+from matcam.camera import pixel as tilted_square
+from matcam.camera.camera import Camera
+from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.optics.halo import HaloOptics
+from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.pupil import DefocusOptics, DiffractionOptics
+from matcam.camera.pixel import BoxPixel
+from matcam.core.jax import jax, jnp
+
+_PERIOD = 512  # px: the table repeats after it; a 1/d^2 tail then adds 1e-6 of the step
+_PER_PX = 16
+
+
+class LensModel(eqx.Module):
+    """A family of lenses. Its parameters are the numbers that are fitted, in forms that need no bounds."""
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted numbers, as the camera's profile names them: "optics.sigma_px"."""
+
+    @abstractmethod
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """Parameters (k,) near a Gaussian lens of ln sigma px."""
+
+    @abstractmethod
+    def optics(self, parameters: jax.Array) -> Optics:
+        """The lens."""
+
+    @abstractmethod
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """(k,) the fitted numbers in the units of their names."""
+
+    @property
+    @abstractmethod
+    def longest(self) -> tuple[float, ...]:
+        """Longest step of each parameter."""
+
+    def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
+        """Edge profile at an angle to the grid."""
+        return lambda cells, parameters: _tabulated(self, angle, half_width, cells, parameters)
+
+    def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
+        """Total MTF at f cycles/px, signed."""
+        return Camera(self.optics(parameters), BoxPixel(half_width)).mtf(f, angle)
+
+
+class Gaussian(LensModel):
+    """Gaussian optics. Parameter: ln sigma."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted numbers."""
+        return ("optics.sigma_px",)
+
+    @property
+    def longest(self) -> tuple[float, ...]:
+        """Longest step."""
+        return (0.7,)
+
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """ln sigma itself."""
+        return log_sigma[None]
+
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """Sigma, px."""
+        return jnp.exp(parameters)
+
+    def optics(self, parameters: jax.Array) -> Optics:
+        """`GaussianOptics`."""
+        return GaussianOptics(jnp.exp(parameters[0]))
+
+    def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
+        """Closed form; the spread of a cell is one more Gaussian blur, exactly."""
+
+        def profile(cells: Cells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            edge, line, by_log = _gaussian_edge(cells, angle, half_width, parameters[0])
+            return edge, line, by_log[None]
+
+        return profile
+
+
+class GaussianWithHalo(LensModel):
+    """Gaussian core and veiling glare. Parameters: ln sigma, fraction, ln radius."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted numbers."""
+        return ("optics.core.sigma_px", "optics.fraction", "optics.radius_px")
+
+    @property
+    def longest(self) -> tuple[float, ...]:
+        """Longest steps."""
+        return (0.3, 0.03, 0.3)
+
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """A little glare, well beyond the core."""
+        return jnp.stack([log_sigma - 0.03, jnp.asarray(0.03), jnp.maximum(log_sigma + 1.5, jnp.log(12.0))])
+
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """Sigma px, fraction, radius px."""
+        return jnp.stack([jnp.exp(parameters[0]), parameters[1], jnp.exp(parameters[2])])
+
+    def optics(self, parameters: jax.Array) -> Optics:
+        """`HaloOptics` round `GaussianOptics`."""
+        sigma, fraction, radius = self.numbers(parameters)
+        return HaloOptics(GaussianOptics(sigma), fraction, radius)
+
+    def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
+        """Closed form."""
+
+        def profile(cells: Cells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            core = _gaussian_edge(cells, angle, half_width, parameters[0])
+            halo = _gaussian_edge(cells, angle, half_width, parameters[2])
+            fraction = parameters[1]
+            edge, line = ((1 - fraction) * c + fraction * h for c, h in zip(core[:2], halo[:2], strict=True))
+            return edge, line, jnp.stack([(1 - fraction) * core[2], halo[0] - core[0], fraction * halo[2]])
+
+        return profile
+
+
+class Diffraction(LensModel):
+    """Diffraction-limited lens; its f-number is fitted. Parameter: ln f_number."""
+
+    wavelength: jax.Array
+    pixel_pitch: jax.Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted numbers."""
+        return ("optics.f_number",)
+
+    @property
+    def longest(self) -> tuple[float, ...]:
+        """Longest step."""
+        return (0.5,)
+
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """The Airy pattern whose core is as wide: sigma = 0.45 wavelength f_number."""
+        return (log_sigma - jnp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
+
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """f-number."""
+        return jnp.exp(parameters)
+
+    def optics(self, parameters: jax.Array) -> Optics:
+        """`DiffractionOptics`."""
+        return DiffractionOptics(jnp.exp(parameters[0]), self.wavelength, self.pixel_pitch)
+
+
+class Defocus(LensModel):
+    """Diffraction and defocus; both are fitted. Parameters: ln f_number, blur_diameter."""
+
+    wavelength: jax.Array
+    pixel_pitch: jax.Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted numbers."""
+        return ("optics.f_number", "optics.blur_diameter_px")
+
+    @property
+    def longest(self) -> tuple[float, ...]:
+        """Longest steps."""
+        return (0.3, 0.5)
+
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """Half of the blur's variance to each: a disc of diameter c has that of a Gaussian of c / 4."""
+        sigma = jnp.exp(log_sigma) / jnp.sqrt(2.0)
+        return jnp.stack([jnp.log(sigma) - jnp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
+
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """f-number, blur_diameter px (its sign means nothing)."""
+        return jnp.stack([jnp.exp(parameters[0]), jnp.abs(parameters[1])])
+
+    def optics(self, parameters: jax.Array) -> Optics:
+        """`DefocusOptics`."""
+        f_number, blur = self.numbers(parameters)
+        return DefocusOptics(f_number, self.wavelength, self.pixel_pitch, blur)
+
+
+def _gaussian_edge(
+    cells: Cells, angle: jax.Array, half_width: jax.Array, log_sigma: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    sigma = jnp.exp(log_sigma)
+    wide = jnp.sqrt(sigma**2 + cells.spread)
+    edge, line, by_wide = tilted_square.edge_and_slopes(cells.distance, angle, half_width, wide)
+    return edge, line, by_wide * sigma**2 / wide
+
+
+def _tabulated(
+    lens: LensModel, angle: jax.Array, half_width: jax.Array, cells: Cells, parameters: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    count = _PERIOD * _PER_PX
+    f = jnp.arange(count // 2 + 1) / _PERIOD
+
+    def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """E less its ramp over the period, and dE/dd, at every sixteenth of a px."""
+        total = lens.mtf(parameters, f, angle, half_width)
+        line = jnp.fft.irfft(total, count) * _PER_PX
+        wave = jnp.where(f > 0, total / (2j * jnp.pi * jnp.where(f > 0, f, 1.0)), 0.0)
+        return jnp.fft.irfft(wave, count) * _PER_PX, line
+
+    half = jnp.sqrt(cells.spread)
+    position = jnp.stack([cells.distance - half, cells.distance + half]) * _PER_PX
+    left = jnp.floor(position).astype(int)
+    t = position - left
+    left, right = left % count, (left + 1) % count
+
+    def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
+        """Mean over the cell's two points, by cubic Hermite interpolation."""
+        slopes = slopes / _PER_PX
+        a, b = values[left], values[right]
+        cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
+        return cubic.mean(0)
+
+    (edge, line), (edge_by, line_by) = table(parameters), jax.jacfwd(table)(parameters)
+    ramp = 0.5 + cells.distance / _PERIOD
+    level = line - 1 / _PERIOD
+    slope = (line[left] * (1 - t) + line[right] * t).mean(0)
+    by = jax.vmap(over_cells, in_axes=-1)(edge_by, line_by)
+    return ramp + over_cells(edge, level), slope, by
+
+
+MODELS = ("gaussian", "diffraction", "defocus", "halo")
+
+
+@lru_cache
+def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
+    """The family of one of these `MODELS`."""
+    if name == "gaussian":
+        return Gaussian()
+    if name == "halo":
+        return GaussianWithHalo()
+    family = {"diffraction": Diffraction, "defocus": Defocus}[name]
+    return family(jnp.asarray(wavelength, float), jnp.asarray(pixel_pitch, float))
+
+
+KURTOSIS = 0.02
+"""Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
+_NARROWEST = 0.05  # px
+
+
+class Separable(LensModel):
+    """Parameters: ln of the standard deviation of core and pixel together (px), which every edge knows well; half width of the
+    pixel (px); excess kurtosis of the core.
+
+    f_number: of the picture; 0: no diffraction. wavelength, pixel_pitch: m.
+    """
+
+    f_number: jax.Array
+    wavelength: jax.Array
+    pixel_pitch: jax.Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted numbers."""
+        return ("optics.sigma_px", "pixel.half_width_px", "kurtosis")
+
+    @property
+    def longest(self) -> tuple[float, ...]:
+        """Longest steps."""
+        return (0.3, 0.08, 0.05)
+
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """A pixel that is sensitive nearly all over, and a Gaussian core."""
+        half = jnp.full_like(log_sigma, 0.42)
+        return jnp.stack([jnp.log(jnp.exp(2 * log_sigma) + half**2 / 3) / 2, half, jnp.zeros_like(half)])
+
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """Sigma px, half width px, kurtosis."""
+        return parameters.at[0].set(jnp.sqrt(_variance(parameters)))
+
+    def optics(self, parameters: jax.Array) -> Optics:
+        """The core alone, as the Gaussian that it is but for its kurtosis."""
+        return GaussianOptics(jnp.sqrt(_variance(parameters)))
+
+    def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
+        """Total MTF at f cycles/px, signed; the half width is the fitted one."""
+        s2 = (2 * jnp.pi * f) ** 2 * _variance(parameters)
+        # Gram and Charlier's first term; a fourth cumulant in the exponent would grow without bound
+        core = jnp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
+        there = self.f_number > 0
+        lens = DiffractionOptics(jnp.where(there, self.f_number, 1.0), self.wavelength, self.pixel_pitch)
+        pixel = BoxPixel(parameters[1])
+        box = pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
+        return core * jnp.where(there, lens.mtf(f), 1.0) * box
+
+
+def _variance(parameters: jax.Array) -> jax.Array:
+    """Of the core, px^2: a square's along any direction is a third of its half width's square."""
+    return jnp.maximum(jnp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

@@ -1,0 +1,115 @@
+"""Tone curves: from a picture's codes to light. MTFs exist for linear values only (MODEL 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.files import tone_curve as srgb
+from matcam.files.photographs import read_photograph
+from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
+
+Tone = str | float | ArrayLike | None
+"""None or "linear"; "srgb" (IEC 61966-2-1); a gamma: light = (code / full) ** gamma; or linear values by code, (codes,) or
+(codes, 3)."""
+
+_GAMMAS = (0.2, 5.0)
+
+
+def linearised(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
+    """Linear float64 values of codes, (..., 3) or one plane. Full scale is the largest whole number of the codes' type, or 1.
+
+    channel: which column of a table of three is this plane's. ArgumentError for a tone curve that does not fit.
+    """
+    if tone is None or (isinstance(tone, str) and tone == "linear"):
+        return codes.astype(np.float64)
+    if isinstance(tone, str):
+        if tone != "srgb":
+            raise ArgumentError(
+                f"tone must be None, 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
+            )
+        return srgb.decoded(_share(codes))
+    if np.ndim(tone) == 0:
+        gamma = float(np.asarray(tone, dtype=np.float64))
+        if not _GAMMAS[0] <= gamma <= _GAMMAS[1]:
+            raise ArgumentError(f"tone as a gamma must lie in [{_GAMMAS[0]:g}, {_GAMMAS[1]:g}], got {gamma:g}")
+        return np.maximum(_share(codes), 0) ** gamma
+    table = checked_curve(np.asarray(tone, dtype=np.float64))
+    if codes.dtype.kind not in "ui":
+        raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
+    if codes.size and codes.max() >= len(table):
+        raise ArgumentError(f"tone has {len(table)} entries, the image has the code {codes.max()}")
+    if table.ndim == 1:
+        return table[codes]
+    if channel is not None:
+        return table[codes, channel]
+    if codes.ndim < 3 or codes.shape[-1] != 3:
+        raise ArgumentError("tone has three columns, the image one channel")
+    return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
+
+
+def _share(codes: np.ndarray) -> np.ndarray:
+    return codes / (np.iinfo(codes.dtype).max if codes.dtype.kind in "ui" else 1.0)
+
+
+def tone_from_patches(
+    image: ArrayLike, patches: Sequence[Sequence[int]], light: ArrayLike, channel: int | None = None
+) -> np.ndarray:
+    """Linear values by code, (codes,), measured from patches of known light (an OECF, ISO 14524).
+
+    image: whole numbers, (height, width) or (height, width, 3); of three channels the one asked for, or their mean. patches:
+    (x, y, width, height) px each, at least 3. light: (n,) linear, any unit. The curve passes through the patches' mean codes
+    without overshoot; above the brightest patch it goes on straight. Raises ArgumentError, also where brighter patches have
+    smaller codes: the curve is then not monotone.
+    """
+    codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
+    if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):
+        raise ArgumentError(
+            f"image must be whole numbers of shape (height, width[, 3]), got {codes.dtype} {codes.shape}"
+        )
+    if len(patches) < 3 or values.shape != (len(patches),):
+        raise ArgumentError(
+            f"a tone curve needs at least 3 patches with one light each, got {len(patches)}, {values.shape}"
+        )
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise ArgumentError("light of the patches must be finite and not negative")
+    means = []
+    for x, y, width, height in patches:
+        if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
+            raise ArgumentError(
+                f"patch {(x, y, width, height)} does not lie inside {codes.shape[1]} x {codes.shape[0]} px"
+            )
+        part = codes[y : y + height, x : x + width]
+        means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())
+    order = np.argsort(means)
+    code, value = np.array(means)[order], values[order]
+    if (np.diff(code) < 0.5).any():
+        first = int(np.argmax(np.diff(code) < 0.5))
+        raise ArgumentError(f"two patches have the same code, {code[first]:.1f}: each must have its own")
+    full = np.iinfo(codes.dtype).max
+    slope = (value[-1] - value[-2]) / (code[-1] - code[-2])
+    if code[-1] < full:
+        code, value = np.append(code, full), np.append(value, value[-1] + slope * (full - code[-1]))
+    return curve_through(code, value)
+
+
+def measured_tone(picture: str | Path, patches: str | Path) -> np.ndarray:
+    """`tone_from_patches` of a file, for each of its channels. patches: a file of lines "x y width height light"; "#" begins a
+    comment. FileFormatError naming the file and the line, or why there is no curve."""
+    rows = read_numbers(patches, 5)
+    image = read_photograph(picture)
+    if not np.isfinite(rows).all() or (rows[:, :4] % 1 != 0).any():
+        raise FileFormatError(
+            f"{patches}: x, y, width and height of a patch must be whole numbers of px, its light a number"
+        )
+    places = rows[:, :4].astype(int).tolist()
+    try:
+        if image.ndim == 2:
+            return tone_from_patches(image, places, rows[:, 4])
+        return np.stack([tone_from_patches(image, places, rows[:, 4], channel) for channel in range(3)], axis=1)
+    except ArgumentError as error:
+        raise FileFormatError(f"{patches}: {error}") from None

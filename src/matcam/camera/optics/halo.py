@@ -1,0 +1,82 @@
+"""Veiling glare: the light that a lens scatters far away from where it belongs (MODEL 2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.camera.optics.fourier import Rule
+from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.optics.optics import Optics
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp
+
+_TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px under a band of 40 cycles/px
+
+
+class HaloOptics(Optics):
+    """A lens of which part of the light is spread into a wide Gaussian: PSF = (1 - fraction) core + fraction halo.
+
+    core: any `Optics`. fraction: share of the light in the halo, [0, 1). radius: standard deviation of the halo, px,
+    positive. Highlights are 1e3 to 1e6 times brighter than their surroundings: a fraction of 1e-3 reads as haze.
+
+    The core may itself have a halo: stray light of several ranges is a sum of Gaussians. The outer halo's share is then
+    taken from the inner lens as a whole.
+    """
+
+    core: Optics
+    fraction: jax.Array
+    halo: GaussianOptics
+
+    def __init__(self, core: Optics, fraction: ArrayLike, radius: ArrayLike):
+        if not isinstance(core, Optics):
+            raise ArgumentError(f"core must be Optics, got {type(core).__name__}")
+        self.core = core
+        self.fraction = checks.scalar("fraction", checks.within("fraction", fraction, 0, 1, open_high=True))
+        self.halo = GaussianOptics(checks.scalar("radius", checks.positive("radius", radius, "px")))
+
+    @property
+    def radius(self) -> jax.Array:
+        """Standard deviation of the halo, px."""
+        return self.halo.sigma
+
+    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """(1 - fraction) core + fraction halo, 1/px^2."""
+        return (1 - self.fraction) * self.core.psf(x, y) + self.fraction * self.halo.psf(x, y)
+
+    def lsf(self, x: ArrayLike) -> jax.Array:
+        """(1 - fraction) core + fraction halo, 1/px."""
+        return (1 - self.fraction) * self.core.lsf(x) + self.fraction * self.halo.lsf(x)
+
+    def mtf(self, f: ArrayLike) -> jax.Array:
+        """(1 - fraction) core + fraction halo; the halo is a spike of standard deviation 1 / (2 pi radius) at 0."""
+        return (1 - self.fraction) * self.core.mtf(f) + self.fraction * self.halo.mtf(f)
+
+    def band(self) -> float:
+        """The core's, or the halo's where that is narrower than its core."""
+        return max(self.core.band(), self.halo.band())
+
+    def rule_on(self, borders: np.ndarray) -> Rule:
+        """The core's rule on panels that halve towards 0 until they resolve the spike, whatever its width."""
+        known = all(map(is_concrete, jax.tree.leaves(self)))
+        octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES
+        rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
+        if known and self.halo.band() <= self.core.band():
+            return rule
+        # a halo narrower than its core reaches beyond the core's band; weights sum to what a rule covers
+        start, beyond = jnp.sum(rule.weight), self.halo.rule_on(borders)
+        end = jnp.sum(beyond.weight)
+        share = jnp.maximum(end - start, 0) / end
+        return Rule(
+            jnp.concatenate([jnp.asarray(rule.frequency), start + share * beyond.frequency]),
+            jnp.concatenate([jnp.asarray(rule.weight), share * beyond.weight]),
+        )
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """The core's parts and the halo."""
+        core = tuple(((1 - self.fraction) * weight, part) for weight, part in self.core.components())
+        return (*core, (self.fraction, self.halo))
+
+    def __repr__(self) -> str:
+        return f"HaloOptics({self.core!r}, fraction={self.fraction!s}, radius={self.radius!s})"

@@ -1,0 +1,191 @@
+"""A perfect lens: diffraction at a circular aperture, the limit of what any lens can do.
+
+A perfect lens out of focus: diffraction at a circular pupil that carries a quadratic error of phase.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.camera.optics.fourier import Rule, piecewise_rule, reach_of
+from matcam.camera.optics.optics import Optics, lsf_by_quadrature, psf_by_quadrature
+from matcam.core import checks
+from matcam.core.jax import is_concrete, jax, jnp
+
+_TRACED_BAND = 8.0
+
+
+class DiffractionOptics(Optics):
+    """Incoherent, diffraction-limited circular pupil (Goodman, Introduction to Fourier Optics, 6.3.2).
+
+    f_number: working f-number, positive. wavelength, pixel_pitch: m, positive. The MTF ends at
+    pixel_pitch / (wavelength f_number) cycles/px.
+    """
+
+    f_number: jax.Array
+    wavelength: jax.Array
+    pixel_pitch: jax.Array
+
+    def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike):
+        self.f_number = checks.scalar("f_number", checks.positive("f_number", f_number))
+        self.wavelength = checks.scalar(
+            "wavelength", checks.within("wavelength", wavelength, 1e-9, 1e-3, "m (550 nm is 550e-9)")
+        )
+        self.pixel_pitch = checks.scalar(
+            "pixel_pitch", checks.within("pixel_pitch", pixel_pitch, 1e-8, 1e-2, "m (5 um is 5e-6)")
+        )
+
+    @property
+    def cutoff(self) -> jax.Array:
+        """Frequency at which the MTF reaches 0, cycles/px."""
+        return self.pixel_pitch / (self.wavelength * self.f_number)
+
+    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """Airy pattern (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r, 1/px^2."""
+        r = jnp.hypot(checks.number("x", x), checks.number("y", y))
+        return jnp.pi / 4 * self.cutoff**2 * _jinc(jnp.pi * self.cutoff * r, reach_of(r) * self.band()) ** 2
+
+    def lsf(self, x: ArrayLike) -> jax.Array:
+        """Line spread function, 1/px, by quadrature over the MTF (it falls as 1/x^2)."""
+        return lsf_by_quadrature(self, x)
+
+    def mtf(self, f: ArrayLike) -> jax.Array:
+        """(2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31); 0 beyond the cutoff."""
+        nu = jnp.abs(checks.number("f", f)) / self.cutoff
+        inside = nu < 1
+        nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
+        return jnp.where(inside, 2 / jnp.pi * (jnp.arccos(nu) - nu * jnp.sqrt(1 - nu**2)), 0.0)
+
+    def band(self) -> float:
+        """The cutoff as a plain number, cycles/px."""
+        return float(self.cutoff) if is_concrete(self.cutoff) else _TRACED_BAND
+
+    def rule_on(self, borders: np.ndarray) -> Rule:
+        """Panels in t with f = cutoff t (2 - t), which makes the end (1 - nu)^(3/2) a polynomial."""
+        unit = piecewise_rule(1 - np.sqrt(1 - borders))
+        t = unit.frequency
+        return Rule(self.cutoff * t * (2 - t), self.cutoff * unit.weight * 2 * (1 - t))
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """Itself."""
+        return ((jnp.ones(()), self),)
+
+    def __repr__(self) -> str:
+        return (
+            f"DiffractionOptics(f_number={self.f_number!s}, wavelength={self.wavelength!s}, "
+            f"pixel_pitch={self.pixel_pitch!s})"
+        )
+
+
+def _jinc(v: jax.Array, turns: float) -> jax.Array:
+    """2 J1(v) / v as the mean over the pupil's chords, 2 cos^2 t cos(v sin t): exact once the nodes outnumber v."""
+    return _over_chords(
+        24 + int(np.ceil(np.pi * turns)), v
+    )  # v = pi turns; the trapezoid rule sees the quarter turn only
+
+
+@partial(jax.jit, static_argnums=0)
+def _over_chords(nodes: int, v: jax.Array) -> jax.Array:
+    t = (jnp.arange(nodes) + 0.5) * (jnp.pi / 2 / nodes)
+    chord = 2 * jnp.cos(t) ** 2 / nodes
+
+    def at(value: jax.Array) -> jax.Array:
+        return jnp.cos(value * jnp.sin(t)) @ chord
+
+    return jax.lax.map(at, v.ravel(), batch_size=256).reshape(v.shape)
+
+
+_WIDEST = 1000.0  # px
+_TRACED_CIRCLE = 256.0  # blur_diameter * cutoff that is resolved where the numbers are not known yet
+_FREQUENCIES_AT_ONCE = 1024
+
+
+class DefocusOptics(Optics):
+    """Incoherent circular pupil, free of aberrations but for defocus (Hopkins 1955, Proc. R. Soc. A 231, 91).
+
+    f_number, wavelength, pixel_pitch: as `DiffractionOptics`. blur_diameter: of the geometric circle of confusion, px,
+    [0, 1000]; 0 is `DiffractionOptics`. A sensor that is dz m from the focus sees a circle of
+    blur_diameter = dz / (f_number pixel_pitch), the wavefront's error at the pupil's edge is
+    W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number), m.
+
+    The MTF is signed: where it is negative, bright and dark have changed places (spurious resolution).
+    """
+
+    focused: DiffractionOptics
+    blur_diameter: jax.Array
+
+    def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike, blur_diameter: ArrayLike):
+        self.focused = DiffractionOptics(f_number, wavelength, pixel_pitch)
+        self.blur_diameter = checks.scalar(
+            "blur_diameter", checks.within("blur_diameter", blur_diameter, 0, _WIDEST, "px")
+        )
+
+    @property
+    def wavefront_error(self) -> jax.Array:
+        """W020, the defocus at the pupil's edge, m."""
+        lens = self.focused
+        return self.blur_diameter * lens.pixel_pitch / (8 * lens.f_number)
+
+    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """Point spread function, 1/px^2, by quadrature over the MTF."""
+        return psf_by_quadrature(self, x, y)
+
+    def lsf(self, x: ArrayLike) -> jax.Array:
+        """Line spread function, 1/px, by quadrature over the MTF."""
+        return lsf_by_quadrature(self, x)
+
+    def mtf(self, f: ArrayLike) -> jax.Array:
+        """(4 / pi) integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c = blur_diameter.
+
+        That is the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, keeps of the
+        quadratic phase the linear term 8 pi W020 nu u / wavelength = pi c f u. NaN for traced numbers whose
+        c * cutoff exceeds 256, because the quadrature's size is fixed before they are known.
+        """
+        f = jnp.abs(checks.number("f", f))
+        cutoff = self.focused.cutoff
+        known = is_concrete(self.blur_diameter) and is_concrete(cutoff)
+        circle = float(self.blur_diameter * cutoff) if known else _TRACED_CIRCLE
+        # in u = cos t the cosine runs through at most 0.23 c cutoff periods: three to a panel
+        rule = piecewise_rule(np.linspace(0, 1, 3 + int(0.08 * circle)))
+        values = _overlap(f, cutoff, self.blur_diameter, *(jnp.asarray(a) for a in rule))
+        return values if known else jnp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, jnp.nan, values)
+
+    def band(self) -> float:
+        """The diffraction cutoff, cycles/px."""
+        return self.focused.band()
+
+    def rule_on(self, borders: np.ndarray) -> Rule:
+        """That of the focused lens, with panels that resolve the circle's oscillations, exp(i pi c f), too."""
+        known = is_concrete(self.blur_diameter)
+        circle = float(self.blur_diameter) * self.band() if known else _TRACED_CIRCLE
+        return self.focused.rule_on(np.union1d(borders, np.linspace(0, 1, 2 + int(np.ceil(circle / 2)))))
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """Itself."""
+        return ((jnp.ones(()), self),)
+
+    def __repr__(self) -> str:
+        lens = self.focused
+        return (
+            f"DefocusOptics(f_number={lens.f_number!s}, wavelength={lens.wavelength!s}, "
+            f"pixel_pitch={lens.pixel_pitch!s}, blur_diameter={self.blur_diameter!s})"
+        )
+
+
+@jax.jit
+def _overlap(
+    f: jax.Array, cutoff: jax.Array, blur_diameter: jax.Array, share: jax.Array, weight: jax.Array
+) -> jax.Array:
+    def at(frequency: jax.Array) -> jax.Array:
+        nu = frequency / cutoff
+        inside = nu < 1
+        nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
+        end = jnp.arccos(nu)
+        t = end * share
+        wave = jnp.cos(jnp.pi * blur_diameter * frequency * (jnp.cos(t) - nu))
+        return jnp.where(inside, 4 / jnp.pi * end * ((wave * jnp.sin(t) ** 2) @ weight), 0.0)
+
+    return jax.lax.map(at, f.ravel(), batch_size=_FREQUENCIES_AT_ONCE).reshape(f.shape)

@@ -1,0 +1,82 @@
+"""Arguments at the door: cast to float64, and refuse a concrete value that is out of its range.
+
+Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermost caller has checked them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp
+
+
+def number(name: str, value: ArrayLike) -> jax.Array:
+    """`value` as a float64 array. Raises ArgumentError where it is not numeric or not finite."""
+    if not is_concrete(value):
+        return jnp.asarray(value, dtype=jnp.float64)
+    array = _as_float64(name, value)
+    if not np.all(np.isfinite(array)):
+        raise ArgumentError(f"{name} must be finite, got {_first_bad(array, np.isfinite(array))}")
+    return jnp.asarray(array)
+
+
+def within(
+    name: str,
+    value: ArrayLike,
+    low: float,
+    high: float,
+    unit: str = "",
+    *,
+    open_low: bool = False,
+    open_high: bool = False,
+) -> jax.Array:
+    """`value` as a float64 array inside [low, high] (an end may be open, or infinite, when infinity itself is allowed)."""
+    if not is_concrete(value):
+        return jnp.asarray(value, dtype=jnp.float64)
+    array = _as_float64(name, value)
+    above = array > low if open_low else array >= low
+    below = array < high if open_high else array <= high
+    fits = above & below
+    if not np.all(fits):
+        interval = f"{'(' if open_low else '['}{low:g}, {high:g}{')' if open_high else ']'}"
+        raise ArgumentError(f"{name} must lie in {interval}{unit and ' ' + unit}, got {_first_bad(array, fits)}")
+    return jnp.asarray(array)
+
+
+def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:
+    """`value` as a float64 array, finite and above 0."""
+    return within(name, value, 0, np.inf, unit, open_low=True, open_high=True)
+
+
+def scalar(name: str, value: jax.Array) -> jax.Array:
+    """`value` if it has no axes; ArgumentError with its shape otherwise."""
+    if value.ndim:
+        raise ArgumentError(f"{name} must be a single number, got an array of shape {value.shape}")
+    return value
+
+
+def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
+    """An angle between a surface normal and a direction that it can be seen from: [0, pi/2) rad."""
+    return within(name, value, 0, np.pi / 2, "rad (below 90 degrees)", open_high=True)
+
+
+def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
+    """`value` if it is one of `allowed`."""
+    if value not in allowed:
+        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return value
+
+
+def _as_float64(name: str, value: ArrayLike) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{name} must be a number or an array of numbers, got {value!r:.60}") from None
+
+
+def _first_bad(array: np.ndarray, fits: np.ndarray) -> str:
+    return f"{array[~fits].flat[0]:g}"

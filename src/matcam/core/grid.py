@@ -1,0 +1,157 @@
+"""Half and difference angles (Rusinkiewicz 1998), and the grid on which MERL tabulates them.
+
+A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's
+direction in the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is
+phi_d -> phi_d + pi.
+
+The table: a BRDF on the MERL grid as a labelled xarray, missing values NaN, its sampling stated.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+
+GRID_SHAPE = (90, 90, 180)
+"""Cells of a MERL table along (theta_h, theta_d, phi_d)."""
+
+Sampling = Literal["centre", "edge"]
+SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
+"""Where in its cell a tabulated value was sampled; loaders of MERL files disagree."""
+
+
+class Grid(NamedTuple):
+    """Sampling points of a MERL table, rad: theta_h (90,), theta_d (90,), phi_d (180,)."""
+
+    theta_h: np.ndarray
+    theta_d: np.ndarray
+    phi_d: np.ndarray
+
+
+def merl_grid(sampling: Sampling) -> Grid:
+    """Angles at which the cells of a MERL table are sampled.
+
+    theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi / 2)))).
+    """
+    shift = 0.5 if sampling == "centre" else 0.0
+    n_h, n_d, n_p = GRID_SHAPE
+    return Grid(
+        ((np.arange(n_h) + shift) / n_h) ** 2 * np.pi / 2,
+        (np.arange(n_d) + shift) / n_d * np.pi / 2,
+        (np.arange(n_p) + shift) / n_p * np.pi,
+    )
+
+
+def theta_h_edges() -> np.ndarray:
+    """Borders of the theta_h cells, rad, shape (91,)."""
+    return (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2 * np.pi / 2
+
+
+def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """(cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
+    theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+    mean = jnp.cos(theta_h) * jnp.cos(theta_d)
+    half_difference = jnp.sin(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
+    return mean - half_difference, mean + half_difference
+
+
+def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> jax.Array:
+    """Azimuth between light and view about the surface normal, rad, wrapped to [0, pi]; pi is mirror side."""
+    theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+    # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
+    # view the same with pd + pi; their projections on the surface:
+    along = jnp.cos(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
+    offset = jnp.sin(theta_h) * jnp.cos(theta_d)
+    across = jnp.sin(theta_d) * jnp.sin(phi_d)
+    x_i, x_o = offset + along, offset - along
+    sine, cosine = x_i * -across - across * x_o, x_i * x_o - across * across
+    # along the normal there is no azimuth: any will do, but its derivative must be a number
+    return jnp.abs(jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
+
+
+def half_and_difference(
+    theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """(theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad. phi_d in
+    [0, 2 pi); it is that of the light where the half vector is the normal."""
+    theta_i, phi_i, theta_o, phi_o = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
+
+    def vector(theta: jax.Array, phi: jax.Array) -> jax.Array:
+        return jnp.stack([jnp.sin(theta) * jnp.cos(phi), jnp.sin(theta) * jnp.sin(phi), jnp.cos(theta)])
+
+    i, o = vector(theta_i, phi_i), vector(theta_o, phi_o)
+    half = i + o
+    theta_d = jnp.arctan2(jnp.linalg.norm(i - o, axis=0), jnp.linalg.norm(half, axis=0))
+    across = jnp.hypot(half[0], half[1])
+    theta_h = jnp.arctan2(across, half[2])
+    c, s = (
+        jnp.where(across > 0, a / jnp.where(across > 0, across, 1.0), at) for a, at in ((half[0], 1.0), (half[1], 0.0))
+    )
+    # the light, turned so that the half vector's azimuth is 0, then tilted so that it is the pole
+    x, y = c * i[0] + s * i[1], c * i[1] - s * i[0]
+    phi_d = jnp.arctan2(y, x * jnp.cos(theta_h) - i[2] * jnp.sin(theta_h))
+    return theta_h, theta_d, jnp.mod(phi_d, 2 * jnp.pi)
+
+
+def below_horizon(sampling: Sampling) -> np.ndarray:
+    """Which cells of a MERL table, by their sampling points, have a direction at or below the horizon; bool (90, 90, 180)."""
+    theta_h, theta_d, phi_d = merl_grid(sampling)
+    mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
+    half_difference = np.sin(theta_h)[:, None] * np.sin(theta_d)
+    return mean[:, :, None] <= half_difference[:, :, None] * np.abs(np.cos(phi_d))
+
+
+DIMS = ("theta_h", "theta_d", "phi_d", "channel")
+CHANNELS = ("R", "G", "B")
+CHANNEL_WAVELENGTHS = (610e-9, 550e-9, 465e-9)
+"""Representative wavelengths of R, G, B, m, at which tabulated metals are compared. MERL does not publish its camera's
+spectral response; these are the middles of the bands of a common RGB sensor."""
+
+
+def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.DataArray:
+    """Label BRDF values (90, 90, 180, 3), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
+    grid = merl_grid(sampling)
+    table = xr.DataArray(
+        values,
+        dims=DIMS,
+        coords={
+            "theta_h": ("theta_h", grid.theta_h, {"units": "rad"}),
+            "theta_d": ("theta_d", grid.theta_d, {"units": "rad"}),
+            "phi_d": ("phi_d", grid.phi_d, {"units": "rad"}),
+            "channel": list(CHANNELS),
+        },
+        name="brdf",
+        attrs={"units": "1/sr", "sampling": sampling, **attrs},
+    )
+    return checked_table(table)
+
+
+def checked_table(table: xr.DataArray) -> xr.DataArray:
+    """Return `table` if it is a BRDF on the MERL grid; ArgumentError naming the offending dims, shape, coordinate or value."""
+    if not isinstance(table, xr.DataArray):
+        raise ArgumentError(f"a BRDF table must be an xarray.DataArray (see read_merl), got {type(table).__name__}")
+    if table.dims != DIMS:
+        raise ArgumentError(f"a BRDF table has dims {DIMS}, got {table.dims}")
+    if table.shape[:3] != GRID_SHAPE or table.shape[3] < 1:
+        raise ArgumentError(f"a BRDF table has shape {GRID_SHAPE} x channels, got {table.shape}")
+    sampling = sampling_of(table)
+    for name, expected in merl_grid(sampling)._asdict().items():
+        if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
+            raise ArgumentError(f"coordinate {name} is not that of the MERL grid sampled at each cell's {sampling}")
+    if np.isinf(table.values).any():
+        raise ArgumentError("a BRDF table must not hold infinities; a missing value is NaN")
+    return table
+
+
+def sampling_of(table: xr.DataArray) -> Sampling:
+    """Where in its cell each value is sampled: the attribute `sampling`."""
+    sampling = table.attrs.get("sampling")
+    if sampling not in SAMPLINGS:
+        raise ArgumentError(f"attrs['sampling'] of a BRDF table must be 'centre' or 'edge', got {sampling!r}")
+    return sampling

@@ -1,0 +1,92 @@
+"""Safe writing: a file appears under its final name whole, or not at all; nothing is destroyed unasked.
+
+Reading a user's file: what the system refuses is said in one line, the same for every format.
+
+Datasets as plain columns of text (CSV), for people's spreadsheets and plotting programs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import xarray as xr
+
+from matcam.core.errors import FileFormatError, OutputError
+
+
+def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
+    """Refuse, before any work, an output that could not be written or that would destroy something.
+
+    Raises OutputError when `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or
+    exists and `force` is not set.
+    """
+    path = Path(path)
+    for source in inputs:
+        if path.exists() and Path(source).exists() and path.samefile(source):
+            raise OutputError(f"output {path} is the input itself: choose another name")
+    if path.is_dir():
+        raise OutputError(f"output {path} is a folder: give a file name inside it")
+    for parent in path.parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise OutputError(f"output {path} cannot be written: {parent} is a file, not a folder")
+            break
+    if path.exists() and not force:
+        raise OutputError(f"output {path} exists: use --force (force=True) to replace it")
+    return path
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
+    """Yield a temporary name beside `path`; on success it becomes `path`, on any exception it vanishes.
+
+    The temporary name keeps the suffix, because writers choose their format by it.
+    """
+    path = check_output(path, force=force, inputs=inputs)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    except OSError as error:
+        raise OutputError(f"output {path} cannot be written: {error.strerror}") from None
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes private files; give the result the permissions that an ordinary open() would have given
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(f"output {path} cannot be written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def reading(path: Path, what: str = "") -> Iterator[None]:
+    """Context in which `path` is opened and read. FileFormatError, naming it, where there is no such file, where it cannot be
+    read, and, if `what` says what it should be ("a picture"), where it is a folder."""
+    try:
+        if what and path.is_dir():
+            raise FileFormatError(f"{path}: is a folder, not {what}")
+        yield
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such file") from None
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def write_columns(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
+    """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable, units in the names of
+    those that have any ("theta_d_rad")."""
+    frame = data.to_dataframe().reset_index()
+    names = {
+        str(n): f"{n}_{v.attrs['units'].replace('/', '_per_')}" for n, v in data.variables.items() if "units" in v.attrs
+    }
+    with replacing(path, force=force) as temporary:
+        frame.rename(columns=names).to_csv(temporary, index=False, float_format="%.10g")

@@ -1,0 +1,77 @@
+"""How a surface sees light and view: from vectors to all that its reflectance can depend on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jax.typing import ArrayLike
+
+from matcam.core.jax import jax, jnp
+
+Vector = tuple[jax.Array, jax.Array, jax.Array]
+"""Cartesian components, each of any shape that broadcasts with the others."""
+
+
+class Shading(NamedTuple):
+    """Where light comes from and goes to, as the surface sees it: all that a BRDF can depend on. Arrays that broadcast.
+
+    cos_i, cos_o: cosines to the normal, of light and view. slope_along, slope_across: the half vector as the slope of a
+    facet that mirrors light into view, along the surface's first tangent and along the second (normal x first).
+    theta_d, phi_d: difference angles, rad; phi_d in (-pi, pi], counted from the azimuth of the half vector's slope, which
+    is 0 where that slope is.
+    """
+
+    cos_i: jax.Array
+    cos_o: jax.Array
+    slope_along: jax.Array
+    slope_across: jax.Array
+    theta_d: jax.Array
+    phi_d: jax.Array
+
+
+def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
+    """The angles of unit vectors; tangent: perpendicular to the normal. Slopes keep their digits close to the mirror
+    direction, where a half vector's angle from its cosine would not."""
+    total = _combined(light, view, 1)
+    length = jnp.sqrt(_dot(total, total))
+    half = total[0] / length, total[1] / length, total[2] / length
+    difference = _combined(light, view, -1)
+    cos_h = _dot(half, normal)
+    second = _cross(normal, tangent)
+    along, across = _dot(half, tangent), _dot(half, second)
+    # the light's azimuth about the half vector, in the surface's frame carried there by the shortest rotation: well
+    # determined where the half vector is the normal, as that of the half vector itself is not
+    carried = (along * _dot(light, tangent) + across * _dot(light, second)) / (1 + cos_h) + _dot(light, normal)
+    azimuth = jnp.arctan2(_dot(light, second) - across * carried, _dot(light, tangent) - along * carried)
+    phi_d = azimuth - jnp.arctan2(across, along)
+    return Shading(
+        cos_i=_dot(light, normal),
+        cos_o=_dot(view, normal),
+        slope_along=along / cos_h,
+        slope_across=across / cos_h,
+        theta_d=jnp.arcsin(jnp.minimum(jnp.sqrt(_dot(difference, difference)) / 2, 1.0)),
+        phi_d=jnp.pi - jnp.mod(jnp.pi - phi_d, 2 * jnp.pi),
+    )
+
+
+def local_shading(light: Vector, view: Vector) -> Shading:
+    """`shading` of directions in the surface's own frame: the normal is z, the first tangent x."""
+    zero, one = jnp.zeros(()), jnp.ones(())
+    return shading((zero, zero, one), (one, zero, zero), light, view)
+
+
+def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
+    """A vector from its components."""
+    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)
+
+
+def _combined(a: Vector, b: Vector, sign: int) -> Vector:
+    return a[0] + sign * b[0], a[1] + sign * b[1], a[2] + sign * b[2]
+
+
+def _dot(a: Vector, b: Vector) -> jax.Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

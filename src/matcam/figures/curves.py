@@ -1,0 +1,202 @@
+"""Figure 6: the Fresnel term of a measured material, with and without the camera.
+
+What to expect of a rig: loss at the peak against angle for several roughnesses.
+
+The paper's Figures 3, 4 and 5, redrawn (Figure 6: figures/fresnel_term.py).
+"""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, degrees_axis, styled
+
+_TABLE_COLOURS = (GREEN, ORANGE, PURPLE, BLACK)
+_MOST_TABLES = 4
+
+
+def fresnel_figure(
+    result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
+) -> Figure:
+    """Raw and corrected F over theta_d beside tabulated metals (left), and the loss at the peak (right).
+
+    result: from `fresnel`; tables: from `tabulated_fresnel`. channel: index; default the middle one (green).
+    """
+    channel = result.sizes["channel"] // 2 if channel is None else channel
+    with styled():
+        figure = Figure(figsize=(9.6, 5.0), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
+        draw_fresnel(left, result, tables, channel)
+        name = str(result["channel"].values[channel])
+        left.set_title(title or f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
+        # under the axes: measured curves go everywhere
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=8.2)
+        _draw_loss(right, result)
+    return figure
+
+
+def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, channel: int) -> None:
+    """The curves of one channel on one pair of axes."""
+    one = result.isel(channel=channel)
+    theta = np.degrees(one["theta_d"].values)
+    supported = np.degrees(float(one["supported_angle"]))
+    corrected, std = one["corrected"].values, one["corrected_std"].values
+    low, high = np.degrees(result.attrs["normalised_over"])
+    axes.axvspan(low, high, color="#F2F2F2", lw=0, zorder=0)
+    axes.plot(theta, one["raw"], color=VERMILION, label="raw: from the recorded peak, camera ignored")
+    axes.plot(
+        theta, one["corrected_peak"], color=BLUE, lw=1, ls=(0, (1, 1.2)), label="peak over its loss (the paper's)"
+    )
+    axes.fill_between(theta, corrected - std, corrected + std, color=BLUE, alpha=0.25, lw=0)
+    axes.plot(theta, corrected, color=BLUE, lw=2, label="corrected: lobe fitted through the camera, ± 1 std")
+    if tables is not None:
+        best = np.argsort(tables["rms_corrected"].isel(channel=channel).values, kind="stable")[:_MOST_TABLES]
+        for index, colour in zip(sorted(best), _TABLE_COLOURS, strict=False):
+            table = tables.isel(table=index, channel=channel)
+            axes.plot(theta, table["tabulated"], color=colour, lw=1.2, ls="--", label=str(table["table"].values))
+    if supported < theta[-1]:
+        axes.axvline(supported, color=GREY, lw=0.8)
+        axes.annotate(
+            f"supported to {supported:.0f}°", (supported, 0), xycoords=("data", "axes fraction"), xytext=(-3, 4),
+            textcoords="offset points", ha="right", va="bottom", fontsize=8, color=GREY, rotation=90,
+            bbox={"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1},
+        )  # fmt: skip
+    degrees_axis(axes, r"difference angle $\theta_d$")
+    axes.set_ylabel(f"F / mean of F over {low:.0f} to {high:.0f}° [-]")
+    used = np.concatenate([corrected[theta < 87], one["raw"].values[theta < 87]])
+    axes.set_ylim(0, 1.25 * np.nanquantile(used, 0.98))
+
+
+def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
+    theta = np.degrees(result["theta_d"].values)
+    response = result["response"].values
+    axes.plot(theta, response / response[0], color=BLUE, label="this lobe")
+    axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1, label=r"$\cos\,\theta_d$: narrowest")
+    degrees_axis(axes, r"difference angle $\theta_d$")
+    axes.set_xticks(range(0, 91, 30))
+    axes.set_ylim(0, 1.05)
+    axes.set_ylabel(r"recorded / true peak, relative to $\theta_d$ = 0 [-]")
+    half = float(np.degrees(result["half_width"]))
+    axes.set_title(f"Loss of this lobe,\nhalf width {half:.3f}°", loc="left")
+    axes.legend(loc="lower left", fontsize=8.2)
+
+
+def prediction_figure(data: xr.Dataset, title: str) -> Figure:
+    """Relative response over theta, one line per roughness, loss angles marked. data: `forward.peak.predict`."""
+    with styled():
+        figure = Figure(figsize=(7.4, 4.4), layout="constrained")
+        axes = figure.subplots()
+        theta = np.degrees(data["theta"].values)
+        roughness = data["roughness"].values
+        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, roughness.size))
+        limit = 1 - data.attrs["loss"]
+        for value, colour in zip(roughness, colours, strict=True):
+            one = data.sel(roughness=value)
+            axes.plot(theta, one["relative_response"], color=colour, label=f"{value:g}")
+            angle = np.degrees(float(one["loss_angle"]))
+            if angle < 90:
+                axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
+        axes.axhline(limit, color=GREY, lw=0.8)
+        axes.annotate(
+            _name_of_limit(data), (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY
+        )
+        axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
+        degrees_axis(axes, r"viewing angle $\theta_o$")
+        axes.set_ylim(0, 1.04)
+        axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+        axes.set_title(title, loc="left", fontsize=9.5)
+        axes.legend(
+            title=f"roughness\n({data.attrs['ndf']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
+        )
+    return figure
+
+
+def plane_figure(data: xr.Dataset, title: str) -> Figure:
+    """Map of the (angle, roughness) plane: relative response, its loss angle drawn. data: `forward.peak.predict`."""
+    with styled():
+        figure = Figure(figsize=(7.4, 4.6), layout="constrained")
+        axes = figure.subplots()
+        axes.grid(False)
+        theta, roughness = np.degrees(data["theta"].values), data["roughness"].values
+        relative = data["relative_response"].values
+        steps = np.linspace(0, 1.0, 11)
+        filled = axes.contourf(theta, roughness, np.clip(relative, 0, 1), levels=steps, cmap="cividis")
+        limit = 1 - data.attrs["loss"]
+        if relative.min() < limit < relative.max():
+            lines = axes.contour(theta, roughness, relative, levels=[limit], colors=[BLACK], linewidths=1.6)
+            axes.clabel(lines, fmt={limit: _name_of_limit(data)}, fontsize=8.5)
+        axes.set_yscale("log")
+        degrees_axis(axes, r"viewing angle $\theta_o$")
+        axes.set_ylabel(f"roughness ({data.attrs['ndf']}) [{'rad' if data.attrs['ndf'] == 'gaussian' else 'slope'}]")
+        axes.set_title(title, loc="left", fontsize=9.5)
+        figure.colorbar(filled, ax=axes, label=r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+    return figure
+
+
+def _name_of_limit(data: xr.Dataset) -> str:
+    return f"{100 * data.attrs['loss']:g} % loss"
+
+
+def highlight_figure(data: xr.Dataset) -> Figure:
+    """Figures 3 and 4: a highlight on the sensor, after the optics, and in the pixels. data: `paper.figure_3_4`."""
+    with styled():
+        figure = Figure(figsize=(10, 3.3), layout="constrained")
+        panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
+        for axes, theta in zip(panels, data["theta_o"].values, strict=True):
+            one = data.sel(theta_o=theta)
+            axes.fill_between(data["x"], one["recorded"], step="mid", color="#C8C8C8", lw=0, label="pixels")
+            pixels = np.unique(np.rint(data["x"].values))
+            heights = one["recorded"].sel(x=pixels, method="nearest")
+            borders = pixels[1:] - 0.5
+            taller = np.maximum(heights.values[1:], heights.values[:-1])
+            axes.vlines(borders, 0, taller, color="#9A9A9A", lw=0.5)
+            axes.plot(data["x"], one["signal"], color=BLUE, label="signal")
+            axes.plot(data["x"], one["after_optics"], color=VERMILION, ls="--", label="after the optics")
+            axes.set_title(rf"$\theta_o$ = {np.degrees(theta):.0f}°", loc="left")
+            axes.set_xlabel("position on the sensor [px]")
+            axes.set_xlim(float(data["x"][0]), float(data["x"][-1]))
+            axes.grid(axis="x", visible=False)
+        panels[0].set_ylabel("signal / true peak [-]")
+        panels[0].set_ylim(0, 1.08)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, fontsize=8.5)
+        ratio = data.attrs["ratio"]
+        figure.suptitle(
+            rf"Highlight of standard deviation {ratio:g} $\sigma_{{mtf}} / r_s$, across the limb of a sphere",
+            fontsize=10.5,
+            x=0.01,
+            ha="left",
+        )
+    return figure
+
+
+def loss_figure(data: xr.Dataset) -> Figure:
+    """Figure 5: relative loss at the peak against angle, for narrow to wide lobes. data: `paper.figure_5`."""
+    with styled():
+        figure = Figure(figsize=(7.4, 4.4), layout="constrained")
+        axes = figure.subplots()
+        theta = np.degrees(data["theta"].values)
+        ratios = data["ratio"].values
+        # cividis: made to look the same to readers with and without red-green blindness
+        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, ratios.size))
+        for ratio, colour in zip(ratios, colours, strict=True):
+            one = data.sel(ratio=ratio)
+            axes.plot(theta, one["loss"], color=colour, label=f"{ratio:g}")
+            axes.plot(theta, one["loss_printed"], color=colour, lw=0.9, ls=":")
+        axes.plot(theta, data["cosine"], color=GREY, ls="--", lw=1.2)
+        degrees_axis(axes, r"viewing angle $\theta_o$")
+        axes.set_ylim(0, 1.04)
+        axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+        axes.set_title(
+            "Loss at the specular peak. Solid: tangent plane; dotted: eq. (11) as printed;\n"
+            r"dashed: $\cos\,\theta_o$",
+            loc="left",
+            fontsize=9.5,
+        )
+        axes.legend(
+            title="lobe width /\n" r"($\sigma_{mtf} / r_s$)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
+        )
+    return figure

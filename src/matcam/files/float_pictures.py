@@ -1,0 +1,264 @@
+r"""What a picture file may hold: 32-bit floats, (H, W) or (H, W, channels), row 0 on top. Shared by the formats.
+
+Pictures as TIFF of 32-bit floats (TIFF 6.0, SampleFormat 3): one page, channels beside each other, deflated losslessly.
+
+Three channels are marked as RGB, any other number as grey with extra samples; the values are linear all the same.
+
+Pictures as OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
+
+    byte 0  int32   20000630, the magic number
+         4  int32   version: low byte 2; bits 0x200 tiles, 0x800 deep data, 0x1000 several parts: none of them here
+         8  attributes, each: name\0 type\0 int32 size, then its bytes; an empty name ends them
+            "channels" chlist: name\0 int32 type (0 uint, 1 half, 2 float) int32 linear int32 x, y sampling; \0 ends
+            "compression" uint8; "dataWindow" int32[4]: x and y of the first and of the last pixel
+         -  uint64[chunks]   where each chunk of scan lines starts
+         -  chunks: int32 y, int32 size, then so many bytes
+
+Channels: "Y" for (H, W); "R", "G", "B" for three; "C0000", "C0001", ... for any other number (the format keeps them in
+alphabetical order). The whole skeleton is checked here before the library sees the file, because that trusts it and
+writes its complaints to the terminal.
+"""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import reading, replacing
+
+LARGEST = 1 << 29
+"""Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
+DEFLATE_LIMIT = 1032
+"""What deflate makes of a byte at most (258 of every 2 bits): 1032."""
+
+
+def as_float32(picture: ArrayLike) -> np.ndarray:
+    """`picture` as contiguous float32. ArgumentError for a wrong shape, for complex numbers or text, and for values that
+    float32 cannot hold; NaN (missing) and infinities pass."""
+    given = np.asarray(picture)
+    if given.dtype.kind not in "fiub":
+        raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
+    if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:
+        raise ArgumentError(
+            f"picture must have shape (H, W) or (H, W, channels) with at most {LARGEST} values, got {given.shape}"
+        )
+    with np.errstate(over="ignore"):
+        stored = np.ascontiguousarray(given, dtype=np.float32)
+    lost = np.isinf(stored) & np.isfinite(given)
+    if np.any(lost):
+        raise ArgumentError(f"picture must lie within float32's range, got {given[lost].flat[0]:g}")
+    return stored
+
+
+def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
+    """FileFormatError for a picture that nobody would store, or that a file of `size` bytes cannot hold however well it is
+    compressed, before any memory is asked for it."""
+    values = height * width * channels
+    if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
+        raise FileFormatError(
+            f"{path}: header says {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
+        )
+
+
+def file_size(path: Path) -> int:
+    """Size in bytes. FileFormatError where there is no file that could be read."""
+    with reading(path, "a picture"):
+        return path.stat().st_size
+
+
+def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
+    """Write a picture, shape (H, W) or (H, W, channels), as float32. OutputError where it cannot go."""
+    import tifffile
+
+    stored = as_float32(picture)
+    channels = stored.shape[2] if stored.ndim == 3 else 1
+    with replacing(path, force=force) as temporary:
+        tifffile.imwrite(
+            temporary,
+            stored,
+            photometric="rgb" if channels == 3 else "minisblack",
+            planarconfig="contig" if channels > 1 else None,
+            compression="zlib",
+        )
+
+
+def read_float_tiff(path: str | Path) -> np.ndarray:
+    """Read a picture: float32, shape (H, W) or (H, W, channels). FileFormatError for more than one page, other numbers
+    than 32-bit floats, and damaged files."""
+    import tifffile
+
+    path = Path(path)
+    size = file_size(path)
+    try:
+        with _quiet(), tifffile.TiffFile(path) as file:
+            if len(file.pages) != 1:
+                raise FileFormatError(f"{path}: {len(file.pages)} pages; one is read")
+            page = file.pages[0].aspage()
+            if page.dtype != np.float32:
+                raise FileFormatError(f"{path}: holds {page.dtype or 'unknown numbers'}; 32-bit floats are read")
+            shape = file.series[0].shape if file.is_shaped else page.shape
+            if len(shape) not in (2, 3) or page.planarconfig != 1:
+                raise FileFormatError(f"{path}: a picture of shape {shape}; (H, W) or (H, W, channels) is read")
+            height, width, channels = (*page.shape, 1)[:3]
+            check_promised(path, height, width, channels, size)
+            ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+            if max(ends, default=0) > size or 0 in page.databytecounts:
+                raise FileFormatError(f"{path}: truncated: data up to byte {max(ends, default=0)}, the file has {size}")
+            return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
+    except FileFormatError:
+        raise
+    except Exception as error:  # a damaged file makes its reader throw nearly anything
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(f"{path}: not a TIFF file that can be read: {reason:.100}") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """The library logs what it then raises; one line is enough."""
+    logger = logging.getLogger("tifffile")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+_MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
+_LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
+"""Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
+_LONGEST_HEADER = 1 << 20  # bytes
+
+
+class _Skeleton(NamedTuple):
+    channels: tuple[str, ...]
+    height: int
+    width: int
+
+
+def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
+    """Write a picture, shape (H, W) or (H, W, channels), as float32. OutputError where it cannot go."""
+    import OpenEXR
+
+    stored = as_float32(picture)
+    planes = stored[..., None] if stored.ndim == 2 else stored
+    names = _names(None if stored.ndim == 2 else stored.shape[2])
+    channels = {name: np.ascontiguousarray(planes[..., i]) for i, name in enumerate(names)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with replacing(path, force=force) as temporary:
+        OpenEXR.File(header, channels).write(str(temporary))
+
+
+def read_exr(path: str | Path) -> np.ndarray:
+    """Read a picture: float32, shape (H, W) or (H, W, channels). FileFormatError for anything else than what the head
+    of this file describes."""
+    import OpenEXR
+
+    path = Path(path)
+    skeleton = _checked_skeleton(path)
+    try:
+        held = OpenEXR.File(str(path), separate_channels=True).channels()
+        planes = [np.asarray(held[name].pixels) for name in skeleton.channels]
+    except Exception as error:  # the library throws whatever its C++ threw
+        raise FileFormatError(f"{path}: damaged OpenEXR file: {str(error).splitlines()[0]:.100}") from None
+    if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
+        raise FileFormatError(f"{path}: damaged OpenEXR file: its channels are not what its header says")
+    return planes[0] if skeleton.channels == ("Y",) else np.stack(planes, axis=-1)
+
+
+def _names(channels: int | None) -> tuple[str, ...]:
+    if channels is None:
+        return ("Y",)
+    return ("R", "G", "B") if channels == 3 else tuple(f"C{i:04}" for i in range(channels))
+
+
+def _checked_skeleton(path: Path) -> _Skeleton:
+    size = file_size(path)
+    try:
+        with reading(path), path.open("rb") as file:
+            head = file.read(min(size, _LONGEST_HEADER))
+            if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
+                raise FileFormatError(f"{path}: not an OpenEXR file")
+            version = struct.unpack_from("<i", head, 4)[0]
+            if version & 0xFF != 2 or version & 0x1A00:
+                raise FileFormatError(
+                    f"{path}: OpenEXR with tiles, deep data or several parts; one part of scan lines is read"
+                )
+            attributes, start = _attributes(head)
+            channels, height, width = _described(path, attributes, size)
+            compression = attributes["compression"][0]
+            if compression not in _LINES_PER_CHUNK:
+                raise FileFormatError(
+                    f"{path}: OpenEXR compression {compression} loses digits; none, RLE, ZIP and PIZ are read"
+                )
+            chunks = -(-height // _LINES_PER_CHUNK[compression])
+            if start + 8 * chunks > size:
+                raise FileFormatError(f"{path}: truncated: {size} bytes end within the table of {chunks} chunks")
+            file.seek(start)
+            offsets = np.frombuffer(file.read(8 * chunks), "<u8")
+            for offset in offsets.tolist():
+                if not start + 8 * chunks <= offset <= size - 8:
+                    raise FileFormatError(f"{path}: truncated or damaged: a chunk at byte {offset} of {size}")
+                file.seek(offset + 4)
+                length = struct.unpack("<i", file.read(4))[0]
+                if not 0 <= length <= size - 8 - offset:
+                    raise FileFormatError(
+                        f"{path}: truncated or damaged: byte {offset + 4} says {length} bytes of {size}"
+                    )
+    except (struct.error, IndexError, KeyError, UnicodeDecodeError):
+        raise FileFormatError(f"{path}: damaged OpenEXR header") from None
+    return _Skeleton(channels, height, width)
+
+
+def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
+    """The header's attributes by name, and the byte behind them."""
+    found, at = {}, 8
+    while head[at]:
+        name, at = _text(head, at)
+        _, at = _text(head, at)
+        length = struct.unpack_from("<i", head, at)[0]
+        at += 4
+        if length < 0 or at + length >= len(head):
+            raise IndexError
+        found[name] = head[at : at + length]
+        at += length
+    return found, at + 1
+
+
+def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tuple[str, ...], int, int]:
+    left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
+    held, names, at = attributes["channels"], [], 0
+    while held[at]:
+        name, at = _text(held, at)
+        kind, _, *sampling = struct.unpack_from("<4i", held, at)
+        at += 16
+        if kind != _FLOAT:
+            stored = {0: "whole numbers", 1: "16-bit floats"}.get(kind, "an unknown type")
+            raise FileFormatError(f"{path}: channel {name!r:.40} holds {stored}; 32-bit floats are read")
+        if sampling != [1, 1]:
+            raise FileFormatError(f"{path}: channel {name!r:.40} is subsampled")
+        names.append(name)
+        if len(names) > _MOST_CHANNELS:
+            raise FileFormatError(f"{path}: more than {_MOST_CHANNELS} channels")
+    expected = _names(None if names == ["Y"] else len(names))
+    if sorted(names) != sorted(expected):
+        raise FileFormatError(
+            f"{path}: channels are {', '.join(names)[:60]}; Y, or R, G, B, or C0000, C0001, ... are read"
+        )
+    check_promised(path, bottom - top + 1, right - left + 1, len(names), size)
+    return expected, bottom - top + 1, right - left + 1
+
+
+def _text(head: bytes, at: int) -> tuple[str, int]:
+    end = head.index(b"\0", at, at + 256) if b"\0" in head[at : at + 256] else -1
+    if end < 0:
+        raise IndexError
+    return head[at:end].decode(), end + 1

@@ -1,0 +1,159 @@
+"""How large a picture says it is, read from its first bytes: before memory is asked for it.
+
+What a picture file says of the camera that took it: maker, model and f-number, from its TIFF or Exif directory.
+
+Exif is a TIFF directory, wherever it stands: at the start of a TIFF and of most camera raw files, in the APP1 segment of a
+JPEG, in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). A directory: uint16 count, then entries of 12 bytes: uint16 tag,
+uint16 type, uint32 count, and the value or its offset. A file whose directory is damaged says nothing; its pixels decide.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from matcam.core.errors import FileFormatError
+
+_SHARE = 0.5  # of the memory, that one decoded picture may take
+_MOST_SEGMENTS = 200
+_FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
+_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
+"""PNG's colour types."""
+
+
+def check_memory(path: Path, height: int, width: int, channels: int, depth: int) -> None:
+    """FileFormatError for a picture, of `depth` bytes to a sample, that does not fit into memory."""
+    needed, there = height * width * channels * depth, memory()
+    if needed > _SHARE * there:
+        raise FileFormatError(
+            f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; of the {there / 2**30:.1f} GiB of "
+            f"memory here half may be used"
+        )
+
+
+def memory() -> int:
+    """Bytes that this process may use at most."""
+    most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        return most if limit == resource.RLIM_INFINITY else min(most, limit)
+    except ImportError:  # not a Unix
+        return most
+
+
+def png_size(start: bytes) -> tuple[int, int, int, int]:
+    """Height, width, channels, bytes to a sample, from a file's first 26 bytes."""
+    width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
+    return height, width, _CHANNELS.get(colours, 4), max(bits // 8, 1)
+
+
+def jpeg_size(path: Path) -> tuple[int, int, int, int]:
+    """The same of a JPEG; zeros where it does not say."""
+    with path.open("rb") as file:
+        at = 2
+        for _ in range(_MOST_SEGMENTS):
+            file.seek(at)
+            head = file.read(10)
+            if len(head) < 10 or head[0] != 0xFF:
+                break
+            if head[1] in _FRAMES:
+                bits, height, width, channels = struct.unpack(">BHHB", head[4:])
+                return height, width, channels, max(bits // 8, 1)
+            at += 2 + struct.unpack(">H", head[2:4])[0]
+    return 0, 0, 0, 0
+
+
+_MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
+_ASCII, _LONGEST_TEXT = 2, 200
+_MOST_ENTRIES, _MOST_SEGMENTS = 500, 200
+_TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
+"""First bytes -> order; the last two are Olympus's and Panasonic's."""
+
+
+class Exif(NamedTuple):
+    """What was found."""
+
+    camera: str = ""
+    """Maker and model; empty if nobody said."""
+    f_number: float | None = None
+    dng: bool = False
+    """The file is a digital negative: camera raw, though it looks like a TIFF."""
+
+
+def read_exif(path: str | Path) -> Exif:
+    """The metadata of a picture; empty where there are none, or none that can be read."""
+    try:
+        with Path(path).open("rb") as file:
+            base = _start(file)
+            return Exif() if base is None else _directory(file, base)
+    except (OSError, struct.error, ValueError, KeyError, OverflowError):
+        return Exif()
+
+
+def _start(file: BinaryIO) -> int | None:
+    """Where the TIFF header stands."""
+    head = file.read(12)
+    if head[:4] in _TIFF:
+        return 0
+    if head[:3] == b"\xff\xd8\xff":
+        at = 2
+        for _ in range(_MOST_SEGMENTS):
+            file.seek(at)
+            marker, length = struct.unpack(">HH", file.read(4))
+            if marker == 0xFFE1 and file.read(6) == b"Exif\0\0":
+                return at + 10
+            if marker in (0xFFDA, 0xFFD9):
+                return None
+            at += 2 + length
+    if head[:8] == b"\x89PNG\r\n\x1a\n":
+        at = 8
+        for _ in range(_MOST_SEGMENTS):
+            file.seek(at)
+            length, kind = struct.unpack(">I4s", file.read(8))
+            if kind == b"eXIf":
+                return at + 8
+            at += 12 + length
+    return None
+
+
+def _directory(file: BinaryIO, base: int) -> Exif:
+    file.seek(base)
+    head = file.read(8)
+    order = _TIFF[head[:4]]
+    first = _entries(file, base, struct.unpack(order + "I", head[4:])[0], order)
+    make, model = (_text(file, base, first[tag], order) if tag in first else "" for tag in (_MAKE, _MODEL))
+    found = dict(first)
+    if _EXIF in first:
+        found |= _entries(file, base, struct.unpack(order + "I", first[_EXIF][2])[0], order)
+    f_number = None
+    if _F_NUMBER in found:
+        file.seek(base + struct.unpack(order + "I", found[_F_NUMBER][2])[0])
+        over, under = struct.unpack(order + "II", file.read(8))
+        f_number = over / under if over and under else None
+    # many models repeat their maker's name
+    named = model if model.lower().startswith(make.lower()) else f"{make} {model}"
+    return Exif(named.strip(), f_number, _DNG in first)
+
+
+def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tuple[int, int, bytes]]:
+    """Tag -> (type, count, value or offset)."""
+    file.seek(base + offset)
+    count = struct.unpack(order + "H", file.read(2))[0]
+    if count > _MOST_ENTRIES:
+        raise ValueError
+    held = file.read(12 * count)
+    return {tag: (kind, size, value) for tag, kind, size, value in struct.iter_unpack(order + "HHI4s", held)}
+
+
+def _text(file: BinaryIO, base: int, entry: tuple[int, int, bytes], order: str) -> str:
+    kind, size, value = entry
+    if kind != _ASCII or size > _LONGEST_TEXT:
+        return ""
+    if size > 4:
+        file.seek(base + struct.unpack(order + "I", value)[0])
+        value = file.read(size)
+    return " ".join(value[:size].split(b"\0")[0].decode("ascii", "replace").split())

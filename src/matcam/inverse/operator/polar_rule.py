@@ -1,0 +1,189 @@
+"""What a pixel records of an isotropic lobe on a distant sphere, as a sum over angles from the half vector.
+
+In polar coordinates (theta, psi) about the half vector the lobe depends on theta alone, so the record is linear in it,
+
+    R cos_i = F r^2 / 4 integral D(theta) [ integral k(x - x(theta, psi)) G dpsi ] sin(theta) dtheta      (MODEL 3),
+
+and the bracket without G depends on the rig alone: it is computed once, for any material. G varies slowly; it is taken at
+two azimuths of each theta with the mean and the variance of the azimuths that the pixel sees there.
+
+Nodes in theta are even in asinh(theta / scale), so that a lobe a thousandth of a radian wide is met as well as a broad one.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.blur import Blur
+
+_NODES = np.polynomial.legendre.leggauss(40)
+_BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - _NODES[0] ** 2) * _NODES[1])
+"""Of the polynomial through the nodes (Wang & Xiang 2012)."""
+_AZIMUTHS = np.polynomial.legendre.leggauss(22)
+_FINEST = 25.0
+"""Outer end of the nodes over the angle at which they become even."""
+_REACH = 6.2
+"""How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
+_BLOCK = 128
+"""Pixels at a time: what fits into a processor's cache."""
+
+
+class Pixels(NamedTuple):
+    """Places in the pictures of a sphere, arrays of one shape: px from the optical axis, theta_d rad, and the factor that
+    their record is multiplied by."""
+
+    x: np.ndarray
+    y: np.ndarray
+    theta_d: np.ndarray
+    factor: np.ndarray
+
+
+_SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
+"""Nodes at which G is taken: it is smooth over the nodes, and the polynomial through these gives it at all of them."""
+
+
+def _through_samples() -> np.ndarray:
+    """(nodes, samples): Lagrange's polynomials through the samples, at all nodes."""
+    t = _NODES[0]
+    at = t[_SAMPLED]
+    gaps = at[:, None] - at + np.eye(at.size)
+    factors = (t[:, None, None] - at) / gaps
+    return np.prod(np.where(np.eye(at.size, dtype=bool), 1.0, factors), axis=-1)
+
+
+THROUGH_SAMPLES = _through_samples()
+
+
+class Nodes(NamedTuple):
+    """Rule of each pixel, shape (pixels, nodes). cos_psi: the two azimuths, (pixels, nodes, 2), NaN where nothing is seen."""
+
+    theta: jax.Array
+    weight: jax.Array
+    cos_psi: jax.Array
+
+
+class Window(NamedTuple):
+    """What a kernel of half side `reach` px can see, as intervals of theta: arrays of shape (pixels,)."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+
+def window(radius: float, pixels: Pixels, reach: np.ndarray) -> Window:
+    """Angles from the half vector under the kernel's square, from its border (the limb's where it leaves the picture)."""
+    t = np.linspace(-1, 1, 25)
+    border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
+    border = np.concatenate([border, border[:, ::-1]])
+    x, y = (c[..., None] + reach[..., None] * border[:, n] for n, c in enumerate((pixels.x, pixels.y)))
+    out = np.maximum(np.hypot(x, y) / (radius * (1 - 1e-12)), 1.0)
+    x, y = x / out / radius, y / out / radius
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    sin, cos = np.sin(pixels.theta_d)[..., None], np.cos(pixels.theta_d)[..., None]
+    theta = np.arctan2(np.hypot(y, x * cos - z * sin), x * sin + z * cos)
+    inside = (np.abs(pixels.x - radius * sin[..., 0]) < reach) & (np.abs(pixels.y) < reach)
+    low, high = theta.min(-1), theta.max(-1)
+    slack = 0.02 * (high - low)
+    return Window(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2))
+
+
+def reach_of(half_width: float, stds: np.ndarray) -> np.ndarray:
+    """Half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
+    return half_width + _REACH * stds
+
+
+@partial(jax.jit, static_argnums=(3,))
+def nodes_of(radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, ...], pixels: Pixels, seen: Window,
+             reach: jax.Array) -> Nodes:  # fmt: skip
+    """Rule for the terms of a blur; differentiable in its numbers. variances: px^2, (pixels,), that lamp and focus add
+    along x and y; pixels: a multiple of the block, see `filled`."""
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        x, y, theta_d, factor, low, high, reach, var_x, var_y = (a[:, None, None] for a in arguments)
+        scale, first, last = _stretch(low, high)
+        t = first + (last - first) * (_NODES[0][:, None] + 1) / 2
+        theta = scale * jnp.sinh(t)
+        step = scale * jnp.cosh(t) * (last - first) / 2 * _NODES[1][:, None]
+        sin, cos, sin_d, cos_d = jnp.sin(theta), jnp.cos(theta), jnp.sin(theta_d), jnp.cos(theta_d)
+        # visible: cos psi < cot theta cot theta_d; lit: > the negative; seen by the kernel: x, then y
+        horizon = cos * cos_d / jnp.maximum(sin * sin_d, 1e-300)
+        y = jnp.abs(y)  # the mirror's other half sees the same
+        along = [((x + side * reach) / radius - cos * sin_d) / (sin * cos_d) for side in (-1, 1)]
+        from_ = jnp.arccos(jnp.clip(jnp.minimum(along[1], horizon), -1, 1))
+        to = jnp.arccos(jnp.clip(jnp.maximum(along[0], -horizon), -1, 1))
+        rise = [jnp.arcsin(jnp.clip((y + side * reach) / radius / sin, 0, 1)) for side in (-1, 1)]
+        total, mean, square = 0.0, 0.0, 0.0
+        for begin, end in ((rise[0], rise[1]), (jnp.pi - rise[1], jnp.pi - rise[0])):
+            begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
+            half = jnp.maximum(end - begin, 0.0) / 2
+            psi = begin + half * (_AZIMUTHS[0] + 1)
+            cos_psi, sin_psi = jnp.cos(psi), jnp.sin(psi)
+            dx = radius * (cos * sin_d + sin * cos_psi * cos_d) - x
+            dy = radius * sin * sin_psi
+            kernel = sum(
+                blur.weights[j]
+                * blur.kernel(dx, j, var_x)
+                * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
+                for j in terms
+            )
+            share = kernel * half * _AZIMUTHS[1]
+            total += jnp.sum(share, -1)
+            mean += jnp.sum(share * cos_psi, -1)
+            square += jnp.sum(share * cos_psi**2, -1)
+        safe = jnp.where(total == 0, 1.0, total)
+        middle = jnp.clip(mean / safe, -1, 1)
+        spread = jnp.sqrt(jnp.maximum(square / safe - middle**2, 1e-18))
+        pair = jnp.clip(middle[..., None] + spread[..., None] * np.array([-1.0, 1.0]), -1, 1)
+        pair = jnp.where((total == 0)[..., None], jnp.nan, pair)
+        weight = factor[..., 0] * radius**2 / 4 * (sin * step)[..., 0] * total
+        return Nodes(theta[..., 0], weight, pair)
+
+    arguments = (*pixels, *seen, reach, *variances)
+    blocks = tuple(a.reshape(-1, _BLOCK) for a in arguments)
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
+
+
+def _stretch(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """(scale, first, last): nodes are even in asinh(theta / scale) between first and last."""
+    # the highlight itself is inside only where the window begins at 0
+    scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
+    return scale, jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
+
+
+@jax.jit
+def transferred(rule: Nodes, seen: Window) -> jax.Array:
+    """Weights, at the nodes of a wider window, of a rule: it gives the same for all that a polynomial through those nodes
+    follows. So a kernel need not be smooth on their scale; only the lobe has to be."""
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        theta, weight, low, high = arguments
+        scale, first, last = (a[:, None] for a in _stretch(low, high))
+        t = 2 * (jnp.arcsinh(theta / scale) - first) / (last - first) - 1
+        gap = t[..., None] - _NODES[0]
+        gap = jnp.where(jnp.abs(gap) < 1e-13, 1e-13, gap)
+        share = _BARYCENTRIC / gap
+        return jnp.sum(weight[..., None] * share / jnp.sum(share, -1, keepdims=True), axis=1)
+
+    arguments = (rule.theta, rule.weight, *seen)
+    blocks = tuple(a.reshape(-1, _BLOCK, *a.shape[1:]) for a in arguments)
+    return jax.lax.map(block, blocks).reshape(rule.weight.shape)
+
+
+def sampled(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(theta, cos psi) at the sampled nodes; azimuths that nothing shows are those of the nearest node that shows any."""
+    seen = np.isfinite(cos_psi[..., 0])
+    number = np.arange(seen.shape[1])
+    before = np.maximum.accumulate(np.where(seen, number, -1), axis=1)
+    after = np.minimum.accumulate(np.where(seen, number, number.size)[:, ::-1], axis=1)[:, ::-1]
+    nearest = np.where((before < 0) | ((after < number.size) & (after - number < number - before)), after, before)
+    nearest = np.clip(nearest, 0, number.size - 1)
+    whole = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
+    return theta[:, _SAMPLED], np.nan_to_num(whole[:, _SAMPLED])
+
+
+def filled(array: np.ndarray) -> np.ndarray:
+    """An array of pixels, its last repeated up to a whole number of blocks."""
+    return np.concatenate([array, np.repeat(array[-1:], -array.size % _BLOCK)])

@@ -1,0 +1,71 @@
+"""The Gaussian lobe of Holzschuch & Pacanowski (2017)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.core import checks
+from matcam.core.jax import jax, jnp
+from matcam.material.masking import tabulated_lambda
+from matcam.material.ndf.distribution import MixtureNDF
+
+_SMALL = 1e-6  # squared slope below which its angle comes from a series: the root's slope is infinite at 0
+
+
+class GaussianNDF(MixtureNDF):
+    """D proportional to exp(-theta_h^2 / (2 width^2)): the paper's lobe. width: rad, (0, 0.5]."""
+
+    width: jax.Array
+
+    family = "gaussian"
+    largest = 0.5  # rad; beyond, a Gaussian in theta_h does not die out before the horizon
+
+    def __init__(self, width: ArrayLike):
+        self.width = checks.scalar("width", checks.within("width", width, 0, self.largest, "rad", open_low=True))
+
+    def d(self, theta_h: ArrayLike) -> jax.Array:
+        """exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere."""
+        return self._of_squared_angle(checks.number("theta_h", theta_h) ** 2)
+
+    def slope_density(self, slope2: jax.Array) -> jax.Array:
+        """D cos^4."""
+        small = slope2 < _SMALL
+        angle = jnp.arctan(jnp.sqrt(jnp.where(small, 1.0, slope2)))
+        series = slope2 * (1 - slope2 * (2 / 3 - slope2 * 23 / 45))
+        return self._of_squared_angle(jnp.where(small, series, angle**2)) / (1 + slope2) ** 2
+
+    def _of_squared_angle(self, theta2: jax.Array) -> jax.Array:
+        return jnp.exp(-theta2 / (2 * self.width**2)) / self._integral
+
+    @property
+    def _integral(self) -> jax.Array:
+        nodes, weights = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(64))
+        reach = jnp.minimum(jnp.pi / 2, 9 * self.width)
+        theta = reach * (nodes + 1) / 2
+        inside = jnp.exp(-((theta / self.width) ** 2) / 2) * jnp.sin(2 * theta)
+        return jnp.pi * reach / 2 * (inside @ weights)
+
+    def coordinate(self, theta_h: jax.Array) -> jax.Array:
+        """theta_h itself."""
+        return theta_h
+
+    def flattening(self, theta_h: jax.Array) -> jax.Array:
+        """1: the lobe is Gaussian in theta_h."""
+        return jnp.ones_like(theta_h)
+
+    def mixture(self) -> tuple[jax.Array, jax.Array]:
+        """One Gaussian."""
+        return jnp.ones(1), self.width[None]
+
+    def smith_lambda(self, cos: jax.Array) -> jax.Array:
+        """By the integral over slopes."""
+        return tabulated_lambda(self.slope_density, self.width, cos)
+
+    @property
+    def roughness(self) -> jax.Array:
+        """The width, rad."""
+        return self.width
+
+    def __repr__(self) -> str:
+        return f"GaussianNDF(width={self.width!s})"
