@@ -41,7 +41,7 @@ def database(tmp_path_factory):
 @pytest.fixture
 def here(monkeypatch):
     """Work in this process: no worker has to be started."""
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
 
 
 def times(folder, *names):
@@ -72,7 +72,7 @@ def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):
     assert {p.name for p in out.iterdir() if p.name.startswith(".")} <= {".lock"}
 
     old = times(out, "a", "b")
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
     again = correct_all(
         [database / f"{n}.binary" for n in ("a", "b")], rigs.merl(), out, corrector=simple.deadly
     )  # fmt: skip
@@ -421,13 +421,13 @@ def test_the_command(database, tmp_path, monkeypatch, here):
 
 def test_where_a_gpu_is_at_hand_materials_are_done_side_by_side(database, tmp_path, monkeypatch):
     """The same files as by workers; what fails stops nothing else."""
-    monkeypatch.setattr(run.side_by_side, "gpu_at_hand", lambda: True)
-    monkeypatch.setattr(run.local_workers, "outcomes", None)
+    monkeypatch.setattr(run.threads, "gpu_at_hand", lambda: True)
+    monkeypatch.setattr(run.processes, "outcomes", None)
     done = correct_all([database], rigs.merl(), tmp_path / "gpu", corrector=simple.brighter)
     assert sorted(path.stem for path in done.corrected) == ["a", "b", "poison"]
     assert "short.binary" in reasons(done)["short"]
     monkeypatch.undo()
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
     correct_all([database], rigs.merl(), tmp_path / "here", corrector=simple.brighter)
     for name in ("a.binary", "b.binary", "poison.binary"):
         assert (tmp_path / "gpu" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

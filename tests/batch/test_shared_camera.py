@@ -22,7 +22,7 @@ from tests.oracle.merl_lobe import conductor
 
 @pytest.fixture
 def here(monkeypatch):
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(job) for job in jobs))
+    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(job) for job in jobs))
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ def open_run(folder):
 
 @pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
 def test_a_run_as_one_zarr(tmp_path, monkeypatch):
-    monkeypatch.setattr(run.local_workers, "outcomes", lambda jobs, count: (attempted(job) for job in jobs))
+    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(job) for job in jobs))
     database, out = write_database(tmp_path / "in", ["b"]), tmp_path / "out"
     again = lambda **how: correct_all([database], rigs.merl(), out, corrector=simple.brighter, **how)  # noqa: E731
     again(zarr=True)
