@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from matcam.calibration.chart.chart import PROFILES, Grating, harmonic
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.chart import PROFILES, Grating
+from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -199,7 +199,7 @@ def grating_mtf(
     there is no grating.
     """
     picture = np.asarray(image)
-    check_given("grating", grating, projection)
+    check_projection_given("grating", grating, projection)
     if grating is not None and projection is not None:
         found, box = _as_printed(grating, projection, picture.shape)
         values, (x0, y0) = region.cut(image, box, cfa, channel, tone), box[:2]
@@ -316,7 +316,7 @@ def _fitted(
     if printed.profile == "sine":
         orders: tuple[int, ...] = (1,)
     else:
-        orders = tuple(n for n in range(1, highest + 1) if abs(harmonic(printed, n)) > 1e-9)
+        orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
     sizes = scales(found)
     # first the fundamental alone, which knows the phase but for what its harmonics leave
     first = (
@@ -365,7 +365,7 @@ def _result(
     f, direction = float(np.hypot(fx, fy)), float(np.arctan2(fy, fx))
     modulation = signs * fit.coefficients
     std = np.sqrt(np.diag(fit.covariance))
-    size = np.array([harmonic(printed, n) for n in orders])
+    size = np.array([printed.harmonic(n) for n in orders])
     telling = np.flatnonzero(std / np.abs(size) < _USEFUL)
     if not telling.size:
         raise FitError(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
 from matcam.calibration.targets import dot_lattice
 from matcam.calibration.targets.dot_fit import SHARED, DotFit, fit_dots
@@ -87,7 +87,7 @@ def dot_grid(
     Raises ArgumentError, and FitError where there is no grid that can be measured.
     """
     picture = np.asarray(image)
-    check_given("dots", dots, projection)
+    check_projection_given("dots", dots, projection)
     half_width = float(
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     )

@@ -21,9 +21,8 @@ from scipy import ndimage
 from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
-from matcam.calibration.chart import chart
 from matcam.calibration.chart.chart import Star
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -239,14 +238,14 @@ def star_mtf(
     Raises ArgumentError, and FitError where there is no star or none that can be measured.
     """
     picture = np.asarray(image)
-    check_given("star", star, projection)
+    check_projection_given("star", star, projection)
     if contrast is not None:
         checks.within("contrast", contrast, 0, 1, open_low=True)
     if star is not None and projection is not None:
         found, box = _as_printed(star, projection, picture.shape)
         values = region.cut(image, box, cfa, channel, tone)
         x0, y0 = box[:2]
-        contrast = chart.contrast(star) if contrast is None else contrast
+        contrast = star.contrast if contrast is None else contrast
     else:
         values = region.cut(image, roi, cfa, channel, tone)
         x0, y0 = region.corner_of(roi)
