@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.calibration.camera.camera_fit import CameraFit, Request, camera_of
+from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import Evidence
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.chart_file import read_chart
@@ -27,6 +27,7 @@ from matcam.calibration.search.photograph_edges import measured_edges, remarks_o
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.camera.camera import Camera
+from matcam.camera.uncertainty import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.files.photographs import Photograph, open_photograph
@@ -186,7 +187,7 @@ def calibrate(
         checks.choice("channel", name, CHANNELS)
     if not len(pictures) and not len(samples):
         raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
-    request = Request(model, half_width, wavelength, pixel_pitch)
+    request = CameraRequest(model, half_width, wavelength, pixel_pitch)
     described = read_chart(chart) if isinstance(chart, str | Path) else chart
     plan = Plan(tone, channels, half_width or 0.5, accept_sharpened, described)
     evidence, failed, remarks, used = _gathered(pictures, f_numbers, plan)
@@ -194,11 +195,12 @@ def calibrate(
         evidence.setdefault(one.channel, Evidence()).add_samples(one)
     found = {}
     for channel, of_channel in evidence.items():
-        fitted = camera_of(of_channel, channel, request)
+        fitted = fit_camera(of_channel, channel, request)
         source = f"{len(used)} pictures ({', '.join(used)}), channel {channel}: {fitted.summary}"
-        provenance = {"source": source, "created": datetime.datetime.now(datetime.UTC).date().isoformat()}
-        provenance |= {"software": f"matcam {metadata.version('matcam')}", "notes": "; ".join(remarks)}
-        found[channel] = fitted.with_provenance(**provenance)
+        created = datetime.datetime.now(datetime.UTC).date().isoformat()
+        software = f"matcam {metadata.version('matcam')}"
+        provenance = Provenance(source=source, created=created, software=software, notes="; ".join(remarks))
+        found[channel] = fitted.with_provenance(provenance)
     return Calibration(found, failed, tuple(remarks), tuple(used))
 
 
@@ -236,8 +238,7 @@ def _gathered(
             for channel, result in measured.edges.items():
                 evidence.setdefault(channel, Evidence()).add_edges(result, short, aperture)
             for channel, samples in measured.samples.items():
-                for one in samples:
-                    evidence.setdefault(channel, Evidence()).add_samples(one)
+                evidence.setdefault(channel, Evidence()).add_samples(*samples)
     if len(cameras) > 1:
         listed = ", ".join(f"{camera} ({file})" for camera, file in cameras.items())
         raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
