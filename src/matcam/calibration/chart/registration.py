@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
 from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -64,8 +66,8 @@ class _Mark(NamedTuple):
     rings: int
 
 
-def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -> Registration:
-    """Find a chart in a photograph (height, width), linear, NaN where there are no data.
+def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool = False) -> Registration:
+    """Find a chart in a photograph: a `LinearImage`, or an array (height, width), linear, NaN where there are no data.
 
     mosaic: its 2 x 2 px have colours of their own, which are made equally bright before anything is looked for.
 
@@ -73,7 +75,8 @@ def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -
     """
     if len(chart.fiducials) < 4:
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
-    picture = _evened(np.asarray(picture, dtype=np.float64)) if mosaic else np.asarray(picture, dtype=np.float64)
+    picture = LinearImage.of(image).values
+    picture = _evened(picture) if mosaic else picture
     marks = _marks(picture)
     tops = [mark for mark in marks if mark.rings == 2]
     if len(marks) < 4 or not tops:
