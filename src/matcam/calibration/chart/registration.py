@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
 from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -80,11 +82,11 @@ class Registration:
         return float(np.sqrt(abs(a * d - b * c)))
 
 
-def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -> Registration:
+def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool = False) -> Registration:
     """Find a chart in a photograph.
 
     Args:
-        picture: (height, width) linear values, any unit; NaN where there are no data.
+        image: a `LinearImage`, or an array (height, width) of linear values, any unit; NaN where there are no data.
         chart: what the photograph shows.
         mosaic: make the four colours of every 2 x 2 px equally bright first. Default: False. Set it for raw mosaics.
 
@@ -112,7 +114,8 @@ def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -
     """
     if len(chart.fiducials) < 4:
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
-    picture = _balanced(np.asarray(picture, dtype=np.float64)) if mosaic else np.asarray(picture, dtype=np.float64)
+    picture = LinearImage.of(image).values
+    picture = _balanced(picture) if mosaic else picture
     marks = _find_marks(picture)
     tops = [mark for mark in marks if mark.rings == 2]
     if len(marks) < 4 or not tops:
