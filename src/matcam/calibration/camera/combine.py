@@ -20,11 +20,11 @@ from matcam.calibration.camera.evidence import Evidence
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.chart_file import read_chart
 from matcam.calibration.chart.registration import register_chart
-from matcam.calibration.edge.edge_result import EdgeMTF
+from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.photograph.linear_image import CHANNELS, as_photograph, planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
-from matcam.calibration.search.photograph_edges import measured_edges, remarks_on
+from matcam.calibration.search.photograph_edges import edge_remarks, found_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.camera.camera import Camera
@@ -38,7 +38,7 @@ from matcam.files.photographs import Photograph, open_photograph
 class Measured:
     """What a photograph says, by channel."""
 
-    edges: dict[str, EdgeMTF] = field(default_factory=dict)
+    edges: dict[str, EdgeStack] = field(default_factory=dict)
     samples: dict[str, tuple[MTFSamples, ...]] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
 
@@ -74,13 +74,13 @@ class Plan:
             if edges is None:
                 continue
             try:
-                result = measured_edges(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
+                result = found_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
             except FitError:
                 if not found.samples.get(plane.channel):
                     raise
                 continue
             found.edges[plane.channel] = result
-            found.remarks += remarks_on(result, plane.channel)
+            found.remarks += [str(remark) for remark in edge_remarks(result, plane.channel)]
         return found
 
 

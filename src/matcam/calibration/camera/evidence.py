@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
-from matcam.calibration.edge.edge_result import EdgeMTF
+from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.targets.mtf_samples import MTFSamples
 
@@ -29,7 +29,7 @@ class EdgeTable(NamedTuple):
         sigma_std: (n,) its standard deviation, px.
         mtf50: (n,) cycles/px, free of a model.
         mtf50_std: (n,) its standard deviation, cycles/px.
-        mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
+        mtf: (n, 81) MTF at `free_curve.FREQUENCIES`, free of a model.
         mtf_std: (n, 81) its standard deviation.
         source: (n,) names of pictures.
     """
@@ -65,14 +65,9 @@ class EdgeTable(NamedTuple):
 class _Stack(NamedTuple):
     """Hold the edges of one picture, its name and its f-number."""
 
-    edges: EdgeMTF
+    edges: EdgeStack
     source: str
     f_number: float | None
-
-    @property
-    def good(self) -> np.ndarray:
-        """Return the indices of edges without problems."""
-        return np.flatnonzero([not problem for problem in self.edges.problems])
 
 
 class Evidence:
@@ -82,7 +77,7 @@ class Evidence:
         self._stacks: list[_Stack] = []
         self._samples: list[MTFSamples] = []
 
-    def add_edges(self, result: EdgeMTF, source: str, f_number: float | None) -> None:
+    def add_edges(self, result: EdgeStack, source: str, f_number: float | None) -> None:
         """Add the edges of a picture; those with problems do not count."""
         self._stacks.append(_Stack(result, source, f_number))
 
@@ -97,7 +92,7 @@ class Evidence:
 
     def measurements(self, lens_at: LensAt) -> Measurements:
         """Return everything as the joint fit takes it."""
-        groups = [f"{stack.source} (edges)" for stack in self._stacks for _ in stack.good]
+        groups = [f"{stack.source} (edges)" for stack in self._stacks for _ in stack.edges.good]
         groups += [f"{s.source} ({s.kind})" if s.source else s.kind for s in self._samples]
         return Measurements(
             edge_measurements([(stack.edges, lens_at(stack.f_number)) for stack in self._stacks]),
@@ -109,7 +104,7 @@ class Evidence:
         """Return all edges without problems, in the order of the joint fit; None if there are no edges."""
         rows = []
         for stack in self._stacks:
-            result, good = stack.edges, stack.good
+            result, good = stack.edges, stack.edges.good
             fit = result.parametric
             columns = (
                 *result.place, result.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), result.mtf50,

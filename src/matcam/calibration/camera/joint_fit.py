@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge.edge_result import EdgeMTF
-from matcam.calibration.edge.geometry import Cells
-from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model, scaled_inverse
+from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.calibration.edge.geometry import EdgeCells
+from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, edge_model, scaled_inverse
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.region import padded
+from matcam.calibration.photograph.region import program_size
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
@@ -43,7 +43,7 @@ class EdgeMeasurements(NamedTuple):
         lens: family of lenses; its arrays have leading axes, too.
     """
 
-    cells: Cells
+    cells: EdgeCells
     angle: AnyArray
     noise: Noise
     excess: AnyArray
@@ -225,12 +225,12 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
     raise FitError("the measurements do not determine the camera: no best fit was found")
 
 
-def edge_measurements(stacks: Sequence[tuple[EdgeMTF, LensModel]]) -> EdgeMeasurements | None:
+def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:
     """Return the edges without problems of several stacks, each with its lens; None if there are no stacks."""
     parts = []
     for result, lens in stacks:
         good = np.flatnonzero([not problem for problem in result.problems])
-        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result._found)
+        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result.fits)
         lenses = _stacked([lens] * good.size)
         parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, found.state.linear, lenses))
     if not parts:
@@ -248,7 +248,7 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
     """Return sets of MTF values, each with its lens, as the fit takes them; None if there are none."""
     if not sets:
         return None
-    most = padded(max(samples.frequency.size for samples, _ in sets))
+    most = program_size(max(samples.frequency.size for samples, _ in sets))
     weights = []
     for samples, _ in sets:
         std = samples.mtf_std
@@ -293,7 +293,7 @@ def _edge_shares(
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
-        at = model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
+        at = edge_model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
         weight = edge.cells.pixels / (edge.noise.variance(at.value) * edge.excess)
         residual = edge.cells.value - at.value
         normal, score = (at.design * weight) @ at.design.T, at.design @ (weight * residual)
@@ -348,7 +348,7 @@ def _stacked(lenses: Sequence[LensModel]) -> LensModel:
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
     """Return edges and empty ones, up to a number that other calls have, too: one compiled program serves them all."""
-    more = padded(len(edges.angle)) - len(edges.angle)
+    more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:
         return full

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.region import local_mean
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
 
@@ -31,7 +31,7 @@ class Lattice(NamedTuple):
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) x and y, px, of the dots in a region (height, width); NaN where there are no data. FitError if there are not 9."""
-    smooth = smoothed(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
+    smooth = local_mean(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]

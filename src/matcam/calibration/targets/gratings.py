@@ -20,8 +20,8 @@ from scipy import ndimage
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
-from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import local_mean
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, enough, fit_wave, local_wave
@@ -91,7 +91,7 @@ def inside_of(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 def find_grating(values: FloatArray, near: tuple[float, float] | None = None) -> FoundGrating:
     """The grating in a region (height, width), NaN where there are no data. near: its frequency (fx, fy), cycles/px, if it may
     lie beyond Nyquist; roughly: the nearest that looks the same is taken. FitError where there is none."""
-    filled = values if np.isfinite(values).all() else smoothed(values, 0.9)
+    filled = values if np.isfinite(values).all() else local_mean(values, 0.9)
     frequency = _strongest(filled, near)
     if near is not None:
         shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)

@@ -24,8 +24,8 @@ from scipy.optimize import least_squares
 from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
-from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import local_mean
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, enough, fit_wave, local_wave
@@ -92,7 +92,7 @@ def from_points(
 def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     """The star in a region (height, width), NaN where there are no data. FitError where there is none."""
     # what is missing is filled by its neighbours
-    filled = smoothed(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
+    filled = local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
