@@ -22,7 +22,7 @@ import xarray as xr
 
 from matcam.batch.store import write_row
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
-from matcam.core.grid import Sampling
+from matcam.core.grid import Sampling, merl_grid, sampling_of
 from matcam.core.io import check_output, reading
 from matcam.core.json import plain, write_json
 from matcam.figures.correction_page import verdict, write_correction_page
@@ -95,7 +95,8 @@ def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
     """The table that a perfect camera would have measured. Errors as `correction`'s."""
     done = correction(table, rig, options.ndf, masking=options.masking, glare=options.glare)
     there = np.isfinite(table.values)
-    response = done.table["response"].values[0, :, 90]
+    angles = merl_grid(sampling_of(table)).index(theta_h=0.0, theta_d=np.radians(_ANGLES), phi_d=np.pi / 2)
+    response = dict(zip(_ANGLES, done.table["response"].values[angles], strict=True))
     document = {
         "camera": rig.camera.profile(),
         "fit": done.fit.summary(),
@@ -104,7 +105,7 @@ def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
         "glare": options.glare,
         "supported_share": float(done.table["supported"].values[there].mean()),
         "peak_gain_75": float(1 / response[75]),
-        "peak_lost": {str(angle): float(1 - response[angle]) for angle in _ANGLES},
+        "peak_lost": {str(angle): float(1 - kept) for angle, kept in response.items()},
         "verdict": verdict(table, done),
         "remarks": list(done.remarks),
     }
