@@ -6,6 +6,7 @@ from .calibration.chart.chart_layout import design_chart
 from .calibration.chart.registration import register_chart
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
 from .calibration.edge.edge_result import EdgeMTF
+from .calibration.photograph.linear_image import LinearImage
 from .calibration.targets.gratings import GratingMTF, coltman, grating_mtf
 from .calibration.targets.grid import DotGrid, dot_grid
 from .calibration.targets.mtf_samples import MTFSamples
@@ -32,9 +33,10 @@ from .files.rgl import read_rgl, write_rgl
 from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .forward.image import picture, picture_values
-from .forward.lobe_table import lobe_table, with_pixel_noise
-from .forward.measurement import measure, measured_values
-from .forward.peaks.peak import loss_angle, peak_response
+from .forward.measurement import measure, table_values
+from .forward.noisy_table import with_pixel_noise
+from .forward.peaks.peak import peak_response
+from .forward.prediction import loss_angle
 from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
 from .inverse.correction.correction import Correction, correct, correction
@@ -84,6 +86,7 @@ __all__ = [
     "GaussianOptics",
     "GratingMTF",
     "HaloOptics",
+    "LinearImage",
     "MTFSamples",
     "MatcamError",
     "MaterialFit",
@@ -121,12 +124,10 @@ __all__ = [
     "grating_mtf",
     "highlight_stamps",
     "limits",
-    "lobe_table",
     "lobe_widths",
     "loss_angle",
     "measure",
     "measure_targets",
-    "measured_values",
     "merge_bracket",
     "metadata",
     "metal",
@@ -154,6 +155,7 @@ __all__ = [
     "rivals",
     "sidecar_path",
     "star_mtf",
+    "table_values",
     "tabulated_fresnel",
     "texture_contrast",
     "textured_picture",

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from matcam import Camera, MTFSamples, calibrate
-from matcam.calibration.photograph import planes
+from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
@@ -258,6 +258,6 @@ def test_bad_arguments():
         calibrate([], samples=star, model="measured")
     mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
     with pytest.raises(ArgumentError, match="camera raw is linear"):
-        planes.planes_of(mosaic, None, "srgb")
+        planes_of(mosaic, None, "srgb")
     with pytest.raises(ArgumentError, match="channel 'Y' is not in this picture; it has R, G, B"):
-        planes.planes_of(mosaic, ["Y"], None)
+        planes_of(mosaic, ["Y"], None)

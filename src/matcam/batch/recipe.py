@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam.core.grid import Sampling
+from matcam.core.grid import Sampling, merl_grid, sampling_of
 from matcam.core.json import plain
 from matcam.figures.correction_page import verdict, write_correction_page
 from matcam.inverse.correction.correction import correction
@@ -60,7 +60,8 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
     """Correct a table for its camera. Errors as `correction`'s."""
     done = correction(table, rig, options.ndf, masking=options.masking, glare=options.glare)
     there = np.isfinite(table.values)
-    response = done.table["response"].values[0, :, 90]
+    angles = merl_grid(sampling_of(table)).index(theta_h=0.0, theta_d=np.radians(_ANGLES), phi_d=np.pi / 2)
+    response = dict(zip(_ANGLES, done.table["response"].values[angles], strict=True))
     document = {
         "camera": rig.camera.profile(),
         "fit": done.fit.summary(),
@@ -69,7 +70,7 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
         "glare": options.glare,
         "supported_share": float(done.table["supported"].values[there].mean()),
         "peak_gain_75": float(1 / response[75]),
-        "peak_lost": {str(angle): float(1 - response[angle]) for angle in _ANGLES},
+        "peak_lost": {str(angle): float(1 - kept) for angle, kept in response.items()},
         "verdict": verdict(table, done),
         "remarks": list(done.remarks),
     }

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from matcam.core.grid import merl_grid, sampling_of
 from matcam.figures.spheres import ball, body_white, shown
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.inverse.correction.correction import BENT, Correction
@@ -50,14 +51,16 @@ def write_correction_page(
 
 def verdict(raw: xr.DataArray, done: Correction) -> str:
     """What was found, in three plain sentences."""
-    response = done.table["response"].values[0, :, 90]
+    grid = merl_grid(sampling_of(raw))
+    angles = (5, 45, 75)
+    response = done.table["response"].values[grid.index(theta_h=0.0, theta_d=np.radians(angles), phi_d=np.pi / 2)]
     there = np.isfinite(raw.values)
     share = float(done.table["supported"].values[there].mean())
-    lost = [f"{1 - response[j]:.0%} at {j}°" for j in (5, 45, 75)]
+    lost = [f"{1 - kept:.0%} at {angle}°" for angle, kept in zip(angles, response, strict=True)]
     known = "well determined" if done.fit.determined else "NOT determined by these pictures"
     if done.fit.determined and done.shape.strength > BENT:
         known = f"determined only if its lobe is {done.fit.family}, which does not explain the data"
-    peak = done.table["supported"].values[0, 5:76].mean()
+    peak = done.table["supported"].values[grid.index(theta_h=0.0, theta_d=np.radians(np.arange(5, 76)))].mean()
     return (
         f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
         f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and {share:.0%} of all "
@@ -101,14 +104,15 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """BRDF against theta_h at several theta_d, phi_d = 90 degrees, middle channel."""
-    channel, phi = raw.sizes["channel"] // 2, 90
+    channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
     theta_h = np.degrees(raw["theta_h"].values)
     with styled():
         figure = Figure(figsize=(9.6, 6.4), layout="constrained")
-        for axes, j in zip(figure.subplots(2, 2).flat, _SLICES, strict=True):
-            before = raw.values[:, j, phi, channel]
-            after, std = (done.table[v].values[:, j, phi, channel] for v in ("brdf", "brdf_std"))
-            good = done.table["supported"].values[:, j, phi, channel]
+        for axes, theta_d in zip(figure.subplots(2, 2).flat, np.radians(_SLICES), strict=True):
+            at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
+            before = raw.values[at]
+            after, std = (done.table[v].values[at] for v in ("brdf", "brdf_std"))
+            good = done.table["supported"].values[at]
             seen = np.isfinite(before) & (before > 0)
             if not seen.any():
                 axes.text(0.5, 0.5, "missing in this table", transform=axes.transAxes, ha="center", color=GREY)
@@ -122,7 +126,7 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
             axes.set_yscale("log")
             top = np.nanmax(after[seen])
             axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
-            axes.set_title(rf"$\theta_d$ = {np.degrees(raw['theta_d'].values[j]):.1f}°", loc="left")
+            axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")
             axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
             axes.set_ylabel("BRDF [1/sr]")
         drawn = [axes for axes in figure.axes if axes.lines]

@@ -15,22 +15,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.calibration.camera.camera_fit import CameraFit, Request, camera_of
+from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import Evidence
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.chart_file import read_chart
+from matcam.calibration.chart.registration import register_chart
 from matcam.calibration.edge.edge_result import EdgeMTF
-from matcam.calibration.photograph.planes import CHANNELS, Plane, assumed_tone, planes_of
+from matcam.calibration.photograph.linear_image import CHANNELS, as_photograph, planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import measured_edges, remarks_on
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.camera.camera import Camera
+from matcam.camera.uncertainty import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.files.photographs import Photograph, open_photograph
-from matcam.files.picture_header import Exif
 
 
 @dataclass
@@ -54,17 +55,24 @@ class Plan:
 
     def measured(self, photograph: Photograph, name: str, f_number: float | None) -> Measured:
         """Everything in it. FitError where there is nothing, or the chart is not in it."""
-        known = self.tone is not None or photograph.linear
-        tone, assumed = (self.tone, "") if known else assumed_tone(photograph)
-        found = Measured(remarks=[assumed] if assumed else [])
-        planes = planes_of(photograph, self.channels, tone)
-        if self.chart is not None:
-            self._measure_targets(self.chart, planes, name, f_number, found)
-        if self.chart is not None and not any(isinstance(e, Square | Patch) for e in self.chart.elements):
-            return found
+        found = Measured()
+        planes = planes_of(photograph, self.channels, self.tone, f_number, name)
         # around gratings and stars there are edges by the hundred; those of a described chart are its squares'
-        edges = find_edges(photograph.values, mosaic=photograph.cfa is not None)
+        squares = self.chart is None or any(isinstance(e, Square | Patch) for e in self.chart.elements)
+        edges = find_edges(photograph.values, mosaic=photograph.cfa is not None) if squares else None
+        registration = None
+        if self.chart is not None and photograph.cfa is not None:
+            # colours only matter for blur: all of a mosaic's pixels know where the chart lies
+            registration = register_chart(photograph.values, self.chart, mosaic=True)
         for plane in planes:
+            found.remarks = found.remarks or [str(remark) for remark in plane.remarks]
+            if self.chart is not None:
+                targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
+                registration = targets.registration
+                found.samples[plane.channel] = targets.samples
+                found.remarks += [f"{plane.channel}: {problem}" for problem in targets.problems]
+            if edges is None:
+                continue
             try:
                 result = measured_edges(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
             except FitError:
@@ -74,20 +82,6 @@ class Plan:
             found.edges[plane.channel] = result
             found.remarks += remarks_on(result, plane.channel)
         return found
-
-    def _measure_targets(
-        self, chart: Chart, planes: Sequence[Plane], name: str, f_number: float | None, found: Measured
-    ) -> None:
-        place = None
-        for plane in planes:
-            photograph = plane.photograph
-            targets = measure_targets(
-                photograph.values, chart, registration=place, half_width=self.half_width, cfa=photograph.cfa,
-                channel=None if plane.channel == "grey" else plane.channel, tone=plane.tone, aperture=f_number, source=name,
-            )  # fmt: skip
-            place = targets.registration
-            found.samples[plane.channel] = targets.samples
-            found.remarks += [f"{plane.channel}: {problem}" for problem in targets.problems]
 
 
 if TYPE_CHECKING:
@@ -155,7 +149,7 @@ def calibrate(
     wavelength: float | Mapping[str, float] | None = None,
     pixel_pitch: float | None = None,
     f_numbers: Sequence[float] | float | None = None,
-    tone: Tone = None,
+    tone: Tone = "auto",
     channels: Sequence[str] | None = None,
     accept_sharpened: bool = False,
 ) -> Calibration:
@@ -169,7 +163,7 @@ def calibrate(
     half_width: of the pixel's sensitive area, px; None: fitted together with a Gaussian core, and refused with the reason when
     either is not known to 10 %. That takes many edges; with wavelength, pixel_pitch (m) and f-numbers diffraction is taken into
     account. wavelength: m, one or by channel. f_numbers: one for each picture, or one for all; None: the files' own.
-    tone: of pictures that are not linear by nature: "linear", "srgb", a gamma or a table; None: 8-bit files are taken for
+    tone: of pictures that are not linear by nature: "linear", "srgb", a gamma or a table; "auto": 8-bit files are taken for
     sRGB, others for linear, and `remarks` says so.
     channels: of "R", "G", "B", "Y", "grey"; None: all there are.
 
@@ -186,7 +180,7 @@ def calibrate(
         checks.choice("channel", name, CHANNELS)
     if not len(pictures) and not len(samples):
         raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
-    request = Request(model, half_width, wavelength, pixel_pitch)
+    request = CameraRequest(model, half_width, wavelength, pixel_pitch)
     described = read_chart(chart) if isinstance(chart, str | Path) else chart
     plan = Plan(tone, channels, half_width or 0.5, accept_sharpened, described)
     evidence, failed, remarks, used = _gathered(pictures, f_numbers, plan)
@@ -194,11 +188,12 @@ def calibrate(
         evidence.setdefault(one.channel, Evidence()).add_samples(one)
     found = {}
     for channel, of_channel in evidence.items():
-        fitted = camera_of(of_channel, channel, request)
+        fitted = fit_camera(of_channel, channel, request)
         source = f"{len(used)} pictures ({', '.join(used)}), channel {channel}: {fitted.summary}"
-        provenance = {"source": source, "created": datetime.datetime.now(datetime.UTC).date().isoformat()}
-        provenance |= {"software": f"matcam {metadata.version('matcam')}", "notes": "; ".join(remarks)}
-        found[channel] = fitted.with_provenance(**provenance)
+        created = datetime.datetime.now(datetime.UTC).date().isoformat()
+        software = f"matcam {metadata.version('matcam')}"
+        provenance = Provenance(source=source, created=created, software=software, notes="; ".join(remarks))
+        found[channel] = fitted.with_provenance(provenance)
     return Calibration(found, failed, tuple(remarks), tuple(used))
 
 
@@ -236,8 +231,7 @@ def _gathered(
             for channel, result in measured.edges.items():
                 evidence.setdefault(channel, Evidence()).add_edges(result, short, aperture)
             for channel, samples in measured.samples.items():
-                for one in samples:
-                    evidence.setdefault(channel, Evidence()).add_samples(one)
+                evidence.setdefault(channel, Evidence()).add_samples(*samples)
     if len(cameras) > 1:
         listed = ", ".join(f"{camera} ({file})" for camera, file in cameras.items())
         raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
@@ -255,13 +249,7 @@ def _opened(picture: Any) -> Photograph:
         return picture
     if isinstance(picture, str | Path):
         return open_photograph(picture)
-    values = np.asarray(picture)
-    if values.dtype.kind not in "uif" or values.ndim not in (2, 3) or (values.ndim == 3 and values.shape[2] != 3):
-        raise ArgumentError(
-            f"a picture must be numbers of shape (height, width[, 3]), got {values.dtype} {values.shape}"
-        )
-    full = float(np.iinfo(values.dtype).max) if values.dtype.kind in "ui" else np.inf
-    return Photograph(values, None, full, True, Exif())
+    return as_photograph(picture)
 
 
 def _f_numbers(given: Any, count: int) -> list[float | None]:

@@ -20,7 +20,7 @@ from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.profiles import Gaussian
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph.light import evened
-from matcam.calibration.photograph.planes import Plane
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.calibration.photograph.region import Frame, Region, turns_for
 from matcam.calibration.search.edge_search import FoundEdges
 from matcam.core.errors import FitError
@@ -142,10 +142,10 @@ _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # of the blur's variance; standard devia
 _FEW = 6  # edges, below which nothing is said of directions
 
 
-def measured_edges(plane: Plane, edges: FoundEdges, half_width: float, *, accept_sharpened: bool) -> EdgeMTF:
+def measured_edges(plane: LinearImage, edges: FoundEdges, half_width: float, *, accept_sharpened: bool) -> EdgeMTF:
     """The edges of one plane as a stack; long ones in pieces. FitError where there is none that could be measured, with the
     commonest reason."""
-    strips = strips_along(edges, plane.photograph.values.shape[:2])
+    strips = strips_along(edges, plane.shape)
     if not strips.u.size:
         raise FitError(
             f"no slanted edge was found ({edges.x.size} edges without room round them): photograph a chart of slanted squares "
@@ -156,9 +156,8 @@ def measured_edges(plane: Plane, edges: FoundEdges, half_width: float, *, accept
     full: list[np.ndarray] = []
 
     def read(y: np.ndarray, x: np.ndarray) -> np.ndarray:
-        value, saturated = plane.values(y, x)
-        full.append(saturated.mean((1, 2)))
-        return value
+        full.append(np.zeros(len(y)) if plane.saturated is None else plane.saturated[y, x].mean((1, 2)))
+        return plane.values[y, x]
 
     regions = list(regions_of(strips, read, plane.sites, stack.AT_ONCE))
     looked_at = []

@@ -19,6 +19,7 @@ from matcam.calibration.targets.dot_lattice import FEWEST, Lattice
 from matcam.calibration.targets.wave_fit import noise_of
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
+from matcam.numerics.linalg import scaled_inverse
 
 _RADIAL, _ROUND = 5, 14
 _AT_ONCE = 512  # dots: their tables fit into memory, whatever the grid
@@ -149,9 +150,7 @@ def fit_dots(values: FloatArray, lattice: Lattice, size: float, half_width: floa
             gain, read = (k * there.sum() / (there.sum() - state.size) for k in noise_of(residual[there], model[there]))
             weight = there / (gain * np.maximum(model, 0) + read)
         normal = np.einsum("npi,np,npj->nij", design, weight, design)
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-300))
-        inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :]) + 1e-10 * np.eye(7))
-        inverse /= scale[:, :, None] * scale[:, None, :]
+        inverse = scaled_inverse(normal)
         change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])

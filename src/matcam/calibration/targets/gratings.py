@@ -17,15 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from matcam.calibration.chart.chart import PROFILES, Grating, harmonic
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.chart import PROFILES, Grating
+from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, enough, fit_wave, local_wave
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
+from matcam.files.photographs import Photograph
 
 MARGIN = 4.0
 """px: pixels nearer than this to a grating's border see what is outside."""
@@ -171,7 +174,7 @@ class GratingMTF:
 
 
 def grating_mtf(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     roi: Sequence[int] | None = None,
     *,
     grating: Grating | None = None,
@@ -182,7 +185,7 @@ def grating_mtf(
     near: tuple[float, float] | None = None,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
+    tone: Tone = "linear",
     aperture: float | None = None,
     source: str = "",
 ) -> GratingMTF:
@@ -198,11 +201,11 @@ def grating_mtf(
     mean, get the errors that they deserve, and those that say nothing are left out. Raises ArgumentError, and FitError where
     there is no grating.
     """
-    picture = np.asarray(image)
-    check_given("grating", grating, projection)
+    check_projection_given("grating", grating, projection)
     if grating is not None and projection is not None:
-        found, box = _as_printed(grating, projection, picture.shape)
-        values, (x0, y0) = region.cut(image, box, cfa, channel, tone), box[:2]
+        whole = LinearImage.of(image, channel, cfa, tone)
+        found, box = _as_printed(grating, projection, whole.shape)
+        picture = region_of(whole, box)
     else:
         if contrast is None:
             raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark), linear")
@@ -213,14 +216,13 @@ def grating_mtf(
         print_ = Grating(
             profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
         )
-        values = region.cut(image, roi, cfa, channel, tone)
-        if problem := region.flaw(values):
+        picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+        if problem := region.flaw(picture.values):
             raise FitError(problem)
-        found = find_grating(values, near)
-        x0, y0 = region.corner_of(roi)
+        found = find_grating(picture.values, near)
     known = grating is not None
     printed = grating if grating is not None else print_
-    fit, orders, waves = _fitted(values, found, printed)
+    fit, orders, waves = _fitted(picture.values, found, printed)
     signs = np.ones(len(orders))
     if not known and fit.coefficients[0] < 0:
         # nobody said where the bright lines are: the camera does not turn the first harmonic round
@@ -231,11 +233,11 @@ def grating_mtf(
         orders,
         waves,
         printed,
-        (x0, y0),
+        picture.corner,
         found,
-        region.measured_channel(picture, channel),
-        aperture,
-        source,
+        picture.channel,
+        picture.f_number if aperture is None else aperture,
+        source or picture.source,
     )
 
 
@@ -287,7 +289,7 @@ def _as_printed(
     corners = projection(grating.corners)
     low = np.maximum(np.floor(corners.min(0)).astype(int), 0)
     high = np.minimum(np.ceil(corners.max(0)).astype(int) + 1, [shape[1], shape[0]])
-    if (high - low < region.SMALLEST).any():
+    if (high - low < SMALLEST).any():
         raise FitError("the grating lies outside the picture, or covers less than 16 x 16 px of it")
     inside = inside_of(corners - low, (int(high[1] - low[1]), int(high[0] - low[0])))
     if inside.sum() < 64:
@@ -316,7 +318,7 @@ def _fitted(
     if printed.profile == "sine":
         orders: tuple[int, ...] = (1,)
     else:
-        orders = tuple(n for n in range(1, highest + 1) if abs(harmonic(printed, n)) > 1e-9)
+        orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
     sizes = scales(found)
     # first the fundamental alone, which knows the phase but for what its harmonics leave
     first = (
@@ -365,7 +367,7 @@ def _result(
     f, direction = float(np.hypot(fx, fy)), float(np.arctan2(fy, fx))
     modulation = signs * fit.coefficients
     std = np.sqrt(np.diag(fit.covariance))
-    size = np.array([harmonic(printed, n) for n in orders])
+    size = np.array([printed.harmonic(n) for n in orders])
     telling = np.flatnonzero(std / np.abs(size) < _USEFUL)
     if not telling.size:
         raise FitError(

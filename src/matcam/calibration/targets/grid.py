@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
+from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets import dot_lattice
 from matcam.calibration.targets.dot_fit import SHARED, DotFit, fit_dots
 from matcam.calibration.targets.dot_lattice import FEWEST, Lattice
@@ -23,6 +25,7 @@ from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
+from matcam.files.photographs import Photograph
 
 _REACH = 8  # px around a dot
 _ZONE = 60  # dots that a zone should have at least
@@ -65,7 +68,7 @@ class DotGrid:
 
 
 def dot_grid(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     roi: Sequence[int] | None = None,
     *,
     dots: Dots | None = None,
@@ -74,7 +77,7 @@ def dot_grid(
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
+    tone: Tone = "linear",
     aperture: float | None = None,
     source: str = "",
 ) -> DotGrid:
@@ -86,13 +89,12 @@ def dot_grid(
 
     Raises ArgumentError, and FitError where there is no grid that can be measured.
     """
-    picture = np.asarray(image)
-    check_given("dots", dots, projection)
+    check_projection_given("dots", dots, projection)
     half_width = float(
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     )
     if dots is not None and projection is not None:
-        values, lattice, corner = _as_printed(picture, dots, projection, cfa, channel, tone)
+        picture, lattice = _as_printed(LinearImage.of(image, channel, cfa, tone), dots, projection)
         size = dots.radius
     else:
         if radius is None:
@@ -100,36 +102,28 @@ def dot_grid(
                 "radius of the dots over their pitch must be given: the blur cannot be told from their size"
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
-        values = region.cut(image, roi, cfa, channel, tone)
-        if problem := region.flaw(values):
+        picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+        if problem := region.flaw(picture.values):
             raise FitError(problem)
-        lattice = dot_lattice.lattice_of(*dot_lattice.find_dots(values))
-        corner = region.corner_of(roi)
-    fit = fit_dots(values, lattice, size, half_width)
-    return _result(fit, corner, half_width, region.measured_channel(picture, channel), aperture, source)
+        lattice = dot_lattice.lattice_of(*dot_lattice.find_dots(picture.values))
+    fit = fit_dots(picture.values, lattice, size, half_width)
+    aperture = picture.f_number if aperture is None else aperture
+    return _result(fit, picture.corner, half_width, picture.channel, aperture, source or picture.source)
 
 
-def _as_printed(
-    picture: np.ndarray,
-    dots: Dots,
-    projection: Projection,
-    cfa: str | None,
-    channel: str | None,
-    tone: str | ArrayLike | None,
-) -> tuple[FloatArray, Lattice, tuple[int, int]]:
+def _as_printed(whole: LinearImage, dots: Dots, projection: Projection) -> tuple[LinearImage, Lattice]:
     """The grid's region, and its dots where the registration expects them."""
     printed = np.array(dots.centres)
     seen = projection(printed)
-    inside = (seen > 2).all(1) & (seen < np.array(picture.shape[1::-1]) - 3).all(1)
+    inside = (seen > 2).all(1) & (seen < np.array(whole.shape[1::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
         raise FitError("the grid of dots lies outside the picture")
     printed, seen = printed[inside], seen[inside]
     low = np.maximum(np.floor(seen.min(0)).astype(int) - _REACH, 0)
-    high = np.minimum(np.ceil(seen.max(0)).astype(int) + _REACH + 1, picture.shape[1::-1])
+    high = np.minimum(np.ceil(seen.max(0)).astype(int) + _REACH + 1, whole.shape[1::-1])
     box = (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
-    values = region.cut(picture, box, cfa, channel, tone)
     u, v = printed.T
-    return values, Lattice(seen[:, 0] - low[0], seen[:, 1] - low[1], u, v), box[:2]
+    return region_of(whole, box), Lattice(seen[:, 0] - low[0], seen[:, 1] - low[1], u, v)
 
 
 def _terms(u: FloatArray, v: FloatArray) -> FloatArray:

@@ -21,16 +21,18 @@ from scipy import ndimage
 from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 
-from matcam.calibration.chart import chart
 from matcam.calibration.chart.chart import Star
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.registration import Projection, check_projection_given
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, enough, fit_wave, local_wave
 from matcam.core import checks
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
+from matcam.files.photographs import Photograph
 
 PARAMETERS = 14
 _ROUNDS = 12
@@ -215,7 +217,7 @@ class StarMTF:
 
 
 def star_mtf(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     roi: Sequence[int] | None = None,
     *,
     star: Star | None = None,
@@ -224,7 +226,7 @@ def star_mtf(
     contrast: float | None = None,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
+    tone: Tone = "linear",
     aperture: float | None = None,
     source: str = "",
 ) -> StarMTF:
@@ -238,23 +240,22 @@ def star_mtf(
 
     Raises ArgumentError, and FitError where there is no star or none that can be measured.
     """
-    picture = np.asarray(image)
-    check_given("star", star, projection)
+    check_projection_given("star", star, projection)
     if contrast is not None:
         checks.within("contrast", contrast, 0, 1, open_low=True)
     if star is not None and projection is not None:
-        found, box = _as_printed(star, projection, picture.shape)
-        values = region.cut(image, box, cfa, channel, tone)
-        x0, y0 = box[:2]
-        contrast = chart.contrast(star) if contrast is None else contrast
+        whole = LinearImage.of(image, channel, cfa, tone)
+        found, box = _as_printed(star, projection, whole.shape)
+        picture = region_of(whole, box)
+        contrast = star.contrast if contrast is None else contrast
     else:
-        values = region.cut(image, roi, cfa, channel, tone)
-        x0, y0 = region.corner_of(roi)
-        found = find_star(values, cycles)
-    if problem := region.flaw(values):
+        picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+        found = find_star(picture.values, cycles)
+    if problem := region.flaw(picture.values):
         raise FitError(problem)
-    fit, edges = _fitted(values, found)
-    return _result(fit, edges, found, contrast, (x0, y0), region.measured_channel(picture, channel), aperture, source)
+    fit, edges = _fitted(picture.values, found)
+    aperture = picture.f_number if aperture is None else aperture
+    return _result(fit, edges, found, contrast, picture.corner, picture.channel, aperture, source or picture.source)
 
 
 def _as_printed(
@@ -267,7 +268,7 @@ def _as_printed(
     low = np.maximum(np.floor(outer.min(0)).astype(int) - 2, 0)
     high = np.minimum(np.ceil(outer.max(0)).astype(int) + 3, [shape[1], shape[0]])
     if (
-        (high - low < region.SMALLEST).any()
+        (high - low < SMALLEST).any()
         or (outer.min(0) < -0.5).any()
         or (outer.max(0) > np.array(shape[1::-1]) - 0.5).any()
     ):

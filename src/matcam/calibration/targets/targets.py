@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Chart, Dots, Grating, Patch, Square, Star
 from matcam.calibration.chart.registration import Registration, register_chart
-from matcam.calibration.photograph import region
+from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.gratings import grating_mtf
 from matcam.calibration.targets.grid import DotGrid, dot_grid
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.star import star_mtf
 from matcam.core.errors import FitError
+from matcam.files.photographs import Photograph
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +31,14 @@ class Targets:
 
 
 def measure_targets(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     chart: Chart,
     *,
     registration: Registration | None = None,
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
+    tone: Tone = "linear",
     aperture: float | None = None,
     source: str = "",
 ) -> Targets:
@@ -48,37 +49,38 @@ def measure_targets(
     file; handed on to the samples, to which source adds the target. A target that cannot be measured becomes a line of
     `problems`. Raises ArgumentError for bad arguments, FitError where the chart is not found.
     """
-    picture = np.asarray(image)
+    picture = LinearImage.of(image, channel, cfa, tone)
     if registration is None:
         # colours only matter for blur: all of a mosaic's pixels know where the chart lies
-        linear = region.cut(picture, None, None, (channel or "Y") if picture.ndim == 3 else None, tone)
-        registration = register_chart(linear, chart, mosaic=cfa is not None)
+        mosaic = cfa is not None
+        registration = register_chart(
+            region_of(image, tone=tone) if mosaic else region_of(picture), chart, mosaic=mosaic
+        )
     samples: list[MTFSamples] = []
     grids: list[DotGrid] = []
     problems: list[str] = []
     for number, element in enumerate(chart.elements):
         if isinstance(element, Square | Patch):
             continue
+        source = source or picture.source
         name = f"{source}{': ' if source else ''}{type(element).__name__.lower()} {number}"
         try:
             if isinstance(element, Grating):
                 name += f" ({element.profile})"
-                grating = grating_mtf(
-                    picture, grating=element, projection=registration, cfa=cfa, channel=channel, tone=tone,
-                    aperture=aperture, source=name,
-                )  # fmt: skip
+                grating = grating_mtf(picture, grating=element, projection=registration, aperture=aperture, source=name)
                 samples.append(grating.samples)
             elif isinstance(element, Star):
-                star = star_mtf(
-                    picture, star=element, projection=registration, cfa=cfa, channel=channel, tone=tone, aperture=aperture,
-                    source=name,
-                )  # fmt: skip
+                star = star_mtf(picture, star=element, projection=registration, aperture=aperture, source=name)
                 samples.append(star.samples)
             elif isinstance(element, Dots):
                 grid = dot_grid(
-                    picture, dots=element, projection=registration, half_width=half_width, cfa=cfa, channel=channel,
-                    tone=tone, aperture=aperture, source=name,
-                )  # fmt: skip
+                    picture,
+                    dots=element,
+                    projection=registration,
+                    half_width=half_width,
+                    aperture=aperture,
+                    source=name,
+                )
                 grids.append(grid)
                 samples += grid.samples
         except FitError as error:

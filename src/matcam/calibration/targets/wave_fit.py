@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from matcam.core.jax import FloatArray
+from matcam.numerics.linalg import scaled_inverse
 
 _ROUNDING = 1e-13  # of the mean square: no picture is without any
 
@@ -40,7 +41,6 @@ Phase = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 """(parameters (m,), x, y) -> phase, rad."""
 
 _STEP = 1e-3  # px
-_RIDGE = 1e-12
 _WEIGHTED = 4  # steps after which weights are those of the noise
 _SETTLED, _ROUGH = 1e-4, 1e-2  # rad
 _MOST = 200_000  # pixels: more cost memory, and tell what these have told
@@ -143,11 +143,9 @@ def fit_wave(
             gain, read = noise_of(residual, level * (1 + wave))
             weight = 1 / (gain * np.maximum(level * (1 + wave), 0) + read)
         normal = (matrix.T * weight) @ matrix
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        try:
-            inverse = np.linalg.inv(normal / np.outer(size, size) + _RIDGE * np.eye(size.size)) / np.outer(size, size)
-        except np.linalg.LinAlgError:
+        if not np.isfinite(normal).all():
             return None
+        inverse = scaled_inverse(normal)
         change = inverse @ (matrix.T @ (weight * residual))
         light = light + change[: light.size]
         coefficients = coefficients + change[light.size : light.size + coefficients.size]
