@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson
+from matcam.cli.options import AsJson, Command
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -18,7 +18,7 @@ def _group() -> None:
     pass
 
 
-@app.command("merl")
+@app.command("merl", cls=Command)
 def merl(
     materials: Annotated[list[str] | None, typer.Argument(metavar="NAME...", help="Materials, e.g. chrome.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to put the files in.")] = Path(),

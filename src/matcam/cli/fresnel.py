@@ -54,9 +54,13 @@ def command(
 
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
+    from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
+    low, high = normalise
+    if not 0 <= low < high < 90:
+        raise ArgumentError(f"--normalise must be LOW HIGH with 0 <= LOW < HIGH < 90 degrees, got {low:g} {high:g}")
     output = output or Path(f"{file.stem}-fresnel.png")
     inputs = [path for path in (file, camera) if path]
     check_picture(output, force=force, inputs=inputs)
