@@ -1,6 +1,6 @@
 from . import paper, rigs
 from .batch.run import correct_all
-from .calibration.camera.combine import Calibration, calibrate
+from .calibration.camera.calibration import Calibration, calibrate
 from .calibration.chart.chart_file import read_chart, write_chart
 from .calibration.chart.chart_layout import design_chart
 from .calibration.chart.registration import register_chart
