@@ -1,6 +1,6 @@
 from . import paper, rigs
 from .batch.run import correct_all
-from .calibration.camera.combine import Calibration, calibrate
+from .calibration.camera.calibration import Calibration, calibrate
 from .calibration.chart.chart_file import read_chart, write_chart
 from .calibration.chart.chart_layout import design_chart
 from .calibration.chart.registration import register_chart
@@ -22,10 +22,10 @@ from .camera.sensor import PixelNoise, Sensor, expose_bracket, merge_bracket
 from .camera.uncertainty import Provenance, Uncertainty
 from .core.errors import MatcamError
 from .exchange.conversion import convert
-from .exchange.inspection import camera_trace, lobe_widths
 from .exchange.parameterisation import adaptive_grid
+from .exchange.receiver import metadata, solid_angles
 from .exchange.renderers import mitsuba_material, pbrt_material, rendered_sphere
-from .exchange.solid_angles import metadata, receiver
+from .exchange.trace import camera_trace, lobe_widths
 from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
 from .files.float_pictures import read_exr, read_float_tiff, write_exr, write_float_tiff
 from .files.merl import read_merl, write_merl
@@ -148,12 +148,12 @@ __all__ = [
     "read_samples",
     "read_sidecar",
     "read_zarr",
-    "receiver",
     "register_chart",
     "rendered_sphere",
     "rigs",
     "rivals",
     "sidecar_path",
+    "solid_angles",
     "star_mtf",
     "table_values",
     "tabulated_fresnel",

@@ -13,7 +13,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.uncertainty import Provenance
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.grid import Sampling
-from matcam.exchange.inspection import lobe_widths
+from matcam.exchange.trace import lobe_widths
 from matcam.files.merl import read_merl
 from matcam.inverse.fit.candidates import candidate_fits, likeliest
 from matcam.inverse.operator.rig_axes import LENS
