@@ -1,4 +1,4 @@
-"""`matcam fit`: a material's numbers, estimated through the camera that recorded it."""
+"""`matcam fit`: a material's parameters, estimated through the camera that recorded it."""
 
 from __future__ import annotations
 
@@ -17,26 +17,34 @@ Family = Annotated[
 
 
 def command(
-    files: Annotated[list[Path], typer.Argument(help="MERL files: several of one rig are fitted with one camera.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="MERL files to read; several of one rig are fitted with one camera.")
+    ],
     ndf: Family = "ggx",
     fresnel: Annotated[
         Literal["conductor", "schlick", "dielectric", "free"],
-        typer.Option("--fresnel", help="n and k, f0, eta, or F free in every picture."),
+        typer.Option(
+            "--fresnel",
+            help="Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free).",
+        ),
     ] = "conductor",
     diffuse: Annotated[bool, typer.Option("--diffuse", help="Add a Lambertian part.")] = False,
-    per_channel: Annotated[bool, typer.Option("--per-channel", help="A lobe for each channel.")] = False,
+    per_channel: Annotated[bool, typer.Option("--per-channel", help="Fit a lobe for each channel.")] = False,
     lens: Annotated[
         Literal["auto", "fixed", "prior", "free"],
-        typer.Option("--lens", help="The camera: as the profile says, within its uncertainty, or its blur left free."),
+        typer.Option("--lens", help="Lens blur: fixed as in the profile, within its uncertainty (prior), or free."),
     ] = "auto",
     blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
     bend: Annotated[
-        float, typer.Option("--bend", help="How far the lobe may leave its family; 1: a non-parametric lobe.")
+        float,
+        typer.Option(
+            "--bend", help="How far the lobe may leave its family, 0 to 10 (no unit); 1 makes it non-parametric."
+        ),
     ] = 0.0,
     rival: Annotated[
         bool,
         typer.Option(
-            "--rival", help="Ask besides whether free shadowing explains the data better than the camera does."
+            "--rival", help="Compare with free shadowing: does it explain the data better than the camera does?"
         ),
     ] = False,
     every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.")] = 1,
@@ -49,7 +57,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Numbers of a microfacet material with their errors, estimated through the camera, all difference angles jointly.
+    """Fit the parameters of a microfacet material through the camera, all difference angles jointly, with their errors.
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """

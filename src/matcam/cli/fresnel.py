@@ -1,4 +1,4 @@
-"""`matcam fresnel`: the Fresnel term of a measured material, with and without the camera."""
+"""`matcam fresnel`: the Fresnel term of a measured material, raw and corrected for the camera."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="MERL file.")],
+    file: Annotated[Path, typer.Argument(help="MERL file to read.")],
     metal: Annotated[
         str | None,
         typer.Option(
-            "--metal", help="Compare with tabulated n, k of this metal (Cr, Fe, ...). Default: the nearest of all."
+            "--metal", help="Metal (Cr, Fe, ...) whose tabulated n and k to compare with. Default: the nearest of all."
         ),
     ] = None,
     ndf: Annotated[
@@ -33,24 +33,24 @@ def command(
     sampling: Sampling = "centre",
     normalise: Annotated[
         tuple[float, float],
-        typer.Option("--normalise", metavar="LOW HIGH", help="Range of theta_d, degrees, where F's mean is 1."),
+        typer.Option(
+            "--normalise", metavar="LOW HIGH", help="Range of theta_d over which F is divided by its mean, degrees."
+        ),
     ] = (10.0, 45.0),
-    channel: Annotated[
-        Literal["R", "G", "B"], typer.Option("--channel", help="Channel that is drawn and printed.")
-    ] = "G",
+    channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
     every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.", min=1, max=30)] = 1,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
-            help="Picture (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
+            help="Picture to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
         ),
     ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Fresnel term of a measured metal, raw and corrected for the camera, with its uncertainty (the paper's Figure 6).
+    """Extract the Fresnel term of a measured metal, raw and corrected for the camera, with its uncertainty.
 
     Example: `matcam fresnel chrome.binary --metal Cr`
     """

@@ -54,33 +54,41 @@ _VERBS = "must|can|belongs|needs|asks|as|may"
 
 CameraProfile = Annotated[
     Path | None,
-    typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the camera of the MERL rig."),
+    typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the MERL rig's camera."),
 ]
 Radius = Annotated[
     float | None,
-    typer.Option("--radius", metavar="PX", help="Radius of the sphere's picture in px. Default: 256, MERL's."),
+    typer.Option(
+        "--radius", metavar="PX", help="Radius of the sample's limb in the picture, px. Default: 256, the MERL rig's."
+    ),
 ]
 LampRadius = Annotated[
-    float, typer.Option("--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc, degrees.")
+    float,
+    typer.Option(
+        "--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc as seen from the sample, degrees."
+    ),
 ]
 Masking = Annotated[
     Literal["smith", "smith-separable", "van-ginneken", "none"],
-    typer.Option("--masking", help="Masking G that the Fresnel term is freed from."),
+    typer.Option("--masking", help="Masking function G of the material."),
 ]
 Sampling = Annotated[
     Literal["centre", "edge"],
-    typer.Option("--sampling", help="Where in its cell a tabulated value was sampled; the file does not say."),
+    typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, on standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]
 
 Distance = Annotated[
-    float | None, typer.Option("--distance", help="Distance of the camera in radii of the sample. Default: far away.")
+    float | None, typer.Option("--distance", help="Distance of the camera, in radii of the sample. Default: infinite.")
 ]
 Glare = Annotated[
-    float, typer.Option("--glare", help="Share of the light that the lens scatters around, beside its profile.")
+    float,
+    typer.Option(
+        "--glare", help="Share of the light that the lens scatters into a halo, added to its profile (no unit)."
+    ),
 ]
-GlareRadius = Annotated[float, typer.Option("--glare-radius", help="Standard deviation of that halo, px.")]
+GlareRadius = Annotated[float, typer.Option("--glare-radius", help="Standard deviation of the halo of --glare, px.")]
 
 
 def rig_of(
@@ -93,7 +101,7 @@ def rig_of(
     glare_radius: float = 30.0,
     **more: Any,
 ) -> Rig:
-    """The MERL rig, with what the user has replaced."""
+    """Return the MERL rig, with what the user has replaced."""
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
