@@ -17,7 +17,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import xarray as xr
 
 from matcam.batch.store import write_row
@@ -25,11 +24,11 @@ from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.core.io import check_output, reading
 from matcam.core.json import plain, write_json
-from matcam.figures.correction_page import verdict, write_correction_page
+from matcam.figures.correction_page import write_correction_page
 from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import read_merl, write_merl
-from matcam.inverse.correction.correction import correction
+from matcam.inverse.correction.correction import Correction
 from matcam.rigs import Rig
 
 
@@ -66,10 +65,6 @@ def unchanged(path: Path, known: Any) -> bool:
         return False
 
 
-_ANGLES = (5, 45, 75)
-"""Degrees of theta_d at which the peak's loss is told."""
-
-
 class Options(NamedTuple):
     """How a table is corrected: family of the lobe or "auto"; masking or None; share of light that the lens may scatter."""
 
@@ -92,22 +87,9 @@ Corrector = Callable[[xr.DataArray, Rig, Options], Corrected]
 
 
 def corrected(table: xr.DataArray, rig: Rig, options: Options) -> Corrected:
-    """The table that a perfect camera would have measured. Errors as `correction`'s."""
-    done = correction(table, rig, options.ndf, masking=options.masking, glare=options.glare)
-    there = np.isfinite(table.values)
-    response = done.table["response"].values[0, :, 90]
-    document = {
-        "camera": rig.camera.profile(),
-        "fit": done.fit.summary(),
-        "doubts": {doubt.axis.name: {**doubt.fit.summary(), "contradicts": doubt.contradicts} for doubt in done.doubts},
-        "shape": {"strength": done.shape.strength, "b": done.shape.b},
-        "glare": options.glare,
-        "supported_share": float(done.table["supported"].values[there].mean()),
-        "peak_gain_75": float(1 / response[75]),
-        "peak_lost": {str(angle): float(1 - response[angle]) for angle in _ANGLES},
-        "verdict": verdict(table, done),
-        "remarks": list(done.remarks),
-    }
+    """The table that a perfect camera would have measured. Errors as `correct`'s."""
+    done = Correction.of(table, rig, options.ndf, masking=options.masking, glare=options.glare)
+    document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
 
     def write_page(path: Path, name: str, force: bool) -> None:
         write_correction_page(path, table, done, name, force=force)
@@ -163,7 +145,7 @@ def corrected_files(job: Job) -> dict[str, Any]:
     """Correct one table and write its files; what its record says.
 
     ArgumentError, OutputError before any work where a file could not be written; FileFormatError for what is no table, or
-    was changed while it was read; `correction`'s errors.
+    was changed while it was read; `correct`'s errors.
     """
     if job.version and job.version != metadata.version("matcam"):
         raise ArgumentError(

@@ -15,7 +15,7 @@ from matcam.core.errors import FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.exchange.inspection import lobe_widths
 from matcam.files.merl import read_merl
-from matcam.inverse.fit.candidates import candidate_fits, likeliest
+from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
 from matcam.inverse.operator.rig_axes import LENS
 from matcam.rigs import Rig
 
@@ -30,7 +30,8 @@ def shared_camera(rig: Rig, inputs: Sequence[Path], options: Options, sampling: 
     determine the blur to a quarter."""
     chosen = _narrowest(inputs, sampling)
     tables = [table for _, table in chosen]
-    found = likeliest(candidate_fits(tables, rig, options.ndf, masking=options.masking, camera="free"))
+    setup = free_setup(tables, rig, masking=options.masking, camera_parameters="free")
+    found = likeliest(candidate_fits(setup, options.ndf))
     value, std = found.params[LENS], found.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
     camera = found.camera
@@ -40,7 +41,8 @@ def shared_camera(rig: Rig, inputs: Sequence[Path], options: Options, sampling: 
             "or tables with narrower lobes"
         )
     source = Provenance(
-        source=f"blur fitted jointly to {names}, a {found.family} lobe for each", notes="; ".join(found.remarks)
+        source=f"blur fitted jointly to {names}, a {found.family} lobe for each",
+        notes="; ".join(map(str, found.remarks)),
     )
     return Camera(camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source)
 

@@ -116,7 +116,7 @@ def _one(
     )
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # said with the fit
-            show.say(f"note: {remark}")
+            show.say(f"note: {remark['text']}")
     show.say("written: " + ", ".join(written))
 
 

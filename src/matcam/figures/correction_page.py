@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matcam.core.io import replacing
 from matcam.figures.spheres import ball, body_white, shown
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
-from matcam.inverse.correction.correction import BENT, Correction
+from matcam.inverse.correction.correction import Correction
 
 _SLICES = (5, 45, 65, 75)
 _BALL = 180
@@ -33,7 +33,7 @@ def write_correction_page(
         f"<tr><td>{html.escape(key)}</td><td>{value:.6g}</td><td>{found.std[key]:.2g}</td></tr>"
         for key, value in found.params.items()
     )
-    notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in done.remarks)
+    notes = "".join(f"<li>{html.escape(remark.text)}</li>" for remark in done.remarks)
     pictures = [
         ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
         ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
@@ -44,31 +44,14 @@ def write_correction_page(
     )
     document = (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{html.escape(name)}: corrected</title>"
-        f"<style>{_STYLE}</style><h1>{html.escape(name)}</h1><p class='verdict'>{html.escape(verdict(raw, done))}</p>"
-        f"<ul>{notes}</ul><h2>Numbers of the lobe ({html.escape(found.family)})</h2>"
-        f"<table><tr><th>number</th><th>value</th><th>std</th></tr>{rows}"
-        f"<tr><td>half width at half maximum, rad</td><td>{found.half_width:.6g}</td><td>{found.half_width_std:.2g}</td></tr>"
+        f"<style>{_STYLE}</style><h1>{html.escape(name)}</h1><p class='verdict'>{html.escape(done.verdict)}</p>"
+        f"<ul>{notes}</ul><h2>Parameters of the lobe ({html.escape(found.family)})</h2>"
+        f"<table><tr><th>parameter</th><th>value</th><th>std</th></tr>{rows}"
+        f"<tr><td>half width at half maximum, rad</td><td>{found.hwhm:.6g}</td><td>{found.hwhm_std:.2g}</td></tr>"
         f"</table>{drawn}</html>\n"
     )
     with replacing(path, force=force) as temporary:
         temporary.write_text(document, encoding="utf-8")
-
-
-def verdict(raw: xr.DataArray, done: Correction) -> str:
-    """What was found, in three plain sentences."""
-    response = done.table["response"].values[0, :, 90]
-    there = np.isfinite(raw.values)
-    share = float(done.table["supported"].values[there].mean())
-    lost = [f"{1 - response[j]:.0%} at {j}°" for j in (5, 45, 75)]
-    known = "well determined" if done.fit.determined else "NOT determined by these pictures"
-    if done.fit.determined and done.shape.strength > BENT:
-        known = f"determined only if its lobe is {done.fit.family}, which does not explain the data"
-    peak = done.table["supported"].values[0, 5:76].mean()
-    return (
-        f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
-        f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and {share:.0%} of all "
-        "entries are."
-    )
 
 
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from matcam.core.io import replacing
-from matcam.inverse.correction.correction import BENT
 from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 INLINE = 1000
@@ -112,13 +111,8 @@ def _name(record: dict[str, Any]) -> tuple[str, str]:
 
 
 def _verdict(record: dict[str, Any]) -> tuple[str, str]:
-    fit, strength = record["fit"], (record.get("shape") or {}).get("strength") or 0.0
-    short = "not determined"
-    if strength > BENT:
-        short = "family fails: bent"
-    elif fit.get("determined"):
-        short = "determined"
-    more = "".join(f"<br>{html.escape(remark)}" for remark in record.get("remarks") or ())
+    short = record.get("determination") or "not determined"
+    more = "".join(f"<br>{html.escape(remark['text'])}" for remark in record.get("remarks") or ())
     return short, f"<details><summary>{short}</summary>{html.escape(record.get('verdict') or '')}{more}</details>"
 
 
@@ -166,7 +160,7 @@ _COLUMNS = (
     _Column(
         "half width at half<br>maximum (degrees)",
         "number",
-        lambda r: _with_std(r["fit"]["half_width_rad"], r["fit"]["half_width_std_rad"], 180 / math.pi),
+        lambda r: _with_std(r["fit"]["hwhm_rad"], r["fit"]["hwhm_std_rad"], 180 / math.pi),
     ),
     _Column("peak lost<br>at 5°", "number", _lost("5")),
     _Column("at 45°", "number", _lost("45")),

@@ -29,7 +29,7 @@ def outcomes(jobs: Sequence[Job], seats: int = SEATS) -> Generator[Outcome]:
     with RecordBatch(min(seats, len(jobs))) as batch:
 
         def done(job: Job) -> Outcome:
-            with batch.joined():
+            with batch.serving():
                 return attempted(job)
 
         # what depends on the rig alone is made by the first, and found by the others
