@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import FitError
-from matcam.core.grid import checked_table, merl_grid, sampling_of
+from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.remark import Remark, to_attribute
 from matcam.inverse.correction.doubts import Doubt, rig_doubts
 from matcam.inverse.correction.lobe_ratio import Corrections, LobeRatio, lobe_ratio, seen_cells
@@ -111,11 +111,11 @@ class Correction:
         )  # fmt: skip
         return cls(table, best, doubts, shape, remarks)
 
-    def peak_loss(self, theta_d: float | Sequence[float] | np.ndarray) -> np.ndarray:
+    def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
         """Return the share of the highlight's peak that the camera lost.
 
         Args:
-            theta_d: difference angle, rad, or several of them (n,). The first slice at or beyond it answers.
+            theta_d: difference angle, rad, or several of them (n,). The slice that contains it answers.
 
         Returns:
             1 - recorded / true peak, no unit, of the shape of `theta_d`.
@@ -146,8 +146,8 @@ class Correction:
         known = "well determined" if self.fit.determined else "NOT determined by these pictures"
         if self.fit.determined and self.shape.family_fails:
             known = f"determined only if its lobe is {self.fit.family}, which does not explain the data"
-        first, last = self._row(np.radians([_ANGLES[0], _ANGLES[-1]]))
-        peak = self.table["supported"].values[0, first : last + 1].mean()
+        rows = self._grid.index(theta_h=0.0, theta_d=np.radians(np.arange(_ANGLES[0], _ANGLES[-1] + 1)))
+        peak = self.table["supported"].values[rows].mean()
         return (
             f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
             f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and "
@@ -173,16 +173,13 @@ class Correction:
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
 
-    def _row(self, theta_d: float | Sequence[float] | np.ndarray) -> np.ndarray:
-        """Return the index of the first slice at or beyond an angle."""
-        slices = self.table["theta_d"].values
-        return np.minimum(np.searchsorted(slices, np.asarray(theta_d) - 1e-9), slices.size - 1)
-
-    def _peak_response(self, theta_d: float | Sequence[float] | np.ndarray) -> np.ndarray:
+    def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
         """Return recorded over true peak, across the plane of incidence."""
-        response = self.table["response"].values
-        across = np.searchsorted(self.table["phi_d"].values, np.pi / 2 - 1e-9)
-        return response[0, self._row(theta_d), across]
+        return self.table["response"].values[self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)]
+
+    @property
+    def _grid(self) -> Grid:
+        return merl_grid(self.table.attrs["sampling"])
 
 
 def correct(

@@ -29,6 +29,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.material.ndf.free_lobe import KNOTS, bend_basis
 from matcam.numerics.interpolate import smoothness
+from matcam.numerics.linalg import scaled_inverse
 
 FAMILY_FAILS = 0.05
 """Scale of a shape's correction beyond which its family does not explain the data."""
@@ -106,7 +107,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
         scale = max(_SCALES, key=lambda one: _evidence(information, right, shapes, differences / one))
         penalty = np.zeros((count, count))
         penalty[shapes, shapes] = differences.T @ differences / scale**2
-        covariance = _inverse(information + penalty)
+        covariance = scaled_inverse(information + penalty)
         result = covariance @ right
         before, after = float(target @ target), float(((target - result @ flat) ** 2).sum())
     b = np.maximum(result[shapes], _LEAST_CHANGE)
@@ -136,16 +137,9 @@ def _evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: n
     """Return the logarithm of the evidence for a scale, up to a constant: all but the b_k is integrated out."""
     others = np.r_[0 : shapes.start, shapes.stop : len(right)]
     cross = information[shapes, others]
-    inner = _inverse(information[np.ix_(others, others)])
+    inner = scaled_inverse(information[np.ix_(others, others)])
     data = information[shapes, shapes] - cross @ inner @ cross.T
     pull = right[shapes] - cross @ inner @ right[others]
     prior = rows.T @ rows
     total = data + prior
-    return 0.5 * float(pull @ _inverse(total) @ pull - np.linalg.slogdet(total)[1] + np.linalg.slogdet(prior)[1])
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Invert a positive matrix, scaled to a unit diagonal."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    values, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
-    return (axes / np.maximum(values, 1e-13)) @ axes.T / np.outer(scale, scale)
+    return 0.5 * float(pull @ scaled_inverse(total) @ pull - np.linalg.slogdet(total)[1] + np.linalg.slogdet(prior)[1])

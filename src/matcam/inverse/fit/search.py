@@ -19,6 +19,7 @@ from matcam.inverse.fit.fit_data import (
 from matcam.inverse.fit.fit_parameters import fresnel_start
 from matcam.inverse.fit.fit_problem import FitModel, FitProblem
 from matcam.material.ndf.families import WITH_POWER
+from matcam.numerics.linalg import scaled_inverse
 
 _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
@@ -150,7 +151,7 @@ class Search:
             model = problem.model(p, weight)
             white = problem.whitening(model, weight, noise.gain)
             flat = white(model.derivative).reshape(p.size, -1)
-            covariance = _covariance(flat @ flat.T + self.prior_rows.T @ self.prior_rows)
+            covariance = scaled_inverse(flat @ flat.T + self.prior_rows.T @ self.prior_rows, undetermined=1e12)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
             if np.all(np.abs(p - before) < _SETTLED * std):
                 break
@@ -186,14 +187,3 @@ class Search:
             x_scale="jac", ftol=1e-7, xtol=1e-6, max_nfev=steps,
         )  # fmt: skip
         return found.x
-
-
-def _covariance(information: np.ndarray) -> np.ndarray:
-    """Invert an information matrix; parameters that the data do not tell get an infinite variance (1e12)."""
-    scale = np.sqrt(np.clip(np.diag(information), 0, None))
-    unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
-    values, axes = np.linalg.eigh(information * np.outer(unit, unit))
-    inverse = (axes / np.maximum(values, 1e-12)) @ axes.T
-    covariance = inverse * np.outer(unit, unit)
-    covariance[np.diag_indices_from(covariance)] += np.where(scale > 0, 0.0, 1e12)
-    return covariance
