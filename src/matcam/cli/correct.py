@@ -137,7 +137,7 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
     )
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # printed with the fit
-            show.say(f"note: {remark}")
+            show.say(f"note: {remark['text']}")
     show.say("written: " + ", ".join(document["files"]))
 
 

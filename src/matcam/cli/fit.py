@@ -72,7 +72,7 @@ def command(
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
     keep_rules()
     from matcam.files.merl import read_merl
-    from matcam.inverse.fit.material_fit import fit
+    from matcam.inverse.fit.fit_setup import fit
 
     rig = None if blind else rig_of(camera, radius, lamp, cell_value=sampling)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
@@ -84,11 +84,11 @@ def command(
             diffuse=diffuse,
             per_channel=per_channel,
             masking=None if masking == "none" else masking,
-            camera=None if lens == "auto" else lens,
+            camera_parameters=None if lens == "auto" else lens,
             bend=bend,
             every=every,
         )
-    document = {"files": [str(file) for file in files], **found.summary()}
+    document = {"files": [str(file) for file in files], **found.to_dict()}
     if rival:
         document["rival"] = _rival(files[0], rig, ndf, sampling, every)
     if output:
@@ -98,7 +98,7 @@ def command(
     if json:
         show.as_json(document)
     else:
-        print_fit(found.summary(), ", ".join(file.name for file in files))
+        print_fit(found.to_dict(), ", ".join(file.name for file in files))
         if rival:
             show.say(f"note: {document['rival']['verdict']}")
         if output:
@@ -107,31 +107,17 @@ def command(
 
 def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
     from matcam.files.merl import read_merl
-    from matcam.inverse.rivals import rivals
+    from matcam.inverse.rival_fits import rivals
 
     with show.working(f"fitting {file} with free shadowing instead"):
-        found = rivals(read_merl(file, sampling=sampling), rig, ndf, every=every)
-    sides = {"camera": found.camera, "shadowing": found.shadowing}
-    return {
-        "verdict": found.verdict,
-        **{
-            name: {
-                "numbers": side.numbers,
-                "akaike": side.akaike,
-                "misfit": side.fit.misfit,
-                "degrees_of_freedom": side.fit.freedom,
-                "noise": side.fit.noise._asdict(),
-            }
-            for name, side in sides.items()
-        },
-    }
+        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every).to_dict()
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
-    """A fit's `summary()` as a table, and what is to be said of it."""
+    """A fit's `to_dict()` as a table, and what is to be said of it."""
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
-    show.table(["number", "value", "std"], rows, f"{name}: {summary['ndf']}")
-    show.say(f"half width at half maximum: {summary['half_width_rad']:.6g} ± {summary['half_width_std_rad']:.2g} rad")
+    show.table(["parameter", "value", "std"], rows, f"{name}: {summary['ndf']}")
+    show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(
         f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the picture's peak; of a picture's "
@@ -141,4 +127,4 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
         f"sum of squared residuals over degrees of freedom: {summary['misfit']:.3f} ({summary['degrees_of_freedom']})"
     )
     for remark in summary["remarks"]:
-        show.say(f"note: {remark}")
+        show.say(f"note: {remark['text']}")

@@ -113,13 +113,16 @@ def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) ->
 def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
     import numpy as np
 
+    from matcam.core.remark import from_attribute
+
     return {
         **result.attrs,
+        "remarks": [remark.to_dict() for remark in from_attribute(result.attrs["remarks"])],
         "normalised_over": np.degrees(result.attrs["normalised_over"]),
         "width": float(result["width"]),
         "width_std": float(result["width_std"]),
-        "half_width_deg": float(np.degrees(result["half_width"])),
-        "half_width_std_deg": float(np.degrees(result["half_width_std"])),
+        "hwhm_deg": float(np.degrees(result["hwhm"])),
+        "hwhm_std_deg": float(np.degrees(result["hwhm_std"])),
         "supported_angle_deg": dict(
             zip(result["channel"].values.tolist(), np.degrees(result["supported_angle"].values), strict=True)
         ),
@@ -142,6 +145,8 @@ def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
 
 def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     import numpy as np
+
+    from matcam.core.remark import from_attribute
 
     one = result.sel(channel=channel)
     at = one.sel(theta_d=np.radians(_ANGLES), method="nearest")
@@ -166,7 +171,7 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     attrs = result.attrs
     determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
     width = f"width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}"
-    half, std = (float(np.degrees(result[name])) for name in ("half_width", "half_width_std"))
+    half, std = (float(np.degrees(result[name])) for name in ("hwhm", "hwhm_std"))
     show.say(
         f"lobe: {attrs['ndf']}, {'bent' if attrs['bent'] else width}; half width at half maximum {half:.4g}° ± {std:.1g}°"
     )
@@ -175,7 +180,7 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
         f"{attrs['noise_floor']:.2%} of the picture's peak"
     )
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
-    for remark in attrs["remarks"].split("; ") if attrs["remarks"] else []:
+    for remark in from_attribute(attrs["remarks"]):
         show.say(f"note: {remark}")
     show.say(f"supported (std under 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     rms = tables.sel(channel=channel)

@@ -37,7 +37,7 @@ def command(
 
     rig = rig_of(camera, radius, lamp)
     with show.working("bounds"):
-        found = limits(rig, roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01))
+        found = limits(rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01))
     if json:
         show.as_json({**found.attrs, **{str(name): found[name].values for name in [*found.data_vars, *found.coords]}})
     else:

@@ -79,7 +79,7 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
     axes.set_xticks(range(0, 91, 30))
     axes.set_ylim(0, 1.05)
     axes.set_ylabel(r"recorded / true peak, relative to $\theta_d$ = 0 [-]")
-    half = float(np.degrees(result["half_width"]))
+    half = float(np.degrees(result["hwhm"]))
     axes.set_title(f"Loss of this lobe,\nhalf width {half:.3f}°", loc="left")
     axes.legend(loc="lower left", fontsize=8.2)
 
