@@ -64,6 +64,13 @@ def test_line_spread_function_at_an_angle():
     np.testing.assert_allclose(CAMERA.mtf(f, angle), boxes, rtol=1e-12)
 
 
+@pytest.mark.parametrize(("sigma", "percent"), [(0.2, 12), (0.3, 3.4), (0.5, 0.54), (0.8, 0.09)])
+def test_a_square_is_not_isotropic(sigma, percent):
+    x = np.linspace(0, 4, 401)
+    diagonal, aligned = kernel(x / np.sqrt(2), sigma, 0.5) ** 2, kernel(x, sigma, 0.5) * kernel(0.0, sigma, 0.5)
+    assert 100 * np.abs(diagonal - aligned).max() / aligned[0] == pytest.approx(percent, rel=0.03)
+
+
 def test_lenses():
     f, pitch, wavelength, number = np.array([0.1, 0.4, 0.9]), 4e-6, 550e-9, 5.6
     cutoff = pitch / (wavelength * number)
@@ -402,3 +409,18 @@ def test_projection_is_section_3s():
     outline = focal / np.sqrt(distance**2 - 1)
     x = focal * np.sin(t) / (distance - np.cos(t))
     assert matcam.Sphere(outline, distance).surface(np.array(t), np.array(0.0)).x == pytest.approx(x, rel=1e-13)
+
+
+@pytest.mark.parametrize(("alpha", "error"), [(0.02, 0.021), (0.1, 0.56), (0.2, 2.39)])
+def test_brightest_pixel_is_nearer_to_the_limb(alpha, error):
+    theta_d, normal = np.radians(75), np.radians(np.linspace(74, 80, 600001))
+    cos_i, cos_o, cos_h = np.cos(2 * theta_d - normal), np.cos(normal), np.cos(normal - theta_d)
+    one, other = ((np.sqrt(1 + alpha**2 * (c**-2 - 1)) - 1) / 2 for c in (cos_i, cos_o))
+    radiance = alpha**2 / (cos_h**2 * (alpha**2 - 1) + 1) ** 2 / (1 + one + other) / cos_o
+    assert np.degrees(normal[radiance.argmax()] - theta_d) == pytest.approx(error, rel=0.03)
+
+
+def test_fresnel_terms_at_75_degrees_depend_on_the_angle():
+    theta = np.radians([74.9, 75.1])
+    dielectric = np.asarray(matcam.fresnel_conductor(theta, 1.5, 0.0))
+    assert np.log(dielectric[1] / dielectric[0]) / 0.2 == pytest.approx(0.082, abs=0.0005)

@@ -86,7 +86,7 @@ def command(
         from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
-        from matcam.calibration.camera.combine import calibrate
+        from matcam.calibration.camera.calibration import calibrate
 
         found = calibrate(
             files,
@@ -102,7 +102,7 @@ def command(
         )
         written = _write(found, output, figure, table, files, force)
     if json:
-        show.as_json(_document(found, written))
+        show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
     else:
         _print(found, written)
     for name, why in found.failed.items():
@@ -192,31 +192,3 @@ def _print(found: Any, written: list[Path]) -> None:
     for remark in found.remarks:
         show.say(f"note: {remark}")
     show.say("written: " + ", ".join(map(str, written)))
-
-
-def _document(found: Any, written: list[Path]) -> dict[str, Any]:
-    return {
-        "channel": found.channel,
-        "channels": {
-            name: {
-                "parameters": dict(zip(fit.names, fit.values, strict=True)),
-                "covariance": fit.covariance,
-                "chi2": fit.chi2,
-                "degrees": fit.degrees,
-                "consistent": fit.consistent,
-                "misfit": fit.misfit,
-                "misfit_std": fit.misfit_std,
-                "spread": fit.spread,
-                "measurements": fit.measurements,
-                "frequency_cycles_per_px": fit.frequency,
-                "mtf": fit.mtf,
-                "mtf_std": fit.mtf_std,
-                "camera_mtf": fit.model_mtf,
-            }
-            for name, fit in found.channels.items()
-        },
-        "pictures": list(found.pictures),
-        "failed": found.failed,
-        "remarks": list(found.remarks),
-        "files": [str(path) for path in written],
-    }

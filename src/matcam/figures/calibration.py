@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from matcam.calibration.camera.calibration import Calibration
 from matcam.calibration.camera.camera_fit import CameraFit
-from matcam.calibration.camera.combine import Calibration
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
 from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled

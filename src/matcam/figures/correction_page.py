@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 from pathlib import Path
 
 import numpy as np
@@ -12,47 +9,44 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
-from matcam.core.io import replacing
 from matcam.figures.spheres import ball, body_white, shown
-from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
+from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.inverse.correction.correction import BENT, Correction
 
 _SLICES = (5, 45, 65, 75)
 _BALL = 180
-_STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
-table{border-collapse:collapse}td,th{padding:.2rem .9rem;text-align:right;border-bottom:1px solid #ddd}
-td:first-child,th:first-child{text-align:left}img{max-width:100%}.verdict{background:#f2f2f2;padding:.6rem 1rem}"""
 
 
 def write_correction_page(
     path: str | Path, raw: xr.DataArray, done: Correction, name: str, *, force: bool = False
 ) -> None:
-    """Write the page of a correction: verdict, numbers with errors, F, lobes and spheres before and after, no network
-    needed. raw: the table that was corrected."""
+    """Write the page of a correction: verdict, parameters, F, lobes and spheres before and after.
+
+    Args:
+        path: HTML file to write; it needs no network and no other file.
+        raw: the table that was corrected.
+        done: its correction.
+        name: title of the page.
+        force: whether to replace the file. Default: False.
+    """
     found = done.fit
-    rows = "".join(
-        f"<tr><td>{html.escape(key)}</td><td>{value:.6g}</td><td>{found.std[key]:.2g}</td></tr>"
-        for key, value in found.params.items()
-    )
-    notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in done.remarks)
-    pictures = [
+    figures = [
         ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
         ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
         ("A sphere in the light of one lamp, before and after", ball_figure(raw, done)),
     ]
-    drawn = "".join(
-        f"<h2>{html.escape(text)}</h2><img alt='{html.escape(text)}' src='{_inline(f)}'>" for text, f in pictures
-    )
-    document = (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{html.escape(name)}: corrected</title>"
-        f"<style>{_STYLE}</style><h1>{html.escape(name)}</h1><p class='verdict'>{html.escape(verdict(raw, done))}</p>"
-        f"<ul>{notes}</ul><h2>Numbers of the lobe ({html.escape(found.family)})</h2>"
-        f"<table><tr><th>number</th><th>value</th><th>std</th></tr>{rows}"
-        f"<tr><td>half width at half maximum, rad</td><td>{found.half_width:.6g}</td><td>{found.half_width_std:.2g}</td></tr>"
-        f"</table>{drawn}</html>\n"
-    )
-    with replacing(path, force=force) as temporary:
-        temporary.write_text(document, encoding="utf-8")
+    content = {
+        "name": name,
+        "verdict": verdict(raw, done),
+        "remarks": done.remarks,
+        "family": found.family,
+        "parameters": [
+            *((key, value, found.std[key]) for key, value in found.params.items()),
+            ("half width at half maximum, rad", found.half_width, found.half_width_std),
+        ],
+        "figures": [(title, inline_png(figure)) for title, figure in figures],
+    }
+    write_page(path, "correction_page.html", content, force=force)
 
 
 def verdict(raw: xr.DataArray, done: Correction) -> str:
@@ -159,10 +153,3 @@ def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
             "display-encoded, one exposure a row; below, the highlight 20 times closer", fontsize=8, color=GREY
         )
     return figure
-
-
-def _inline(figure: Figure) -> str:
-    stream = io.BytesIO()
-    with styled():
-        figure.savefig(stream, format="png", dpi=110)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

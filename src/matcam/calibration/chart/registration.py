@@ -140,6 +140,13 @@ def check_projection_given(name: str, element: Element | None, projection: Proje
         raise ArgumentError(f"{name} and projection must be given together, or neither")
 
 
+def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
+    """Return the region (x, y, width, height) of a picture that holds points (n, 2) px and a margin, px, around them."""
+    low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
+    high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
 class _Mark(NamedTuple):
     """Hold the place of a fiducial in the picture, px, and its number of rings."""
 

@@ -24,6 +24,7 @@ from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.calibration.photograph.region import Frame, Region, turns_for
 from matcam.calibration.search.edge_search import FoundEdges
 from matcam.core.errors import FitError
+from matcam.core.remark import Remark
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -177,24 +178,29 @@ def measured_edges(plane: LinearImage, edges: FoundEdges, half_width: float, *, 
     return result
 
 
-def remarks_on(result: EdgeMTF, channel: str) -> list[str]:
-    """What a photographer should know of a picture, from its edges in one channel."""
+def edge_remarks(result: EdgeMTF, channel: str) -> list[Remark]:
+    """Return what a photographer should know of a picture, from its edges in one channel."""
     good = np.array([not problem for problem in result.problems])
-    said = []
+    remarks = []
+
+    def add(code: str, text: str) -> None:
+        remarks.append(Remark(code, f"{channel}: {text}"))
+
     saturated = sum("saturated" in problem for problem in result.problems)
     sharpened = sum("sharpened" in problem for problem in result.problems)
     if saturated:
-        said.append(f"{channel}: {saturated} of {len(result)} edges are saturated, and left out: expose less")
+        add("saturated-edges", f"{saturated} of {len(result)} edges are saturated, and left out: expose less")
     if sharpened:
-        said.append(f"{channel}: {sharpened} of {len(result)} edges overshoot as sharpened ones do, and are left out")
+        add("sharpened-edges", f"{sharpened} of {len(result)} edges overshoot as sharpened ones do, and are left out")
     contrast = float(np.median(((result.bright - result.dark) / (np.abs(result.bright) + np.abs(result.dark)))[good]))
     if contrast < _CONTRAST:
-        said.append(
-            f"{channel}: contrast is only {contrast:.0%}: errors are large; use a darker print or less stray light"
+        add(
+            "low-contrast",
+            f"contrast is only {contrast:.0%}: errors are large; use a darker print or less stray light",
         )
     if directional := _direction(result, good):
-        said.append(f"{channel}: {directional}")
-    return said
+        add("directional-blur", directional)
+    return remarks
 
 
 def _direction(result: EdgeMTF, good: np.ndarray) -> str:
