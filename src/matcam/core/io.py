@@ -12,10 +12,12 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-
-import xarray as xr
+from typing import TYPE_CHECKING
 
 from matcam.core.errors import FileFormatError, OutputError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
