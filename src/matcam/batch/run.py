@@ -24,7 +24,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
 from matcam.figures.run_index import INLINE, write_run_index
-from matcam.inverse.fit.candidates import AUTO
+from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.families import FAMILIES

@@ -174,6 +174,11 @@ class Keyed(Generic[T]):
 _rules = default_workspace()
 
 
+def current_workspace() -> Workspace:
+    """Return the workspace that `keep_rules` chose, for callers that pass none."""
+    return _rules
+
+
 def kept(description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Keep arrays in the workspace that `keep_rules` chose."""
     return _rules.kept(description, make)

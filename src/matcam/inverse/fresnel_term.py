@@ -14,6 +14,7 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
 from matcam.core.jax import jnp
 from matcam.core.remark import to_attribute
+from matcam.core.workspace import Workspace
 from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.shape_correction import shape_correction
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
@@ -47,8 +48,9 @@ def fresnel(
     noise: PixelNoise | None = None,
     normalise: tuple[float, float] = NORMALISE,
     every: int = 1,
+    workspace: Workspace | None = None,
 ) -> xr.Dataset:
-    """Return the Fresnel term of a table, raw and corrected for the camera.
+    """Extract the Fresnel term of a table, with and without its camera.
 
     F is free in every slice; one lobe and a Lambertian part are common to all. The camera's stated uncertainty is a prior that
     the data may improve on. So the fit is that of `fit(..., fresnel="free", diffuse=True)`. A lobe whose family does not
@@ -63,6 +65,7 @@ def fresnel(
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
         every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         Dataset over (theta_d, channel), without unit but for angles:
@@ -100,7 +103,7 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     _check_highlight(brdf)
-    setup = free_setup([brdf], rig, masking=masking, noise=noise, every=max(every, SEARCH_EVERY))
+    setup = free_setup([brdf], rig, masking=masking, noise=noise, every=max(every, SEARCH_EVERY), workspace=workspace)
     fits = candidate_fits(setup, ndf)
     found = likeliest(fits)
     setup = setup.with_(ndf=found.family)
@@ -169,7 +172,7 @@ def fresnel(
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
 ) -> xr.Dataset:
-    """Return the conductor Fresnel curves of every table that the package carries for a metal.
+    """Return the Fresnel curves of all tables of a metal.
 
     Args:
         result: Dataset as from `fresnel`.

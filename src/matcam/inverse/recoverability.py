@@ -14,6 +14,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
 from matcam.core.jax import jnp
+from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
@@ -47,6 +48,7 @@ def limits(
     roughness: Sequence[float] = ROUGHNESSES,
     noise: PixelNoise | None = None,
     every: int = 10,
+    workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Bound which roughness and which angle a rig can recover at all.
 
@@ -60,6 +62,7 @@ def limits(
         noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         every: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, as the bounds of nine slices are what a
             reader compares rigs by. They shrink with more.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:
@@ -94,7 +97,7 @@ def limits(
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
-    view = _View(rig, ndf, (noise or PixelNoise(gain=0.01)).checked(), every)
+    view = _View(rig, ndf, (noise or PixelNoise(gain=0.01)).checked(), every, workspace)
     known = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = known / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]
@@ -152,12 +155,14 @@ class _View(NamedTuple):
         ndf: family of the lobe.
         noise: of a pixel and of the picture gain.
         every: spacing of the slices of theta_d.
+        workspace: keeps what depends on the rig alone.
     """
 
     rig: Rig
     ndf: str
     noise: PixelNoise
     every: int
+    workspace: Workspace | None
 
 
 class _Information:
@@ -168,7 +173,7 @@ class _Information:
         rig, noise = view.rig, view.noise
         sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
         axis = prior_axis(LENS, float(rig.camera.parameters()[LENS]), _STEP)
-        cells, operator = lobe_operator(rig, sampling, view.every, (axis,))
+        cells, operator = lobe_operator(rig, sampling, view.every, (axis,), view.workspace)
         at = np.array([np.log(roughness), 0.0])
         record, slopes = record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
         peak = record.max(-1, keepdims=True, where=cells.valid, initial=0)

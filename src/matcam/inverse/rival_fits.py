@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import xarray as xr
 
+from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_setup import FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import sphere_radius
@@ -69,12 +70,12 @@ class Rivals(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """Return Akaike's criterion of shadowing minus that of the camera (no unit): positive for the camera."""
+        """Return by how much Akaike's criterion favours the camera (no unit)."""
         return self.shadowing.akaike - self.camera.akaike
 
     @property
     def verdict(self) -> str:
-        """Say in plain words which explanation is better, and what noise each would need."""
+        """Say which explanation is better, and what noise each would need."""
         noise = (
             f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
@@ -93,8 +94,10 @@ class Rivals(NamedTuple):
         return {"verdict": self.verdict, "camera": self.camera.to_dict(), "shadowing": self.shadowing.to_dict()}
 
 
-def rivals(brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, every: int = 6) -> Rivals:
-    """Fit a table once through its camera and once with free shadowing instead.
+def rivals(
+    brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, every: int = 6, workspace: Workspace | None = None
+) -> Rivals:
+    """Fit a table through its camera, and with free shadowing instead.
 
     Masking is not an argument: it is what the two differ in, Smith's or free.
 
@@ -105,6 +108,7 @@ def rivals(brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, every: int = 6) ->
             family.
         every: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because bent lobes are slow
             to fit and a few slices decide.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         Both fits, with Akaike's criterion of each.
@@ -124,11 +128,11 @@ def rivals(brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, every: int = 6) ->
         ...
         matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
     """
-    setup = free_setup([brdf], rig, every=every).with_(ndf=ndf)
+    setup = free_setup([brdf], rig, every=every, workspace=workspace).with_(ndf=ndf)
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
         (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
-        radius=sphere_radius(rig),
+        radius=sphere_radius(rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
     return Rivals(_rival(camera), _rival(shadowing))

@@ -14,6 +14,7 @@ from matcam.core import checks
 from matcam.core.errors import FitError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.remark import Remark, to_attribute
+from matcam.core.workspace import Workspace, current_workspace
 from matcam.inverse.correction.doubts import Doubt, rig_doubts
 from matcam.inverse.correction.lobe_ratio import Corrections, LobeRatio, lobe_ratio, seen_cells
 from matcam.inverse.correction.shape_correction import ShapeCorrection, no_correction, shape_correction
@@ -70,6 +71,7 @@ class Correction:
         masking: Masking = "smith",
         noise: PixelNoise | None = None,
         glare: float = 1e-3,
+        workspace: Workspace | None = None,
     ) -> Correction:
         """Correct a table as `correct` does, and keep the fits.
 
@@ -80,6 +82,7 @@ class Correction:
             masking: as for `correct`. Default: "smith".
             noise: as for `correct`. Default: None, estimated.
             glare: as for `correct` (no unit). Default: 1e-3.
+            workspace: as for `correct`. Default: None, the process's own.
 
         Returns:
             The table, the fits that it was corrected by, and remarks.
@@ -93,7 +96,8 @@ class Correction:
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
-        setup = free_setup([brdf], rig, masking=masking, noise=noise)
+        workspace = workspace or current_workspace()
+        setup = free_setup([brdf], rig, masking=masking, noise=noise, workspace=workspace)
         best = family = likeliest(candidate_fits(setup, ndf))
         setup = setup.with_(ndf=family.family)
         doubts = rig_doubts(setup, rig, family)
@@ -101,7 +105,7 @@ class Correction:
         if shape.family_fails:  # too far for what is linear: the lobe itself is bent
             best = setup.with_(bend=_BEND, every=_BEND_EVERY).solve(start=family)
             shape = no_correction(best, shape.scale)
-        ratio = lobe_ratio(rig, sampling_of(brdf), Corrections(best, shape, family, doubts))
+        ratio = lobe_ratio(rig, sampling_of(brdf), Corrections(best, shape, family, doubts), workspace)
         remarks = _correction_remarks(best, doubts, shape)
         table = _corrected_table(brdf, best, shape.noise, ratio, glare * _farthest_glare(brdf, rig, best), glare)
         table.attrs.update(
@@ -132,7 +136,10 @@ class Correction:
 
     @property
     def determination(self) -> str:
-        """Say in a word or two whether the lobe is known: "determined", "not determined" or "family fails: bent"."""
+        """Say in a word or two whether the lobe is known.
+
+        It is "determined", "not determined" or "family fails: bent".
+        """
         if self.shape.family_fails:
             return "family fails: bent"
         return "determined" if self.fit.determined else "not determined"
@@ -190,6 +197,7 @@ def correct(
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
     glare: float = 1e-3,
+    workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Correct a whole table for the camera that recorded it.
 
@@ -205,6 +213,7 @@ def correct(
         noise: noise of a pixel. Default: None, estimated from the residuals.
         glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It limits
             what is supported beside a highlight; a lens that is known to be clean allows less.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the table
@@ -227,7 +236,7 @@ def correct(
         ...
         matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
     """
-    return Correction.of(brdf, rig, ndf, masking=masking, noise=noise, glare=glare).table
+    return Correction.of(brdf, rig, ndf, masking=masking, noise=noise, glare=glare, workspace=workspace).table
 
 
 def _corrected_table(

@@ -8,7 +8,6 @@ interpolated by monotone cubics. Where the sphere's last pixels show a cell, not
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,7 +16,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.jax import jax, jnp
-from matcam.core.workspace import Keyed
+from matcam.core.workspace import Workspace
 from matcam.inverse.correction.doubts import Doubt
 from matcam.inverse.correction.shape_correction import ShapeCorrection, shape_records
 from matcam.inverse.fit.fit_parameters import LobeKind
@@ -29,6 +28,8 @@ from matcam.inverse.operator.rig_axes import Axis, axis_selection
 from matcam.rigs import Rig
 
 _PEAK_RINGS = 4
+_LATTICES = 4
+"""Lattices kept in memory, some ten MB each."""
 
 
 class Spacing(NamedTuple):
@@ -77,31 +78,35 @@ class ResponseLattice(NamedTuple):
     sampling: Sampling
 
 
-def response_lattice(rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...] = ()) -> ResponseLattice:
-    """Return the lattice of a rig, kept for its next material."""
-    return _response_lattice(Keyed(rig_key(rig), rig), sampling, spacing, axes)
-
-
-@lru_cache(maxsize=4)
-def _response_lattice(
-    rig_and_key: Keyed[Rig], sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...]
+def response_lattice(
+    rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...], workspace: Workspace
 ) -> ResponseLattice:
-    rig = rig_and_key.thing
+    """Return the lattice of a rig. workspace: keeps it for the rig's next material."""
+    key = ("lattice", rig_key(rig), sampling, spacing, axes)
+
+    def make() -> ResponseLattice:
+        cells = _lattice_cells(sphere_radius(rig), sampling, spacing)
+        recorded = operator_in(rig, cells, axes, repr(key), workspace)
+        return ResponseLattice(cells, recorded, point_operator(cells), spacing, sampling)
+
+    return workspace.remember("response lattice", key, make, most=_LATTICES)
+
+
+def _lattice_cells(radius: float, sampling: Sampling, spacing: Spacing) -> ChosenCells:
+    """Return the cells of a lattice."""
     grid = merl_grid(sampling)
     ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))
     slices = np.array(spacing.slices)
     shape = (slices.size, ring.size)
     theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[slices]
     phi_d = np.broadcast_to(azimuth, shape)
-    x, y, cos_i, cos_o = cell_places(sphere_radius(rig), theta_h, theta_d[:, None], phi_d)
+    x, y, cos_i, cos_o = cell_places(radius, theta_h, theta_d[:, None], phi_d)
     valid = np.minimum(cos_i, cos_o).min(-1) > NEAR_COSINE
     safe = np.where(valid[..., None], cos_i, 1.0)
     none = np.zeros(shape, int)  # cells of the lattice lie between those of a table
-    cells = ChosenCells(
+    return ChosenCells(
         slices, theta_d, np.broadcast_to(ring, shape), none, theta_h, phi_d, valid, x, y, safe, cos_o, none.astype(bool)
     )
-    recorded = operator_in(rig, cells, axes, repr(("lattice", rig_and_key.key, sampling, spacing, axes)))
-    return ResponseLattice(cells, recorded, point_operator(cells), spacing, sampling)
 
 
 def seen_cells(sampling: Sampling) -> np.ndarray:
@@ -156,16 +161,16 @@ class Corrections(NamedTuple):
     doubts: Sequence[Doubt]
 
 
-def lobe_ratio(rig: Rig, sampling: Sampling, made: Corrections) -> LobeRatio:
+def lobe_ratio(rig: Rig, sampling: Sampling, made: Corrections, workspace: Workspace) -> LobeRatio:
     """Return the ratio of a fit and its shape's correction.
 
     It is computed on a fine lattice with the rig as given. Three things are smooth, so that a coarse lattice holds them: what
     fitted parameters of the rig change of the ratio, its derivatives, and what doubts would make of it.
     """
     at, family = made.fit.coordinates, made.family.coordinates
-    fine = response_lattice(rig, sampling, FINE)
+    fine = response_lattice(rig, sampling, FINE, (), workspace)
     axes = (*at.axes, *(doubt.axis for doubt in made.doubts))
-    coarse = response_lattice(rig, sampling, COARSE, axes)
+    coarse = response_lattice(rig, sampling, COARSE, axes, workspace)
     at_rest = np.zeros(len(axes))
     fitted = at.rig @ axis_selection(at.axes, axes)
     before = family.rig @ axis_selection(family.axes, axes)

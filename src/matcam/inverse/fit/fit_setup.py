@@ -19,6 +19,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import checked_table, sampling_of
+from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.fit.fit_parameters import FRESNEL_MODELS, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
@@ -61,6 +62,7 @@ class FitSetup:
         noise: noise of a pixel; None: estimated from the residuals.
         every: spacing of the slices of theta_d.
         radius: radius of the sphere, px, whose pixels are told apart without a rig.
+        workspace: keeps what depends on the rig alone; None: the process's own.
     """
 
     tables: tuple[xr.DataArray, ...]
@@ -77,6 +79,7 @@ class FitSetup:
     noise: PixelNoise | None = None
     every: int = 1
     radius: float = sphere_radius(None)
+    workspace: Workspace | None = None
 
     def __post_init__(self) -> None:
         tables = tuple(checked_table(table) for table in self.tables)
@@ -133,9 +136,9 @@ class FitSetup:
         """Return the least-squares problem."""
         sampling = sampling_of(self.tables[0])
         if self.rig is None:
-            cells, operator = perfect_operator(sampling, self.every, self.radius)
+            cells, operator = perfect_operator(sampling, self.every, self.radius, self.workspace)
         else:
-            cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes)
+            cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
         radius = self.radius if self.rig is None else sphere_radius(self.rig)
         return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius)
 
@@ -206,8 +209,9 @@ def fit(
     bend: float = 0.0,
     noise: PixelNoise | None = None,
     every: int = 1,
+    workspace: Workspace | None = None,
 ) -> MaterialFit:
-    """Fit a microfacet material to a table through the camera that recorded it.
+    """Fit a microfacet material to a table through its camera.
 
     All slices of theta_d are fitted jointly. The data are chosen cells, one of every pixel, so that their errors are
     independent but for the picture gain. The stated covariance is the inverse of their Fisher information with the camera's
@@ -233,6 +237,7 @@ def fit(
             between knots that are half a power of e apart. Default: 0, not at all; 1 is as good as no family.
         noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, misfit and all.
         every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         The material, its parameters with their errors, and remarks on the fit.
@@ -256,7 +261,7 @@ def fit(
     setup = FitSetup(
         tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,
         diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
-        free=tuple(free), bend=bend, noise=noise, every=every,
+        free=tuple(free), bend=bend, noise=noise, every=every, workspace=workspace,
     )  # fmt: skip
     return setup.solve()
 
@@ -269,11 +274,12 @@ def free_setup(
     camera_parameters: CameraParameters | None = None,
     noise: PixelNoise | None = None,
     every: int = SEARCH_EVERY,
+    workspace: Workspace | None = None,
 ) -> FitSetup:
     """Return the setup that assumes least: F free in every slice, and a Lambertian part."""
     return FitSetup(
         tuple(tables), rig, fresnel="free", diffuse=True, masking=masking, camera_parameters=camera_parameters,
-        noise=noise, every=every,
+        noise=noise, every=every, workspace=workspace,
     )  # fmt: skip
 
 

@@ -59,6 +59,7 @@ class MaterialFit:
         log_likelihood: logarithm of the likelihood, for comparing families on the same data.
         freedom: degrees of freedom.
         remarks: what a reader should know of the fit.
+        _solution: the solved problem; for this package only.
 
     Example:
         >>> found = matcam.fit(table, matcam.rigs.merl(), "ggx")  # doctest: +SKIP
@@ -104,17 +105,23 @@ class MaterialFit:
 
     @property
     def diffuse(self) -> np.ndarray:
-        """Return the albedo of each channel's Lambertian part (channels,), no unit; 0 where the fit has none."""
+        """Return the albedo of each channel's Lambertian part.
+
+        Shape (channels,), no unit; 0 where the fit has none.
+        """
         return self._solution.problem.diffuse(self._solution.p)
 
     @property
     def bent(self) -> bool:
-        """Say whether the lobe was allowed to leave its family (`bend` of `fit`)."""
+        """Say whether the lobe may leave its family (`bend`)."""
         return bool(self.coordinates.kind.bends)
 
     @property
     def coordinates(self) -> FitCoordinates:
-        """Return the first lobe and the rig in the coordinates in which the fit is linear, with their covariance."""
+        """Return the first lobe and the rig in the fit's coordinates.
+
+        The fit is linear in these coordinates, and their covariance comes with them.
+        """
         return fit_coordinates(self._solution)
 
     def correlation(self, first: str, second: str) -> float:
@@ -164,7 +171,9 @@ class MaterialFit:
         return float(value), float(np.sqrt(slope @ self._solution.covariance[inner, inner] @ slope))
 
     def strengths(self) -> Strengths:
-        """Return F of every slice with its covariance, of a fit with F free.
+        """Return F of every slice with its covariance.
+
+        It is for a fit with F free in every slice.
 
         Returns:
             F of each channel and slice, and its covariance in two parts: of pixel noise, and of the rig's parameters.
@@ -172,13 +181,15 @@ class MaterialFit:
         return strengths_with_covariance(self._solution)
 
     def squared_width(self, name: str) -> tuple[float, float]:
-        """Return the square of a fitted width of the rig, in which blurs add up.
+        """Return the square of a fitted width of the rig.
+
+        Blurs add up in their squares, so the square is what to judge near a width of 0.
 
         Args:
             name: name of the width, as in `params` ("optics.sigma_px", "lamp_radius", ...).
 
         Returns:
-            (square, its standard deviation), in the width's unit squared. This is what to judge near a width of 0.
+            (square, its standard deviation), in the width's unit squared.
 
         Raises:
             ArgumentError: this parameter of the rig was not fitted.
@@ -203,7 +214,9 @@ class MaterialFit:
         return effective_parameters(self._solution)
 
     def linearised(self) -> LinearisedFit:
-        """Return the fit as a linear least-squares problem, for corrections that start from it.
+        """Return the fit as a linear least-squares problem.
+
+        Corrections start from it.
 
         Returns:
             Data, model, derivatives and prior at the solution.

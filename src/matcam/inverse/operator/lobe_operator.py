@@ -12,17 +12,15 @@ errors.
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 
-from matcam.core import workspace as rule_cache
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp
-from matcam.core.workspace import Keyed
+from matcam.core.workspace import Workspace, current_workspace
 from matcam.forward.integral.blur import blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.polar_rule import (
@@ -148,15 +146,26 @@ def _smith_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
 
 
 def lobe_operator(
-    rig: Rig | None, sampling: Sampling, every: int = 1, axes: tuple[Axis, ...] = ()
+    rig: Rig | None,
+    sampling: Sampling,
+    every: int = 1,
+    axes: tuple[Axis, ...] = (),
+    workspace: Workspace | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Return the chosen cells of every `every`-th slice and their rule, kept for the next call of the same rig.
+    """Return the chosen cells of every `every`-th slice and their rule.
 
-    rig: None is a camera that sees points.
+    rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig.
     """
     if rig is None:
-        return perfect_operator(sampling, every, _PERFECT_RADIUS)
-    return _operator(Keyed(rig_key(rig), rig), sampling, every, axes)
+        return perfect_operator(sampling, every, _PERFECT_RADIUS, workspace)
+    workspace = workspace or current_workspace()
+    key = (rig_key(rig), sampling, every, axes)
+
+    def make() -> tuple[ChosenCells, LobeOperator]:
+        cells = chosen_cells(sphere_radius(rig), sampling, every)
+        return cells, operator_in(rig, cells, axes, repr(key), workspace)
+
+    return workspace.remember("lobe operator", key, make)
 
 
 def rig_key(rig: Rig) -> tuple:
@@ -187,17 +196,11 @@ def check_rig(rig: Rig) -> None:
         raise ArgumentError("a fit needs cells that stand for one pixel: cell_value 'centre' or 'edge', not 'mean'")
 
 
-@lru_cache(maxsize=6)
-def _operator(
-    rig: Keyed[Rig], sampling: Sampling, every: int, axes: tuple[Axis, ...]
-) -> tuple[ChosenCells, LobeOperator]:
-    cells = chosen_cells(sphere_radius(rig.thing), sampling, every)
-    return cells, operator_in(rig.thing, cells, axes, repr((rig.key, sampling, every, axes)))
-
-
-def operator_in(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str) -> LobeOperator:
-    """Return the rule of any cells. description: of all that it depends on, under which it is kept on disk."""
-    stored = rule_cache.kept(description, lambda: _rules(rig, cells, axes))
+def operator_in(
+    rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
+) -> LobeOperator:
+    """Return the rule of any cells. description: of all that it depends on, under which the workspace keeps it on disk."""
+    stored = workspace.kept(description, lambda: _rules(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     return _Rules(along=along, **stored).operator(cells, THROUGH_SAMPLES, axes)
 
@@ -257,11 +260,16 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
     return arrays
 
 
-@lru_cache(maxsize=4)
-def perfect_operator(sampling: Sampling, every: int, radius: float) -> tuple[ChosenCells, LobeOperator]:
+def perfect_operator(
+    sampling: Sampling, every: int, radius: float, workspace: Workspace | None = None
+) -> tuple[ChosenCells, LobeOperator]:
     """Return the rule of a camera that sees points, in the cells that are chosen for a sphere of `radius` px."""
-    cells = chosen_cells(radius, sampling, every)
-    return cells, point_operator(cells)
+
+    def make() -> tuple[ChosenCells, LobeOperator]:
+        cells = chosen_cells(radius, sampling, every)
+        return cells, point_operator(cells)
+
+    return (workspace or current_workspace()).remember("perfect operator", (sampling, every, radius), make)
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
