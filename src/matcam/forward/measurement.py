@@ -74,7 +74,7 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
         >>> table.dims, table.shape
         (('theta_h', 'theta_d', 'phi_d', 'channel'), (90, 90, 180, 3))
         >>> print(np.round(table.values[0, 0, 0], 2))
-        [7.12 7.12 7.12]
+        [7.16 7.16 7.16]
     """
     recorded, pixels = table_values(material, rig)
     if recorded.shape[-1] not in (1, len(CHANNELS)):

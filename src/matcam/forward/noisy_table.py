@@ -16,6 +16,7 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, GRID_SHAPE, Sampling, checked_table, merl_grid, sampling_of
+from matcam.core.jax import jax
 from matcam.forward.measurement import measure
 from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
@@ -94,7 +95,8 @@ def cell_pixels(sphere: Sphere, sampling: Sampling) -> CellPixels:
     """Number the pixels behind the cells of a table that pictures of a sphere fill."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
-    return CellPixels(*(_pixel_number(sphere.place(theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
+    place = jax.jit(lambda sphere, *angles: sphere.place(*angles))
+    return CellPixels(*(_pixel_number(place(sphere, theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
 
 
 def _pixel_number(place: Place) -> np.ndarray:
