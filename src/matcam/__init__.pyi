@@ -1,11 +1,12 @@
 from . import paper, rigs
 from .batch.run import correct_all
-from .calibration.camera.combine import Calibration, calibrate
+from .calibration.camera.calibration import Calibration, calibrate
 from .calibration.chart.chart_file import read_chart, write_chart
 from .calibration.chart.chart_layout import design_chart
 from .calibration.chart.registration import register_chart
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
 from .calibration.edge.edge_result import EdgeMTF
+from .calibration.photograph.linear_image import LinearImage
 from .calibration.targets.gratings import GratingMTF, coltman, grating_mtf
 from .calibration.targets.grid import DotGrid, dot_grid
 from .calibration.targets.mtf_samples import MTFSamples
@@ -85,6 +86,7 @@ __all__ = [
     "GaussianOptics",
     "GratingMTF",
     "HaloOptics",
+    "LinearImage",
     "MTFSamples",
     "MatcamError",
     "MaterialFit",

@@ -121,7 +121,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: tone curve is not monotone: it falls from code 1 to 2",
         ("empty",): "empty: no pictures in this folder",
         ("none.tif",): "none.tif: no such file",
-        ("chart.tif", "--tone", "film"): "--tone must be linear, srgb, gamma:NUMBER or a file",
+        ("chart.tif", "--tone", "film"): "--tone must be auto, linear, srgb, gamma:NUMBER or a file",
         ("chart.tif", "--tone", "gamma:x"): "a number must follow gamma:",
         ("chart.tif", "--tone", "srgb", "--tone-patches", "patches.txt"): "give one of them",
         ("chart.tif", "--tone-patches", "patches.txt"): "patches.txt: a tone curve needs at least 3 patches",

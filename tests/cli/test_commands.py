@@ -239,7 +239,7 @@ def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, t
 
 def test_a_fault_of_ours_is_code_70_with_traceback(environment, tmp_path):
     code = (
-        "import sys, matcam.cli as c, matcam.files.recognition as i\n"
+        "import sys, matcam.cli as c, matcam.files.formats as i\n"
         "def broken(path): raise ZeroDivisionError('oops')\n"
         "i.identify = broken\nsys.exit(c._run(['inspect', 'x']))"
     )

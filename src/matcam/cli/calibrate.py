@@ -40,9 +40,13 @@ def command(
         list[float] | None, typer.Option("--f-number", help="One, or one for each picture. Default: the files' own.")
     ] = None,
     tone: Annotated[
-        str | None,
-        typer.Option("--tone", metavar="CURVE", help="linear, srgb, gamma:2.2, or a file of linear values by code."),
-    ] = None,
+        str,
+        typer.Option(
+            "--tone",
+            metavar="CURVE",
+            help="auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file: linear values by code.",
+        ),
+    ] = "auto",
     tone_patches: Annotated[
         Path | None,
         typer.Option("--tone-patches", help="File of lines x y width height light: patches of the first picture."),
@@ -82,7 +86,7 @@ def command(
         from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
-        from matcam.calibration.camera.combine import calibrate
+        from matcam.calibration.camera.calibration import calibrate
 
         found = calibrate(
             files,
@@ -98,7 +102,7 @@ def command(
         )
         written = _write(found, output, figure, table, files, force)
     if json:
-        show.as_json(_document(found, written))
+        show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
     else:
         _print(found, written)
     for name, why in found.failed.items():
@@ -123,16 +127,16 @@ def _files(given: list[Path]) -> list[Path]:
     return files
 
 
-def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
+def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
     from matcam.core.errors import ArgumentError
 
     if patches is not None:
-        if tone is not None:
+        if tone != "auto":
             raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
         from matcam.calibration.photograph.tone import measured_tone
 
         return measured_tone(files[0], patches)
-    if tone is None or tone in ("linear", "srgb"):
+    if tone in ("auto", "linear", "srgb"):
         return tone
     if tone.startswith("gamma:"):
         try:
@@ -140,7 +144,7 @@ def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
         except ValueError:
             raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:") from None
     if not Path(tone).is_file():
-        raise ArgumentError(f"--tone must be linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
+        raise ArgumentError(f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
     from matcam.files.tone_curve import read_tone_curve
 
     return read_tone_curve(tone)
@@ -188,31 +192,3 @@ def _print(found: Any, written: list[Path]) -> None:
     for remark in found.remarks:
         show.say(f"note: {remark}")
     show.say("written: " + ", ".join(map(str, written)))
-
-
-def _document(found: Any, written: list[Path]) -> dict[str, Any]:
-    return {
-        "channel": found.channel,
-        "channels": {
-            name: {
-                "parameters": dict(zip(fit.names, fit.values, strict=True)),
-                "covariance": fit.covariance,
-                "chi2": fit.chi2,
-                "degrees": fit.degrees,
-                "consistent": fit.consistent,
-                "misfit": fit.misfit,
-                "misfit_std": fit.misfit_std,
-                "spread": fit.spread,
-                "measurements": fit.measurements,
-                "frequency_cycles_per_px": fit.frequency,
-                "mtf": fit.mtf,
-                "mtf_std": fit.mtf_std,
-                "camera_mtf": fit.model_mtf,
-            }
-            for name, fit in found.channels.items()
-        },
-        "pictures": list(found.pictures),
-        "failed": found.failed,
-        "remarks": list(found.remarks),
-        "files": [str(path) for path in written],
-    }

@@ -9,17 +9,14 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Radius, Sampling, rig_of
+from matcam.files.formats import MEASUREMENTS, suffixes_for, titles_for
 
 
 def command(
-    source: Annotated[
-        Path, typer.Argument(metavar="IN", help="MERL, RGL, CSV, NetCDF, Zarr, OpenEXR or float TIFF file.")
-    ],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=f"A file: {titles_for(*MEASUREMENTS)}.")],
     target: Annotated[
         Path,
-        typer.Argument(
-            metavar="OUT", help="Ends in .binary, .bsdf, .csv, .nc, .zarr.zip, .exr, .tif: that is its format."
-        ),
+        typer.Argument(metavar="OUT", help=f"Ends in {', '.join(suffixes_for(*MEASUREMENTS))}: that is its format."),
     ],
     sampling: Sampling = "centre",
     square: Annotated[int, typer.Option("--square", help="Resolution of a .bsdf that is made; 36 MB at 192.")] = 192,

@@ -38,7 +38,8 @@ def command(
         Literal["R", "G", "B", "Y"] | None, typer.Option("--channel", help="Colour; Y: luminance (default).")
     ] = None,
     tone: Annotated[
-        Literal["linear", "srgb"], typer.Option("--tone", help="What the codes are: linear, or sRGB, which is undone.")
+        Literal["linear", "srgb", "auto"],
+        typer.Option("--tone", help="What the codes are: linear, or sRGB, which is undone; auto: sRGB for 8 bits."),
     ] = "linear",
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture all the same.")
@@ -65,11 +66,11 @@ def command(
 
         use_compilation_cache()
         from matcam.calibration.edge.edge import edge_mtf
-        from matcam.files.photographs import read_photograph
+        from matcam.files.photographs import open_photograph
 
-        image = read_photograph(picture)
+        photograph = open_photograph(picture)
         result = edge_mtf(
-            image,
+            photograph,
             roi,
             model=model,
             wavelength=None if wavelength is None else wavelength * 1e-9,
@@ -77,10 +78,10 @@ def command(
             half_width=half_width,
             cfa=cfa,
             channel=channel,
-            tone=None if tone == "linear" else tone,
+            tone=tone,
             accept_sharpened=accept_sharpened,
         )
-        _write(result, image, roi, picture.name, output, force)
+        _write(result, photograph.values, roi, picture.name, output, force)
     if json:
         show.as_json(_document(result, output))
     else:

@@ -9,12 +9,12 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, Sampling
+from matcam.files import formats
+from matcam.files.formats import CONTENTS, titles_for
 
 
 def command(
-    file: Annotated[
-        Path, typer.Argument(help="MERL, RGL, CSV, NetCDF, Zarr, OpenEXR, TIFF; camera profile, picture sidecar.")
-    ],
+    file: Annotated[Path, typer.Argument(help=f"A file: {titles_for(*CONTENTS)}.")],
     sampling: Sampling = "centre",
     json: AsJson = False,
 ) -> None:
@@ -23,9 +23,7 @@ def command(
 
     Example: `matcam inspect chrome.binary`
     """
-    from matcam.exchange.contents import identify
-
-    kind = identify(file)
+    kind = formats.identify(file)
     report = {"file": str(file), "format": kind, **_report(file, kind, sampling)}
     if json:
         show.as_json(report)

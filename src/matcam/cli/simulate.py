@@ -21,8 +21,9 @@ from matcam.cli.options import (
     Sampling,
     rig_of,
 )
+from matcam.files.formats import suffixes_for
 
-_TABLES, _PICTURES = (".binary", ".nc"), (".exr", ".tif", ".tiff")
+_TABLES, _PICTURES = (".binary", ".nc"), suffixes_for("picture")
 
 
 def command(

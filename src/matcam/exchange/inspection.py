@@ -11,7 +11,7 @@ import xarray as xr
 
 from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, sampling_of
+from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
 from matcam.exchange.trace import camera_trace, lobe_widths
 from matcam.forward.measurement import true_table
@@ -65,6 +65,7 @@ def inspect_table(table: xr.DataArray) -> dict[str, Any]:
     missing = np.isnan(values)
     below = below_horizon(sampling)
     widths = lobe_widths(table)
+    reported = merl_grid(sampling).index(theta_d=np.radians(REPORTED_ANGLES))[1]
     return {
         "grid": dict(zip(("theta_h", "theta_d", "phi_d"), GRID_SHAPE, strict=True)),
         "channels": [str(c) for c in table["channel"].values],
@@ -78,10 +79,10 @@ def inspect_table(table: xr.DataArray) -> dict[str, Any]:
         "lobe": [
             {
                 "theta_d_deg": angle,
-                "in_plane_hwhm_deg": _degrees(widths.in_plane[min(angle, GRID_SHAPE[1] - 1)]),
-                "across_hwhm_deg": _degrees(widths.across[min(angle, GRID_SHAPE[1] - 1)]),
+                "in_plane_hwhm_deg": _degrees(widths.in_plane[j]),
+                "across_hwhm_deg": _degrees(widths.across[j]),
             }
-            for angle in REPORTED_ANGLES
+            for angle, j in zip(REPORTED_ANGLES, reported, strict=True)
         ],
         "camera": camera_trace(table),
     }

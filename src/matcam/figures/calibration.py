@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from matcam.calibration.camera.calibration import Calibration
 from matcam.calibration.camera.camera_fit import CameraFit
-from matcam.calibration.camera.combine import Calibration
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
 from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled
@@ -70,12 +70,17 @@ def _draw_mtf(axes: Axes, found: Calibration) -> None:
     nyquist_line(axes, 0.6)
     for name, fit in found.channels.items():
         colour = _COLOURS[name]
-        if np.isfinite(fit.mtf).all():
+        if np.isfinite(fit.curve.mtf).all():
             axes.fill_between(
-                fit.frequency, fit.mtf - 2 * fit.mtf_std, fit.mtf + 2 * fit.mtf_std, color=colour, alpha=0.25, lw=0
+                fit.curve.frequency,
+                fit.curve.mtf - 2 * fit.curve.mtf_std,
+                fit.curve.mtf + 2 * fit.curve.mtf_std,
+                color=colour,
+                alpha=0.25,
+                lw=0,
             )
-            axes.plot(fit.frequency, fit.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
-        axes.plot(fit.frequency, fit.model_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
+            axes.plot(fit.curve.frequency, fit.curve.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
+        axes.plot(fit.curve.frequency, fit.curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
     axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
     axes.legend(loc="upper right", fontsize=8.5)
     axes.set_title("MTF, and 2 standard deviations", loc="left")
@@ -84,10 +89,15 @@ def _draw_mtf(axes: Axes, found: Calibration) -> None:
 def _draw_left(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     for name, fit in found.channels.items():
-        left = fit.mtf - fit.model_mtf
-        axes.plot(fit.frequency, left, color=_COLOURS[name], lw=1.2, label=name)
+        left = fit.curve.mtf - fit.curve.camera_mtf
+        axes.plot(fit.curve.frequency, left, color=_COLOURS[name], lw=1.2, label=name)
         axes.fill_between(
-            fit.frequency, left - 2 * fit.mtf_std, left + 2 * fit.mtf_std, color=_COLOURS[name], alpha=0.2, lw=0
+            fit.curve.frequency,
+            left - 2 * fit.curve.mtf_std,
+            left + 2 * fit.curve.mtf_std,
+            color=_COLOURS[name],
+            alpha=0.2,
+            lw=0,
         )
     axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges less camera [-]")
     if len(found.channels) > 1:
