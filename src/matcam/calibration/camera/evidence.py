@@ -118,7 +118,8 @@ class PicturePlan:
         remarks: list[Remark] = []
         for plane in planes:
             remarks = remarks or list(plane.remarks)
-            result, samples = None, ()
+            result: EdgeMTF | None = None
+            samples: tuple[MTFSamples, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 registration, samples = targets.registration, targets.samples

@@ -213,13 +213,13 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
         misfit = shares.chi2.sum() + prior @ theta**2
         if not misfit <= _WORSE * lowest:  # too far: half of the last step
             step = step / 2
-            theta, edges = _moved(*best, step, best_response)
+            theta, edges = _after_step(*best, step, best_response)
             continue
         lowest, best, best_response = misfit, (theta, edges), response
         covariance = _inverse(shares.information.sum(0) + np.diag(prior))
         wanted = covariance @ (shares.score.sum(0) - prior * theta)
         step = np.clip(wanted, -longest, longest)
-        theta, edges = _moved(theta, edges, step, response)
+        theta, edges = _after_step(theta, edges, step, response)
         if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)
     raise FitError("the measurements do not determine the camera: no best fit was found")
@@ -231,7 +231,7 @@ def edge_measurements(stacks: Sequence[tuple[EdgeMTF, LensModel]]) -> EdgeMeasur
     for result, lens in stacks:
         good = np.flatnonzero([not problem for problem in result.problems])
         found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result._found)
-        lenses = _stacked([lens] * good.size)
+        lenses = _stack_lenses([lens] * good.size)
         parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, found.state.linear, lenses))
     if not parts:
         return None
@@ -259,7 +259,7 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
         np.stack([np.pad(getattr(samples, name), (0, most - samples.mtf.size)) for samples, _ in sets])
         for name in ("frequency", "direction", "mtf")
     )
-    return ValueMeasurements(frequency, direction, mtf, np.stack(weights), _stacked([lens for _, lens in sets]))
+    return ValueMeasurements(frequency, direction, mtf, np.stack(weights), _stack_lenses([lens for _, lens in sets]))
 
 
 def in_profile_units(lens: LensModel, parameters: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -276,7 +276,7 @@ def _difference(shift: np.ndarray, error: np.ndarray, one: int) -> tuple[float, 
     return float(shift[one] - weight @ shift[rest]), float(np.hypot(error[one], (error[rest] ** -2).sum() ** -0.5))
 
 
-def _moved(
+def _after_step(
     theta: np.ndarray, edges: EdgeMeasurements | None, step: np.ndarray, response: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, EdgeMeasurements | None]:
     """Return the parameters after a step, and the edges with their own parameters as these respond."""
@@ -341,7 +341,7 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.inv(unit) / np.outer(scale, scale)
 
 
-def _stacked(lenses: Sequence[LensModel]) -> LensModel:
+def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
     """Return lenses of one family as one, whose arrays have a leading axis."""
     return jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *lenses)
 

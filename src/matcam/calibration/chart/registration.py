@@ -131,7 +131,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         )
     places = np.array([chart.fiducials[i].centre for i, _ in best.pairs])
     seen = np.array([marks[j][:2] for _, j in best.pairs])
-    return _fitted_registration(places, seen, picture.shape)
+    return _registration_through(places, seen, picture.shape)
 
 
 def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:
@@ -172,10 +172,10 @@ class _Match(NamedTuple):
         return len(self.pairs), -self.distance
 
 
-def _fitted_registration(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> Registration:
+def _registration_through(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> Registration:
     """Return the camera that puts places of the page, mm, where they were seen, px. FitError if none does."""
     free = 10 if len(places) >= 7 else 9 if len(places) >= 6 else 8
-    start = np.append(_homography(places, _centred(seen, shape)).ravel()[:8], [0.0, 0.0])
+    start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], [0.0, 0.0])
     size = np.maximum(np.abs(start), 1e-6)
     size[8:] = 0.1
 
@@ -206,7 +206,7 @@ def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...])
     return np.stack([u * bent + (shape[1] - 1) / 2, v * bent + (shape[0] - 1) / 2], axis=-1)
 
 
-def _centred(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Return px counted from the picture's middle."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
@@ -260,7 +260,7 @@ def _best_match(chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, 
     """Return the match of most marks, and of the closest, if `top` is the fiducial with two rings."""
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     places = np.array([fiducial.centre for fiducial in chart.fiducials])
-    seen = _centred(np.array([mark[:2] for mark in marks]), shape)
+    seen = _from_middle(np.array([mark[:2] for mark in marks]), shape)
     start = marks.index(top)
     others = _in_turn(places, first)
     settled = False

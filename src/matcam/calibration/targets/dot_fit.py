@@ -132,31 +132,21 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         raise FitError(
             f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to tell them from one another"
         )
-    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
-    whole = (
-        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
-    )
+    whole, stamps = _stamps(values, lattice, reach)
     lattice, shape = lattice.subset(whole), shape[whole]
-    columns, rows = columns[whole], rows[whole]
-    if len(columns) < FEWEST:
-        raise FitError(f"{len(columns)} whole dots are too few: {FEWEST} are needed")
-    stamp = values[rows[:, :, None], columns[:, None, :]]
-    there = np.isfinite(stamp)
-    area = (len(rows), rows.shape[1], columns.shape[1])
-    du, dv = (np.broadcast_to(a, area).reshape(len(rows), -1) for a in (
-        columns[:, None, :] - lattice.x[:, None, None], rows[:, :, None] - lattice.y[:, None, None],
-    ))  # fmt: skip
-    stamp, there = stamp.reshape(du.shape), there.reshape(du.shape)
-    ground = np.nanmedian(stamp, axis=1)
-    stamp = np.where(there, stamp, 0.0)
+    if len(stamps.value) < FEWEST:
+        raise FitError(f"{len(stamps.value)} whole dots are too few: {FEWEST} are needed")
+    columns, rows, du, dv, value, known = stamps
+    ground = np.nanmedian(value, axis=1)
+    value = np.where(known, value, 0.0)
     # mosaics see a part of a dot's content
-    content = (there * (stamp - ground[:, None])).sum(1) / np.maximum(there.mean(1), 0.05)
+    content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
     state = np.column_stack(
         [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
     )
     mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
     fit: DotFit | None = None
-    gain, read, weight = 0.0, 1.0, there.astype(float)
+    gain, read, weight = 0.0, 1.0, known.astype(float)
     bow = np.zeros_like(du)
     for step in range(_STEPS):
         if step == _WEIGHTED:
@@ -171,12 +161,12 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         design = np.stack(
             [np.ones_like(du), du, dv, flat[0], -c * flat[1], -c * flat[2], c * (flat[3] + flat[4]) / 2], axis=-1
         )
-        residual = np.where(there, stamp - model, 0.0)
+        residual = np.where(known, value - model, 0.0)
         if step > _WEIGHTED:
             # fitted parameters have taken their share of the noise
-            found = noise_from_residuals(residual[there], model[there])
-            gain, read = (k * there.sum() / (there.sum() - state.size) for k in found)
-            weight = there / (gain * np.maximum(model, 0) + read)
+            found = noise_from_residuals(residual[known], model[known])
+            gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
+            weight = known / (gain * np.maximum(model, 0) + read)
         normal = np.einsum("npi,np,npj->nij", design, weight, design)
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-300))
         inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :]) + 1e-10 * np.eye(7))
@@ -185,18 +175,8 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
         shared = c[..., None] * np.stack([flat[3], flat[4], *flat[5:]], axis=-1)
-        fit = DotFit(
-            lattice,
-            state,
-            np.sqrt(np.einsum("nii->ni", inverse)),
-            design,
-            shared,
-            residual,
-            weight,
-            mean_radius,
-            gain,
-            read,
-        )
+        std = np.sqrt(np.einsum("nii->ni", inverse))
+        fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
         state = state + change
         state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
@@ -265,6 +245,41 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     if len(index) < FEWEST or len({tuple(w) for w in where_all}) != len(index):
         raise FitError(f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit into one")
     return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])
+
+
+class _Stamps(NamedTuple):
+    """Hold the pixels round n dots.
+
+    Attributes:
+        columns: (n, width) px.
+        rows: (n, height) px.
+        du: (n, pixels) from the dot's place in the lattice, px.
+        dv: (n, pixels) px.
+        value: (n, pixels) linear light.
+        known: (n, pixels) whether there are data.
+    """
+
+    columns: np.ndarray
+    rows: np.ndarray
+    du: FloatArray
+    dv: FloatArray
+    value: FloatArray
+    known: np.ndarray
+
+
+def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.ndarray, _Stamps]:
+    """Return which dots lie `reach` px or more inside a region, and the pixels round those."""
+    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
+    whole = (
+        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
+    )
+    columns, rows, lattice = columns[whole], rows[whole], lattice.subset(whole)
+    value = values[rows[:, :, None], columns[:, None, :]]
+    du = np.broadcast_to(columns[:, None, :] - lattice.x[:, None, None], value.shape)
+    dv = np.broadcast_to(rows[:, :, None] - lattice.y[:, None, None], value.shape)
+    flat = (len(value), (2 * reach + 1) ** 2)
+    du, dv, value = du.reshape(flat), dv.reshape(flat), value.reshape(flat)
+    return whole, _Stamps(columns, rows, du, dv, value, np.isfinite(value))
 
 
 def dot_derivatives(

@@ -238,7 +238,7 @@ def _star_result(
     frequency, direction = (a.ravel() for a in np.meshgrid(places, _DIRECTIONS, indexing="ij"))
     rows = _basis(frequency, direction, edges)
     amplitude, covariance = rows @ fit.coefficients, rows @ fit.covariance @ rows.T
-    size, size_std = (stated, 0.0) if stated is not None else _extrapolated(frequency, amplitude, covariance)
+    size, size_std = (stated, 0.0) if stated is not None else _extrapolated_contrast(frequency, amplitude, covariance)
     mtf = amplitude / size
     covariance = (covariance + np.outer(mtf, mtf) * size_std**2) / size**2
     place, std = fit.parameters[:2], fit.parameters_std
@@ -263,7 +263,7 @@ def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
     return np.asarray(mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2))
 
 
-def _extrapolated(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """Return the contrast at frequency 0 and its standard deviation; its logarithm is even, and of order 4."""
     low = (frequency < _EXTRAPOLATED) & (amplitude > 5 * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:

@@ -261,7 +261,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
         frequency = alike[np.argmin(np.hypot(*(alike - np.array(near)).T))]
     y, x = np.indices(values.shape).astype(float)
     wave = np.exp(-2j * np.pi * (frequency[0] * x + frequency[1] * y))
-    smooth = max(3.0, 0.8 / np.hypot(*_folded(frequency)))
+    smooth = max(3.0, 0.8 / np.hypot(*_alias(frequency)))
     turned = (filled - filled.mean()) * wave
     envelope = ndimage.gaussian_filter(turned.real, smooth) + 1j * ndimage.gaussian_filter(turned.imag, smooth)
     size = np.abs(envelope)
@@ -279,7 +279,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     return FoundGrating.through(x[inside], y[inside], phase[inside], inside)
 
 
-def _folded(frequency: FloatArray) -> FloatArray:
+def _alias(frequency: FloatArray) -> FloatArray:
     """Return the frequency below Nyquist that looks the same on the grid."""
     return np.asarray(frequency - np.round(frequency))
 
@@ -297,8 +297,8 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
     power[(np.abs(fx) * width < _LONGEST) & (np.abs(fy) * height < _LONGEST)] = 0
     everywhere = np.median(power)
     if near is not None:
-        alias = _folded(np.array(near))
-        off = [np.hypot(_folded(fx - sign * alias[0]), _folded(fy - sign * alias[1])) for sign in (-1, 1)]
+        alias = _alias(np.array(near))
+        off = [np.hypot(_alias(fx - sign * alias[0]), _alias(fy - sign * alias[1])) for sign in (-1, 1)]
         power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
     if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
