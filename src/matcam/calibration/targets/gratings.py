@@ -19,7 +19,7 @@ from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, Pixels, WaveFit, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
@@ -253,7 +253,7 @@ def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
 ) -> tuple[WaveFit, tuple[int, ...], _MeanWave]:
     """Return the wave's fit, the orders of its harmonics, and its mean frequency and place."""
-    pixels = Pixels.where(values, found.inside)
+    pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
     highest = max(1, int(_HIGHEST / max(float(frequency.mean()), 1e-6)))
@@ -287,7 +287,7 @@ class _MeanWave(NamedTuple):
     y: float
 
 
-def _other_wave(pixels: Pixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
+def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
     """Say what else there is than one wave and noise; empty if nothing."""
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()

@@ -21,7 +21,7 @@ from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, Pixels, WaveFit, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
 from matcam.core import checks
 from matcam.core.errors import FitError
@@ -179,7 +179,7 @@ def _expected_star(
 def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[float, float]]:
     """Return the wave's fit and the range of its frequencies, cycles/px: first where the phase is sure, then all of it."""
     phase, parameters = found.phase, found.parameters
-    pixels = Pixels.where(values, np.ones(values.shape, bool))
+    pixels = WavePixels.where(values, np.ones(values.shape, bool))
     inner = _inner_rim(np.hypot(pixels.x - parameters[0], pixels.y - parameters[1]), pixels.value, found)
     fit = None
     for highest in (_FIRST, 0.4, _HIGHEST):

@@ -41,7 +41,7 @@ class Phase(Protocol):
         """Return the phase at px, rad. parameters: (m,)."""
 
 
-class Pixels(NamedTuple):
+class WavePixels(NamedTuple):
     """Hold n pixels of a picture.
 
     Attributes:
@@ -55,7 +55,7 @@ class Pixels(NamedTuple):
     y: FloatArray
 
     @classmethod
-    def where(cls, values: FloatArray, mask: np.ndarray) -> Pixels:
+    def where(cls, values: FloatArray, mask: np.ndarray) -> WavePixels:
         """Return the pixels of a region (height, width) inside a mask that have data."""
         rows, columns = np.nonzero(mask & np.isfinite(values))
         return cls(values[rows, columns], columns.astype(float), rows.astype(float))
@@ -68,9 +68,9 @@ class Pixels(NamedTuple):
             return places
         return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
 
-    def at(self, indices: np.ndarray) -> Pixels:
+    def at(self, indices: np.ndarray) -> WavePixels:
         """Return some of the pixels."""
-        return Pixels(*(column[indices] for column in self))
+        return WavePixels(*(column[indices] for column in self))
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class LocalWave(NamedTuple):
 
 
 def fit_wave(
-    pixels: Pixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
+    pixels: WavePixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
 ) -> WaveFit | None:
     """Fit a wave to pixels; None if they do not determine it.
 
