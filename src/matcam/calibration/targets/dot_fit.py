@@ -45,7 +45,7 @@ _SHARE = np.repeat(_WEIGHTS / 2 / _ROUND, _ROUND)
 
 
 class DotLattice(NamedTuple):
-    """Hold the places of n dots in a picture and on the page.
+    """Hold the places of n dots, in a picture and printed.
 
     Attributes:
         x: (n,) px.
@@ -71,7 +71,10 @@ class DotLattice(NamedTuple):
 
     @property
     def shapes(self) -> FloatArray:
-        """Return px per page unit at every dot, (n, 2, 2), from a smooth map through all of them."""
+        """Return px per page unit at every dot, (n, 2, 2).
+
+        They are derivatives of a smooth map through all dots.
+        """
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
@@ -86,7 +89,7 @@ class DotLattice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DotFit:
-    """Hold the fits of n dots, and the derivatives at the last step.
+    """Hold the fits of n dots, and their last derivatives.
 
     Attributes:
         lattice: where the dots were thought to be.
@@ -121,8 +124,9 @@ class DotFit:
 
 
 def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: float) -> DotFit:
-    """Fit every dot of a lattice in a region (height, width), NaN where there are no data.
+    """Fit every dot of a lattice in a region.
 
+    values: (height, width), NaN where there are no data.
     size: radius of the dots in the lattice's own units. half_width: of the pixel, px. FitError if there are too few dots that
     can be measured.
     """
@@ -187,7 +191,10 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
 
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find the dots in a region (height, width), NaN where there are no data: x and y (n,), px. FitError if there are not 9."""
+    """Return x and y (n,) of the dots in a region, px.
+
+    values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
+    """
     smooth = smoothed(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
@@ -210,7 +217,10 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
-    """Return the dots that lie on a square lattice seen in perspective, counted in pitches; FitError if there is none."""
+    """Return the dots that lie on a lattice, counted in pitches.
+
+    The lattice is square, and seen in perspective. FitError if there is none.
+    """
     points = np.stack([x, y], axis=-1)
     tree = cKDTree(points)
     neighbour = tree.query(points, k=min(5, len(points)))[1]
@@ -268,7 +278,10 @@ class _Stamps(NamedTuple):
 
 
 def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.ndarray, _Stamps]:
-    """Return which dots lie `reach` px or more inside a region, and the pixels round those."""
+    """Return which dots lie well inside a region, and their pixels.
+
+    reach: px, from a dot to the last of its pixels.
+    """
     columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
     whole = (
         (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
@@ -285,8 +298,9 @@ def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.nda
 def dot_derivatives(
     x: FloatArray, y: FloatArray, shape: FloatArray, sigma: FloatArray, half_width: float, orders: list[tuple[int, int]]
 ) -> FloatArray:
-    """Return derivatives by (x, y) of what pixels read of n dots of unit content, (orders, n, height, width).
+    """Return derivatives by (x, y) of what pixels read of dots.
 
+    There are n dots of unit content; the result is (orders, n, height, width).
     x, y: (n, width) and (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px, from the unit disc to the
     dot. sigma: (n,) px. half_width: px. orders: of the derivatives.
     """
@@ -303,7 +317,10 @@ def dot_derivatives(
 
 
 def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> list[FloatArray]:
-    """Return the one-dimensional kernel, Gaussian times box, at t px (n, pixels, nodes), and its derivatives."""
+    """Return the one-dimensional kernel, Gaussian times box, and its derivatives.
+
+    t: (n, pixels, nodes) px.
+    """
     s = sigma[:, None, None]
     ends = [(t + half_width) / s, (t - half_width) / s]
     table = [(ndtr(ends[0]) - ndtr(ends[1])) / (2 * half_width)]
@@ -319,8 +336,9 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
 
 
 def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """Return how far the ground of every dot's pixels is off its tangent plane: vignetting, seen by all dots together.
+    """Return how far every dot's ground is off its tangent plane.
 
+    All dots together see this vignetting.
     A dot's own ground does not know: its curvature would be taken for the blur's wings.
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
