@@ -22,10 +22,10 @@ from .camera.sensor import PixelNoise, Sensor, expose_bracket, merge_bracket
 from .camera.uncertainty import Provenance, Uncertainty
 from .core.errors import MatcamError
 from .exchange.conversion import convert
-from .exchange.inspection import camera_trace, lobe_widths
 from .exchange.parameterisation import adaptive_grid
+from .exchange.receiver import metadata, solid_angles
 from .exchange.renderers import mitsuba_material, pbrt_material, rendered_sphere
-from .exchange.solid_angles import metadata, receiver
+from .exchange.trace import camera_trace, lobe_widths
 from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
 from .files.float_pictures import read_exr, read_float_tiff, write_exr, write_float_tiff
 from .files.merl import read_merl, write_merl
@@ -33,9 +33,10 @@ from .files.rgl import read_rgl, write_rgl
 from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .forward.image import picture, picture_values
-from .forward.lobe_table import lobe_table, with_pixel_noise
-from .forward.measurement import measure, measured_values
-from .forward.peaks.peak import loss_angle, peak_response
+from .forward.measurement import measure, table_values
+from .forward.noisy_table import with_pixel_noise
+from .forward.peaks.peak import peak_response
+from .forward.prediction import loss_angle
 from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
 from .inverse.correction.correction import Correction, correct, correction
@@ -123,12 +124,10 @@ __all__ = [
     "grating_mtf",
     "highlight_stamps",
     "limits",
-    "lobe_table",
     "lobe_widths",
     "loss_angle",
     "measure",
     "measure_targets",
-    "measured_values",
     "merge_bracket",
     "metadata",
     "metal",
@@ -149,13 +148,14 @@ __all__ = [
     "read_samples",
     "read_sidecar",
     "read_zarr",
-    "receiver",
     "register_chart",
     "rendered_sphere",
     "rigs",
     "rivals",
     "sidecar_path",
+    "solid_angles",
     "star_mtf",
+    "table_values",
     "tabulated_fresnel",
     "texture_contrast",
     "textured_picture",

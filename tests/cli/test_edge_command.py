@@ -89,7 +89,7 @@ def test_bad_input_is_one_line_code_2_and_nothing_written(photograph, tmp_path, 
     arguments, words = BAD[number]
     monkeypatch.chdir(tmp_path)
     # the user's own cache of compiled functions is not for tests
-    monkeypatch.setattr("matcam._jax.use_compilation_cache", lambda: None)
+    monkeypatch.setattr("matcam.core.jax.use_compilation_cache", lambda: None)
     with pytest.raises(SystemExit) as exit_:
         main(["edge", *map(str, arguments)])
     assert exit_.value.code == 2

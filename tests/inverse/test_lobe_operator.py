@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF, Microfacet, rigs
-from matcam.core import workspace as rule_cache
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import merl_grid
 from matcam.core.jax import jnp
@@ -135,28 +134,6 @@ def test_every_family_runs(ndf):
     record = np.asarray(operator.record(ndf, "smith", ()))
     assert np.all(np.isfinite(record))
     assert record.max() > 1
-
-
-def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path):
-    made = []
-
-    def make():
-        made.append(1)
-        return {"a": np.arange(3.0)}
-
-    rule_cache.use_folder(tmp_path)
-    try:
-        for _ in range(2):
-            np.testing.assert_array_equal(rule_cache.kept("rig", make)["a"], [0, 1, 2])
-        assert len(made) == 1
-        (file,) = tmp_path.glob("*.npz")
-        file.write_bytes(b"not an archive")
-        rule_cache.kept("rig", make)
-        assert len(made) == 2
-        rule_cache.kept("another rig", make)
-        assert len(made) == 3
-    finally:
-        rule_cache.use_folder(None)
 
 
 def test_rigs_that_cannot_be_fitted_are_refused():

@@ -44,7 +44,7 @@ def command(
     from matcam.core.jax import use_compilation_cache
     from matcam.core.json import write_json
     from matcam.exchange.conversion import convert
-    from matcam.exchange.solid_angles import metadata as about
+    from matcam.exchange.receiver import metadata as about
 
     use_compilation_cache()
     if metadata:

@@ -69,94 +69,74 @@ def command(
     """
     from matcam.core.errors import ArgumentError
 
-    how = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
-    rig_options = (camera, radius, lamp, sampling)
-    alone = (
-        len(paths) == 1 and not paths[0].is_dir() and (output is None or (bool(output.suffix) and not output.is_dir()))
-    )
-    if alone:
-        if output and output.suffix.lower() != ".binary":
-            raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
-        if workers is not None or cluster is not None or zarr or fit_camera:
-            raise ArgumentError(
-                "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
-            )
-        _one(paths[0], output, how, rig_options, pages, force, json)
-        return
-    if output is None or output.suffix.lower() == ".binary":
+    one_file = len(paths) == 1 and not paths[0].is_dir()
+    alone = one_file and (output is None or (bool(output.suffix) and not output.is_dir()))
+    if alone and output and output.suffix.lower() != ".binary":
+        raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
+    if alone and (workers is not None or cluster is not None or zarr or fit_camera):
+        raise ArgumentError(
+            "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
+        )
+    if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
-    chosen = {"workers": workers, "cluster": cluster, "pages": pages, "zarr": zarr, "fit_camera": fit_camera}
-    _run(paths, output, how, rig_options, chosen, force, json)
+    from matcam.core.workspace import keep_rules
 
-
-def _one(
-    file: Path, output: Path | None, how: dict[str, Any], rig_options: Any, pages: bool, force: bool, json: bool
-) -> None:
-    output = output or Path(f"{file.stem}-corrected.binary")
-    camera, radius, lamp, sampling = rig_options
-    with show.working(f"{file}: correcting"):
-        from matcam.batch.job import Job, Options, corrected_files
+    keep_rules()
+    rig = rig_of(camera, radius, lamp, cell_value=sampling)
+    how: dict[str, Any] = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
+    if alone:
+        from matcam.batch.job import Job, write_corrected
+        from matcam.batch.recipe import Options, Recipe
         from matcam.core.io import check_output
-        from matcam.core.workspace import keep_rules
 
-        rig = rig_of(camera, radius, lamp, cell_value=sampling)
-        job = Job(file, output, rig, Options(**how), sampling, page=pages, force=force)
+        target = output or Path(f"{paths[0].stem}-corrected.binary")
+        job = Job(paths[0], target, Recipe(rig, Options(**how), sampling, pages), force=force)
         for path in job.files:
-            check_output(path, force=force, inputs=[file, *([camera] if camera else [])])
-        keep_rules()
-        document = corrected_files(job)
-    written = [str(path) for path in job.files]
-    if json:
-        show.as_json({**document, "files": written})
+            check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
+        with show.working(f"{paths[0]}: correcting"):
+            document = write_corrected(job)
+        _print_table({**document, "files": [str(path) for path in job.files]}, paths[0].name, json)
         return
-    print_fit(document["fit"], file.name)
+    from matcam.batch.run import correct_all
+
+    with show.tallying("correcting") as watch:
+
+        def show_progress(progress: Any) -> None:
+            watch(progress.kept + progress.corrected + progress.failed, progress.total)
+            if progress.last is not None and progress.last.reason is not None:
+                show.remark(progress.last.reason)
+
+        run = correct_all(
+            paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, zarr=zarr,
+            fit_camera=fit_camera, force=force, watch=show_progress, **how,
+        )  # fmt: skip
+    _print_run(run, json)
+    if run.failures:
+        raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)
+
+
+def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
+    """Print what was found of one table."""
+    if json:
+        show.as_json(document)
+        return
+    print_fit(document["fit"], name)
     show.say(
         f"supported entries (std under 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
         f"{document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:
-        if remark not in document["fit"]["remarks"]:  # said with the fit
+        if remark not in document["fit"]["remarks"]:  # printed with the fit
             show.say(f"note: {remark}")
-    show.say("written: " + ", ".join(written))
+    show.say("written: " + ", ".join(document["files"]))
 
 
-def _run(
-    paths: list[Path],
-    output: Path,
-    how: dict[str, Any],
-    rig_options: Any,
-    run_options: dict[str, Any],
-    force: bool,
-    json: bool,
-) -> None:
-    camera, radius, lamp, sampling = rig_options
-    with show.tallying("correcting") as watch:
-        from matcam.batch.run import correct_all
-        from matcam.core.workspace import keep_rules
-
-        keep_rules()
-        rig = rig_of(camera, radius, lamp, cell_value=sampling)
-
-        def told(progress: Any) -> None:
-            last = progress.last
-            watch(progress.kept + progress.corrected + progress.failed, progress.total)
-            if last is not None and last.reason is not None:
-                show.remark(last.reason)
-
-        run = correct_all(paths, rig, output, sampling=sampling, force=force, watch=told, **how, **run_options)
+def _print_run(run: Any, json: bool) -> None:
+    """Print what a run did."""
     if json:
-        show.as_json(
-            {
-                "folder": str(run.folder),
-                "corrected": [str(path) for path in run.corrected],
-                "kept": [str(path) for path in run.kept],
-                "failed": [{"file": str(failure.source), "reason": failure.reason} for failure in run.failures],
-            }
-        )
-    else:
-        kept = f", {len(run.kept)} finished before" if run.kept else ""
-        show.say(f"{run.folder}: {len(run.corrected)} corrected{kept}, {len(run.failures)} failed")
-        for failure in run.failures:
-            show.say(f"failed: {failure.reason}")
-    if run.failures:
-        raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)
+        show.as_json(run.to_dict())
+        return
+    kept = f", {len(run.kept)} finished before" if run.kept else ""
+    show.say(f"{run.folder}: {len(run.corrected)} corrected{kept}, {len(run.failures)} failed")
+    for failure in run.failures:
+        show.say(f"failed: {failure.reason}")

@@ -62,7 +62,7 @@ def command(
         if path:
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
-    from matcam.forward.peaks.peak import predict
+    from matcam.forward.prediction import predict
     from matcam.material.ndf.families import ndf_of
 
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
@@ -121,7 +121,7 @@ def command(
 
 
 def _false_light(rig, lobes):  # type: ignore[no-untyped-def]
-    from matcam.forward.glare import false_light
+    from matcam.forward.prediction import false_light
     from matcam.material.microfacet import Microfacet
 
     with show.working("following the glare"):
@@ -139,7 +139,7 @@ def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, 
     from matcam.core.io import write_columns
     from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
-    from matcam.forward.peaks.peak import predict
+    from matcam.forward.prediction import predict
     from matcam.material.ndf.families import ndf_of
 
     with show.working("drawing the plane"):

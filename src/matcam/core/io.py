@@ -36,7 +36,7 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
                 raise OutputError(f"output {path} cannot be written: {parent} is a file, not a folder")
             break
     if path.exists() and not force:
-        raise OutputError(f"output {path} exists: use --force (force=True) to replace it")
+        raise OutputError(f"output {path} exists: use force=True to replace it")
     return path
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from matcam.core.grid import cosines
+from matcam.core.grid import cosines, merl_grid
 from matcam.core.io import replacing
 from matcam.figures.style import GREY, styled
 from matcam.files import tone_curve as srgb
@@ -38,10 +38,9 @@ def ball(values: np.ndarray, size: int, zoom: float = 1.0) -> np.ndarray:
     theta_h = np.arctan2(np.hypot(along, y), up)
     azimuth = np.arctan2(y, along)
     phi_d = np.mod(np.pi - azimuth, np.pi)
-    i = np.clip((90 * np.sqrt(np.clip(theta_h, 0, None) / (np.pi / 2))).astype(int), 0, 89)
-    j, k = int(np.degrees(half)), np.clip((phi_d / np.pi * 180).astype(int), 0, 179)
+    cells = merl_grid("centre").index(theta_h=np.clip(theta_h, 0, np.pi / 2), theta_d=half, phi_d=phi_d)
     cos_i = np.asarray(cosines(theta_h, half, np.pi - azimuth)[0])
-    light = np.nan_to_num(values[i, j, k]) * np.maximum(cos_i, 0)[..., None]
+    light = np.nan_to_num(values[cells]) * np.maximum(cos_i, 0)[..., None]
     return np.where(inside[..., None], light, 0.0)
 
 

@@ -1,11 +1,14 @@
-"""How every picture looks, and how it is written.
+"""The style of all figures and pages, and how they are written.
 
 No pyplot: it keeps global state, and costs half a second. Colours: Okabe & Ito's, which colour-blind readers tell apart.
+Pages are Jinja2 templates (templates/*.html), which escape all that is put into them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import base64
+import io
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -75,3 +78,27 @@ def nyquist_line(axes: Axes, height: float = 1.0) -> None:
     """The highest frequency that whole pixels resolve, 0.5 cycles/px on the x axis; its name stands just below `height`."""
     axes.axvline(0.5, color=GREY, lw=0.8)
     axes.annotate("Nyquist", (0.5, height), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
+
+
+def inline_png(figure: Figure) -> str:
+    """Return a figure as the address of an image that stands in its page."""
+    stream = io.BytesIO()
+    with styled():
+        figure.savefig(stream, format="png", dpi=110)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, force: bool = False) -> None:
+    """Write an HTML page from one of the package's templates; everything in `content` is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("matcam.figures", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    text = environment.get_template(template).render(content)
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -37,7 +37,7 @@ NORMALISE = (np.radians(10.0), np.radians(45.0))
 F is flat to 45."""
 
 _BEND = 1.0
-_QUIET = slice(6, 60, 3)  # slices of theta_d where lobes of real tables are whole
+_QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are whole
 
 
 def fresnel(
@@ -197,7 +197,7 @@ def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarr
 def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
     """(channels, slices) mean of the cells nearest to the highlight in the slices at theta_d; NaN where they are missing or not
     positive."""
-    ring = brdf.values[0, np.searchsorted(merl_grid(sampling_of(brdf)).theta_d, theta_d)]
+    ring = brdf.values[merl_grid(sampling_of(brdf)).index(theta_h=0.0, theta_d=theta_d)]
     count = np.isfinite(ring).sum(axis=1)
     peak = np.where(count > 0, np.nansum(ring, axis=1) / np.maximum(count, 1), np.nan).T
     return np.where(np.nan_to_num(peak) > 0, peak, np.nan)
@@ -205,7 +205,7 @@ def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
 
 def _check_highlight(brdf: xr.DataArray) -> None:
     """FitError for a table that does not fall to half of its peak anywhere."""
-    quiet = brdf.values[:, _QUIET]
+    quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
     there = np.isfinite(quiet)
     rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)
     bright = there[0].any(axis=1) & (rings[0] > 0)

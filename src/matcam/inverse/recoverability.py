@@ -18,6 +18,7 @@ from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, known_axis
 from matcam.material.ndf.families import ONE_WIDTH
+from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 
@@ -162,7 +163,7 @@ class _Information:
         information = flat @ flat.T
         if np.isfinite(prior):
             information[1, 1] += 1 / max(prior, 1e-9) ** 2
-        return np.linalg.pinv(information, rcond=1e-14, hermitian=True)
+        return scaled_inverse(information)
 
     def std(self, prior: float) -> np.ndarray:
         """Of (ln roughness, ln sigma_mtf); prior: standard deviation of the latter, 0 exact, infinite free."""

@@ -16,12 +16,13 @@ import numpy as np
 
 from matcam.calibration.edge.edge_result import EdgeMTF
 from matcam.calibration.edge.geometry import Cells
-from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model, scaled_inverse
+from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.region import padded
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
 _ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05  # steps at most; standard deviations; of chi2, that a step may cost
 _AT_ONCE = 16  # edges side by side
@@ -352,13 +353,11 @@ def _value_shares(values: ValueMeasurements, theta: jax.Array, half_width: jax.A
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Return the inverse of an information matrix; FitError if it has none."""
-    scale = np.sqrt(np.maximum(np.diag(information), 0))
-    if not np.isfinite(information).all() or (scale == 0).any():
+    if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
         raise FitError("the measurements do not determine the camera: they say nothing of one of its numbers")
-    unit = information / np.outer(scale, scale)
-    if np.linalg.eigvalsh(unit)[0] < 1e-12:
+    if least_eigenvalue(information) < FLOOR:
         raise FitError("the measurements do not determine the camera: two of its numbers do the same to them")
-    return np.linalg.inv(unit) / np.outer(scale, scale)
+    return scaled_inverse(information)
 
 
 def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:

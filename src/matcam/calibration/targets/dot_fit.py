@@ -19,6 +19,7 @@ from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
+from matcam.numerics.linalg import scaled_inverse
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
@@ -172,9 +173,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
             gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
             weight = known / (gain * np.maximum(model, 0) + read)
         normal = np.einsum("npi,np,npj->nij", design, weight, design)
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-300))
-        inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :]) + 1e-10 * np.eye(7))
-        inverse /= scale[:, :, None] * scale[:, None, :]
+        inverse = scaled_inverse(normal)
         change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])

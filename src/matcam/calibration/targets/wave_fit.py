@@ -19,10 +19,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from matcam.core.jax import FloatArray
+from matcam.numerics.linalg import scaled_inverse
 
 _ROUNDING = 1e-13  # of the mean square: no picture is without any
 _STEP = 1e-3  # px
-_RIDGE = 1e-12
 _DEGREE = 2  # of the light
 _WEIGHTED = 4  # steps after which weights are those of the noise
 _SETTLED, _ROUGH = 1e-4, 1e-2  # rad
@@ -169,11 +169,9 @@ def fit_wave(
             gain, read = noise_from_residuals(residual, level * (1 + wave))
             weight = 1 / (gain * np.maximum(level * (1 + wave), 0) + read)
         normal = (matrix.T * weight) @ matrix
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        try:
-            inverse = np.linalg.inv(normal / np.outer(size, size) + _RIDGE * np.eye(size.size)) / np.outer(size, size)
-        except np.linalg.LinAlgError:
+        if not np.isfinite(normal).all():
             return None
+        inverse = scaled_inverse(normal)
         change = inverse @ (matrix.T @ (weight * residual))
         light = light + change[: light.size]
         coefficients = coefficients + change[light.size : light.size + coefficients.size]

@@ -22,6 +22,7 @@ from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS, bend_basis
 from matcam.numerics.interpolate import smoothness
+from matcam.numerics.linalg import scaled_inverse
 
 BENT = 0.05
 """Strength of a shape's correction beyond which its family does not explain the data."""
@@ -89,7 +90,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
         strength = max(_STRENGTHS, key=lambda tau: _evidence(information, right, shapes, differences / tau))
         penalty = np.zeros((count, count))
         penalty[shapes, shapes] = differences.T @ differences / strength**2
-        covariance = _solved(information + penalty)
+        covariance = scaled_inverse(information + penalty)
         solution = covariance @ right
         before, after = float(target @ target), float(((target - solution @ flat) ** 2).sum())
     b = np.maximum(solution[shapes], -0.999)
@@ -126,16 +127,9 @@ def _evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: n
     """Logarithm of the evidence for a strength, up to a constant: everything but the b_k is integrated out."""
     others = np.r_[0 : shapes.start, shapes.stop : len(right)]
     cross = information[shapes, others]
-    inner = _solved(information[np.ix_(others, others)])
+    inner = scaled_inverse(information[np.ix_(others, others)])
     data = information[shapes, shapes] - cross @ inner @ cross.T
     pull = right[shapes] - cross @ inner @ right[others]
     prior = rows.T @ rows
     total = data + prior
-    return 0.5 * float(pull @ _solved(total) @ pull - np.linalg.slogdet(total)[1] + np.linalg.slogdet(prior)[1])
-
-
-def _solved(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a positive matrix, scaled to a unit diagonal."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    values, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
-    return (axes / np.maximum(values, 1e-13)) @ axes.T / np.outer(scale, scale)
+    return 0.5 * float(pull @ scaled_inverse(total) @ pull - np.linalg.slogdet(total)[1] + np.linalg.slogdet(prior)[1])

@@ -25,6 +25,7 @@ from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.families import FAMILIES, WITH_POWER
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.numerics.interpolate import smoothness
+from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
 CameraUse = Literal["fixed", "prior", "free"]
@@ -238,7 +239,7 @@ class Search:
             model = problem.model(p, weight)
             white = problem.whitening(model, weight, noise.gain)
             flat = white(model.derivative).reshape(p.size, -1)
-            covariance = _inverse(flat @ flat.T + self.known.T @ self.known)
+            covariance = scaled_inverse(flat @ flat.T + self.known.T @ self.known, undetermined=1e12)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
             if np.all(np.abs(p - before) < _SETTLED * std):
                 break
@@ -290,14 +291,3 @@ def prior_rows(layout: Layout, prior: Prior, bend: float) -> np.ndarray:
             own[:, place : place + count] = smoothness(count) / bend
             rows.append(own)
     return np.concatenate(rows)
-
-
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """Covariance; numbers that the data do not feel get an endless variance."""
-    scale = np.sqrt(np.clip(np.diag(information), 0, None))
-    unit = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
-    values, axes = np.linalg.eigh(information * np.outer(unit, unit))
-    inverse = (axes / np.maximum(values, 1e-12)) @ axes.T
-    covariance = inverse * np.outer(unit, unit)
-    covariance[np.diag_indices_from(covariance)] += np.where(scale > 0, 0.0, 1e12)
-    return covariance

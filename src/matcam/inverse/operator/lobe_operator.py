@@ -40,6 +40,7 @@ from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
+from matcam.numerics.interpolate import lagrange_basis
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 
@@ -83,7 +84,7 @@ class LobeOperator(eqx.Module):
         """D G at the nodes with their weights."""
         weight = self.weight
         for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
-            weight = weight + jnp.tensordot(_lagrange(np.array(axis.points), shift), differences, 1)
+            weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
         light = ndf.d(self.theta)
         if masking is not None:
             lambda_i, lambda_o = (_smith_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
@@ -132,13 +133,6 @@ def _smith_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
         return ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2))
 
     return interpolated_lambda(of_cot, ndf.roughness, cot_of(cos), _LAMBDA_NODES)
-
-
-def _lagrange(values: np.ndarray, at: jax.Array) -> jax.Array:
-    """Weights of the polynomial through `values` at one place."""
-    differences = values[:, None] - values + np.eye(values.size)
-    factors = jnp.where(np.eye(values.size, dtype=bool), 1.0, (at - values) / differences)
-    return jnp.prod(factors, axis=1)
 
 
 def lobe_operator(

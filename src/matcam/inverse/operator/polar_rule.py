@@ -19,6 +19,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Blur
+from matcam.numerics.interpolate import lagrange_basis
 
 _NODES = np.polynomial.legendre.leggauss(40)
 _BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - _NODES[0] ** 2) * _NODES[1])
@@ -48,11 +49,7 @@ _SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
 
 def _through_samples() -> np.ndarray:
     """(nodes, samples): Lagrange's polynomials through the samples, at all nodes."""
-    t = _NODES[0]
-    at = t[_SAMPLED]
-    gaps = at[:, None] - at + np.eye(at.size)
-    factors = (t[:, None, None] - at) / gaps
-    return np.prod(np.where(np.eye(at.size, dtype=bool), 1.0, factors), axis=-1)
+    return np.stack(lagrange_basis(_NODES[0][_SAMPLED], _NODES[0]), axis=-1)
 
 
 THROUGH_SAMPLES = _through_samples()
