@@ -1,16 +1,27 @@
-"""The evidence on one colour of a camera: all its measured edges and MTF values, each with the picture that it comes from."""
+"""The evidence on a camera: what is measured in each photograph, colour by colour, and everything on one colour together."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
+from matcam.calibration.chart.chart import Chart, Patch, Square
+from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
+from matcam.calibration.photograph.linear_image import planes_of
+from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.search.edge_search import find_edges
+from matcam.calibration.search.photograph_edges import edge_remarks, found_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
+from matcam.calibration.targets.targets import measure_targets
+from matcam.core.errors import FitError
+from matcam.core.remark import Remark
+from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
 """The family of lenses in a picture taken at an f-number, None if that is not known."""
@@ -19,7 +30,7 @@ _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
 class EdgeTable(NamedTuple):
-    """Hold the results of n measured edges over the field, one row each.
+    """Hold the results of n edges over the field.
 
     Attributes:
         x: (n,) px, of the middle.
@@ -29,7 +40,7 @@ class EdgeTable(NamedTuple):
         sigma_std: (n,) its standard deviation, px.
         mtf50: (n,) cycles/px, free of a model.
         mtf50_std: (n,) its standard deviation, cycles/px.
-        mtf: (n, 81) MTF at `free_curve.FREQUENCIES`, free of a model.
+        mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
         mtf_std: (n, 81) its standard deviation.
         source: (n,) names of pictures.
     """
@@ -47,13 +58,19 @@ class EdgeTable(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Return the weights (n, 81) of the edges in their mean MTF, by their variances; their sum is 1."""
+        """Return the weights (n, 81) of the edges in their mean MTF.
+
+        They go by the variances, and their sum is 1.
+        """
         weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
         return weight / weight.sum(0)
 
     @property
     def spread(self) -> float:
-        """Return the relative standard deviation of the edges' sigmas beyond their noise; 0 where noise explains it."""
+        """Return the relative standard deviation of sigma beyond its noise.
+
+        It is 0 where noise explains the scatter of the edges.
+        """
         if self.x.size < 3:
             return 0.0
         relative = self.sigma_std / self.sigma
@@ -62,53 +79,103 @@ class EdgeTable(NamedTuple):
         return float(np.sqrt(max(variance - np.mean(relative**2), 0.0)))
 
 
-class _Stack(NamedTuple):
-    """Hold the edges of one picture, its name and its f-number."""
+class Finding(NamedTuple):
+    """Hold what one picture, or one who calls, says of one colour.
 
-    edges: EdgeStack
+    Attributes:
+        channel: "R", "G", "B", "Y" or "grey".
+        source: name of the picture.
+        f_number: f-number of the picture; None if it is not known.
+        edges: its edges; None if there are none.
+        samples: MTF values of its other targets.
+    """
+
+    channel: str
     source: str
     f_number: float | None
+    edges: EdgeStack | None
+    samples: tuple[MTFSamples, ...]
+
+
+@dataclass(frozen=True)
+class PicturePlan:
+    """Say how every photograph is measured; fields as in `calibrate`."""
+
+    tone: Tone
+    channels: Sequence[str] | None
+    half_width: float
+    accept_sharpened: bool
+    chart: Chart | None
+
+    def measure(self, photograph: Photograph, name: str, f_number: float | None) -> tuple[list[Finding], list[Remark]]:
+        """Return what a photograph says, colour by colour, and remarks on it.
+
+        FitError if it holds nothing that can be measured, or the chart is not in it.
+        """
+        planes = planes_of(photograph, self.channels, self.tone, f_number, name)
+        # around gratings and stars there are edges by the hundred; those of a described chart are its squares'
+        squares = self.chart is None or any(isinstance(e, Square | Patch) for e in self.chart.elements)
+        edges = find_edges(photograph.values, mosaic=photograph.cfa is not None) if squares else None
+        registration: Projection | None = None
+        if self.chart is not None and photograph.cfa is not None:
+            # colours only matter for blur: all of a mosaic's pixels know where the chart lies
+            registration = register_chart(photograph.values, self.chart, mosaic=True)
+        findings: list[Finding] = []
+        remarks: list[Remark] = []
+        for plane in planes:
+            remarks = remarks or list(plane.remarks)
+            result: EdgeStack | None = None
+            samples: tuple[MTFSamples, ...] = ()
+            if self.chart is not None:
+                targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
+                registration, samples = targets.registration, targets.samples
+                remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
+            if edges is not None:
+                try:
+                    result = found_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
+                except FitError:
+                    if not samples:
+                        raise
+                else:
+                    remarks += edge_remarks(result, plane.channel)
+            findings.append(Finding(plane.channel, name, f_number, result, samples))
+        return findings, remarks
 
 
 class Evidence:
-    """Hold the measurements of one colour, added picture by picture."""
+    """Hold all findings on one colour.
 
-    def __init__(self) -> None:
-        self._stacks: list[_Stack] = []
-        self._samples: list[MTFSamples] = []
+    Edges come first, as in the joint fit.
+    """
 
-    def add_edges(self, result: EdgeStack, source: str, f_number: float | None) -> None:
-        """Add the edges of a picture; those with problems do not count."""
-        self._stacks.append(_Stack(result, source, f_number))
-
-    def add_samples(self, *samples: MTFSamples) -> None:
-        """Add MTF values of gratings, stars and dots."""
-        self._samples += samples
+    def __init__(self, findings: Iterable[Finding]) -> None:
+        findings = tuple(findings)
+        self._stacks = [(f.edges, f.source, f.f_number) for f in findings if f.edges is not None]
+        self._samples = [samples for f in findings for samples in f.samples]
 
     @property
     def f_numbers(self) -> list[float | None]:
         """Return the f-number of every measurement's picture."""
-        return [stack.f_number for stack in self._stacks] + [s.aperture for s in self._samples]
+        return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
     def measurements(self, lens_at: LensAt) -> Measurements:
         """Return everything as the joint fit takes it."""
-        groups = [f"{stack.source} (edges)" for stack in self._stacks for _ in stack.edges.good]
+        groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [f"{s.source} ({s.kind})" if s.source else s.kind for s in self._samples]
         return Measurements(
-            edge_measurements([(stack.edges, lens_at(stack.f_number)) for stack in self._stacks]),
-            value_measurements([(s, lens_at(s.aperture)) for s in self._samples]),
+            edge_measurements([(edges, lens_at(f_number)) for edges, _, f_number in self._stacks]),
+            value_measurements([(s, lens_at(s.f_number)) for s in self._samples]),
             tuple(groups),
         )
 
     def table(self) -> EdgeTable | None:
-        """Return all edges without problems, in the order of the joint fit; None if there are no edges."""
+        """Return all edges without problems; None if there are no edges."""
         rows = []
-        for stack in self._stacks:
-            result, good = stack.edges, stack.edges.good
-            fit = result.parametric
+        for edges, source, _ in self._stacks:
+            fit, good = edges.parametric, edges.good
             columns = (
-                *result.place, result.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), result.mtf50,
-                result.mtf50_std, result.mtf, result.mtf_std,
+                *edges.place, edges.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), edges.mtf50,
+                edges.mtf50_std, edges.mtf, edges.mtf_std,
             )  # fmt: skip
-            rows.append((*(np.asarray(column)[good] for column in columns), np.full(good.size, stack.source)))
+            rows.append((*(np.asarray(column)[good] for column in columns), np.full(good.size, source)))
         return EdgeTable(*(np.concatenate(columns) for columns in zip(*rows, strict=True))) if rows else None

@@ -27,8 +27,9 @@ from matcam.calibration.edge.free_curve import (
     line_width,
 )
 from matcam.calibration.edge.geometry import EdgeCells
-from matcam.calibration.edge.maximum_likelihood import EdgeModel, Noise, scaled_inverse
+from matcam.calibration.edge.maximum_likelihood import EdgeModel, Noise
 from matcam.core.jax import jax, jnp
+from matcam.numerics.linalg import scaled_inverse
 
 FOUND = 25.0
 """Rise of 2 ln likelihood, 5 sigma, that glare must bring to be believed."""

@@ -62,7 +62,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
         ("sharpened", "overshoot as sharpened ones do, and are left out"),
     ):
         if codes[code]:
-            remarks.append(Remark(code, f"{channel}: {codes[code]} of {len(result)} edges {text}"))
+            remarks.append(Remark(f"{code}-edges", f"{channel}: {codes[code]} of {len(result)} edges {text}"))
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
     if contrast < _CONTRAST:
