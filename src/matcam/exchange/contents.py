@@ -81,7 +81,7 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
         >>> from matcam.exchange.contents import read
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
-        ...     matcam.write_exr(path, np.ones((2, 3, 3)))
+        ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
         ...     picture = read(path)
         >>> picture.shape
         (2, 3, 3)

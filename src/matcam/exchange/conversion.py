@@ -66,7 +66,7 @@ def convert(
         >>> import tempfile, pathlib
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     picture = pathlib.Path(folder, "picture.exr")
-        ...     matcam.write_exr(picture, np.ones((4, 5)))
+        ...     matcam.io.write_exr(picture, np.ones((4, 5)))
         ...     report = matcam.convert(picture, picture.with_suffix(".tif"))
         >>> report["holds"], report["resampled"]
         ('a picture', None)

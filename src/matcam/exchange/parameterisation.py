@@ -70,7 +70,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
 
     Example:
-        >>> fields = matcam.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
         >>> fields["rgb"].dims, fields["rgb"].shape
         (('phi_i', 'theta_i', 'channel', 'row', 'column'), (1, 44, 3, 8, 8))
     """

@@ -106,7 +106,7 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
 
     Example:
         >>> flat = matcam.Rig(matcam.rigs.merl().camera, matcam.Flat())
-        >>> values, pixels = matcam.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
+        >>> values, pixels = matcam.forward.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
         >>> values.shape, pixels.shape
         ((90, 90, 180, 1), (90, 90, 180))
     """

@@ -57,7 +57,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> noisy = matcam.with_pixel_noise(table, matcam.rigs.merl(), matcam.PixelNoise(0.01, 0.0), seed=1)
+        >>> noisy = matcam.forward.with_pixel_noise(table, matcam.rigs.merl(), matcam.camera.PixelNoise(0.01, 0.0), seed=1)
         >>> bool(abs(noisy / table - 1).mean() < 0.01)
         True
     """

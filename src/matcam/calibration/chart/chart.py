@@ -32,7 +32,7 @@ class Chart:
         ArgumentError: if an element's values contradict one another, or the fiducials cannot be found.
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
         >>> chart.page, len(chart.fiducials)
         ((297.0, 210.0), 8)
     """

@@ -135,7 +135,7 @@ def grating_mtf(
     Example:
         >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
         >>> sine = 1000 * (1 + 0.25 * np.cos(2 * np.pi * 0.16 * x))
-        >>> result = matcam.grating_mtf(sine, profile="sine", contrast=0.5)
+        >>> result = matcam.targets.grating_mtf(sine, profile="sine", contrast=0.5)
         >>> np.round(result.samples.frequency, 3), np.round(result.samples.mtf, 3)
         (array([0.161]), array([0.5]))
     """
@@ -186,7 +186,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
     Example:
         >>> f = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
-        >>> np.round(matcam.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
+        >>> np.round(matcam.targets.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
         array([0.851, 0.55 , 0.314, 0.118, 0.   ])
     """
     f, c = (np.asarray(a, dtype=np.float64) for a in (frequency, contrast))

@@ -194,7 +194,7 @@ def dot_grid(
         >>> for column in range(9, 90, 12):
         ...     for row in range(9, 90, 12):
         ...         page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2)
-        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
         >>> grid.sigma.size, bool(np.abs(grid.sigma / 0.9 - 1).max() < 0.1)
         (49, True)
     """

@@ -134,7 +134,7 @@ def star_mtf(
     Example:
         >>> y, x = np.mgrid[:110, :110] - 54.5
         >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)  # pixels without size: the MTF is 1
-        >>> result = matcam.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
         >>> result.cycles, bool(np.abs(result.samples.mtf - 1).max() < 1e-6)
         (20, True)
     """

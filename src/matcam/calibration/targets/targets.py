@@ -88,12 +88,12 @@ def measure_targets(
         docs/targets.md.
 
     Example:
-        >>> chart = matcam.design_chart(["dots"], pixels_across=300)
+        >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
         >>> y, x = np.mgrid[:213, :300]
         >>> page = np.full(y.shape, 1000.0)
         >>> for column, row in chart.elements[-1].centres:
         ...     page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2.5)
-        >>> found = matcam.measure_targets(page, chart, registration=lambda mm: mm, source="a.png")  # 1 px is 1 mm
+        >>> found = matcam.targets.measure_targets(page, chart, registration=lambda mm: mm, source="a.png")  # 1 px is 1 mm
         >>> found.samples[0].source, found.problems
         ('a.png: dots 11', ())
     """

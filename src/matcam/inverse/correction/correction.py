@@ -49,9 +49,9 @@ class Correction:
         remarks: what a reader should know of the correction.
 
     Example:
-        >>> done = matcam.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
+        >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
-        >>> list(matcam.Correction.__dataclass_fields__)
+        >>> list(matcam.inverse.Correction.__dataclass_fields__)
         ['table', 'fit', 'doubts', 'shape', 'remarks']
     """
 
