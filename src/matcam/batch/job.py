@@ -130,7 +130,9 @@ def write_corrected(job: Job) -> dict[str, Any]:
     """
     version = metadata.version("matcam")
     if job.recipe.version != version:
-        raise ArgumentError(f"this worker has matcam {version}, the run was started by {job.recipe.version}")
+        raise ArgumentError(
+            f"this worker has matcam {version}, the run was started by {job.recipe.version}: install the same"
+        )
     for path in job.files:
         check_output(path, force=job.force, inputs=[job.source])
     started = time.perf_counter()

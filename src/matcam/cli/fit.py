@@ -57,7 +57,7 @@ def command(
     from matcam.core.io import check_output
 
     if blind and lens != "auto":
-        raise ArgumentError("--no-camera and --lens contradict each other")
+        raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
         raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
     if output:

@@ -63,7 +63,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     """
     brdf = checked_table(brdf)
     if brdf.sizes["channel"] != len(CHANNELS):
-        raise ArgumentError(f"a MERL file holds the channels R, G, B; this table has {brdf.sizes['channel']}")
+        raise ArgumentError(f"a MERL file takes the channels R, G, B; this table has {brdf.sizes['channel']}")
     values = np.moveaxis(np.asarray(brdf.values, dtype=np.float64), -1, 0)
     lowest = np.nanmin(values, initial=np.inf)
     if lowest < 0:

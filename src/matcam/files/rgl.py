@@ -165,7 +165,7 @@ def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
             if array.dtype != np.float32 or array.ndim != len(dims) or 0 in array.shape:
                 raise ArgumentError(f"field {name} must be float32 {dims}, got {array.dtype} of shape {array.shape}")
             if not np.all(np.isfinite(array)):
-                raise ArgumentError(f"field {name} holds {array[~np.isfinite(array)].flat[0]}, not a number")
+                raise ArgumentError(f"field {name} must hold finite numbers, got {array[~np.isfinite(array)].flat[0]}")
     if fields["jacobian"].dtype != np.uint8 or fields["jacobian"].shape != (1,):
         raise ArgumentError("field jacobian must be one uint8")
     labelled = {

@@ -39,7 +39,10 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
     """The table that has these samples; what is not among them is missing. ArgumentError where one lies beside the MERL
     grid, or two in one cell: nothing is interpolated."""
     if "sample" not in getattr(samples, "dims", ()) or samples.sizes["channel"] not in (1, len(CHANNELS)):
-        raise ArgumentError("samples must have dims (sample, channel) with one channel or three (see read_samples)")
+        dims = getattr(samples, "dims", type(samples).__name__)
+        raise ArgumentError(
+            f"samples must have dims (sample, channel) with one channel or three (see read_samples), got {dims}"
+        )
     found = {name: np.asarray(samples[name].values) for name in _HALF}
     found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is 0 again
     for sampling in SAMPLINGS:
@@ -58,7 +61,8 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
     numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
     if np.unique(numbers).size < numbers.size:
         twice = int(np.flatnonzero(np.bincount(numbers) > 1)[0])
-        raise ArgumentError(f"cell {np.unravel_index(twice, values.shape[:3])} of the MERL grid has several samples")
+        cell = tuple(int(i) for i in np.unravel_index(twice, values.shape[:3]))
+        raise ArgumentError(f"cell {cell} of the MERL grid has several samples: give one")
     values[tuple(nearest)] = samples.values
     return brdf_table(values, sampling)
 

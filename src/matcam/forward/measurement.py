@@ -7,7 +7,6 @@ material.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from matcam.core.grid import (
     theta_h_edges,
 )
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.core.workspace import Keyed
+from matcam.core.workspace import default_workspace
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
@@ -78,7 +77,9 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
     """
     recorded, pixels = table_values(material, rig)
     if recorded.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}")
+        raise ArgumentError(
+            f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
+        )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
@@ -170,16 +171,16 @@ def table_plan(imaging: Imaging, cell_value: CellValue, crop: tuple[int, int] | 
     leaves, tree = jax.tree.flatten(imaging)
     if not all(is_concrete(leaf) for leaf in leaves):
         raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
-    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
-    return _table_plan(Keyed(key, imaging), cell_value, crop)
+    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), cell_value, crop
+    # some hundred MB each: the last one stays
+    return default_workspace().remember("table plan", key, lambda: _new_plan(imaging, cell_value, crop), most=1)
 
 
-@lru_cache(maxsize=1)
-def _table_plan(imaging: Keyed[Imaging], cell_value: CellValue, crop: tuple[int, int] | None) -> TablePlan:
-    sphere = imaging.thing.sample
+def _new_plan(imaging: Imaging, cell_value: CellValue, crop: tuple[int, int] | None) -> TablePlan:
+    sphere = imaging.sample
     cells = table_cells(sphere, cell_value, crop)
     lamps = np.asarray(sphere.lamp_angle(jnp.asarray(merl_grid(cell_sampling(cell_value)).theta_d)))
-    return TablePlan(cells, integration_plan(imaging.thing, lamps, cells.places))
+    return TablePlan(cells, integration_plan(imaging, lamps, cells.places))
 
 
 def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | None) -> TableCells:

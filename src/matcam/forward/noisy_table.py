@@ -7,7 +7,6 @@ on one pixel share its noise.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, GRID_SHAPE, Sampling, checked_table, merl_grid, sampling_of
+from matcam.core.workspace import default_workspace
 from matcam.forward.measurement import measure
 from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
@@ -62,7 +62,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     """
     noise.checked()
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+        raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     pixels = cell_pixels(rig.sample, sampling_of(checked_table(table)))
     values = table.values.copy()
@@ -109,10 +109,9 @@ def simulated_chromium(seed: int = 1) -> xr.DataArray:
     MERL file cannot hold values below 0. The true answer is known, so this tests eyes and installation. It does not test the
     method, for which tests/oracle is made.
     """
-    return _simulated(seed).copy()
+    return default_workspace().remember("simulated chromium", seed, lambda: _simulated(seed), most=1).copy()
 
 
-@lru_cache(maxsize=1)
 def _simulated(seed: int) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
     # without masking: for so smooth a surface it is 1 to within 1e-6 up to 89 degrees

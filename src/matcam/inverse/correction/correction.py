@@ -155,7 +155,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
     if not there.any():
-        raise FitError("no picture shows a highlight")
+        raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
     seen = found.problem.theta_d[there]
     f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
     radius = radius_of(rig)
