@@ -39,12 +39,12 @@ from .forward.peaks.peak import peak_response
 from .forward.prediction import loss_angle
 from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
-from .inverse.correction.correction import Correction, correct, correction
-from .inverse.fit.fit_result import MaterialFit
-from .inverse.fit.material_fit import fit
+from .inverse.correction.correction import Correction, correct
+from .inverse.fit.fit_setup import fit
+from .inverse.fit.material_fit import MaterialFit
 from .inverse.fresnel_term import fresnel, tabulated_fresnel
 from .inverse.recoverability import limits
-from .inverse.rivals import Rivals, rivals
+from .inverse.rival_fits import Rivals, rivals
 from .material.adaptive import Adaptive
 from .material.material import Tabulated, albedo
 from .material.metals import metal, metal_sources, metals
@@ -112,7 +112,6 @@ __all__ = [
     "convert",
     "correct",
     "correct_all",
-    "correction",
     "design_chart",
     "dot_grid",
     "edge_mtf",

@@ -25,7 +25,7 @@ from matcam.material.material import Material, Tabulated
 
 @dataclass(frozen=True)
 class Contents:
-    """Hold what is in a file; one field besides `format` is not None.
+    """The contents of a file; one field besides `format` is not None.
 
     Attributes:
         format: short name of the file's format; "": it was not read from a file.
@@ -55,7 +55,7 @@ class Contents:
 
     @property
     def kind(self) -> str:
-        """Say in words what it is."""
+        """Return the kind of the contents, in words."""
         return CONTENTS[self.content]
 
 
@@ -133,7 +133,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
 
 def contents_of(thing: Any) -> Contents:
-    """Return what a table, a result or a picture is to a file. ArgumentError for anything else."""
+    """Wrap a table, a result or a picture as the contents of a file. ArgumentError for anything else."""
     if isinstance(thing, Contents):
         return thing
     if isinstance(thing, xr.DataArray):
@@ -151,24 +151,29 @@ def contents_of(thing: Any) -> Contents:
     )
 
 
-def write_contents(path: str | Path, held: Contents, *, force: bool = False) -> None:
+def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
     """Write contents in the format that the name ends in. ArgumentError where it cannot hold them."""
     path = Path(path)
     form = format_for(path)
-    writer = form.writer(held.content)
+    writer = form.writer(contents.content)
     check_output(path, force=force)
-    data = held.data
-    if form.name == "csv" and held.content == "table":
+    data = contents.data
+    if form.name == "csv" and contents.content == "table":
         data = samples_of(data)
     elif form.name in ("netcdf", "zarr") and isinstance(data, xr.DataArray):
-        data = data.to_dataset(name="brdf" if held.content == "table" else "samples")
+        data = data.to_dataset(name="brdf" if contents.content == "table" else "samples")
     writer(path, data, force=force)
 
 
 def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
-    """Read a file of any format that holds measurements.
+    """Read a file of any format that holds measurements. FileFormatError for anything else.
 
-    sampling: of a MERL file, see `read_merl`. FileFormatError for anything else.
+    Args:
+        path: file to read.
+        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. Default: "centre".
+
+    Returns:
+        The contents, with the name of the format.
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
@@ -196,7 +201,7 @@ def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
 
 
 def material_of(contents: Contents) -> Material:
-    """The material that a file describes. ArgumentError where it describes none."""
+    """Return the material that a file describes. ArgumentError where it describes none."""
     if contents.table is not None:
         return Tabulated(contents.table)
     if contents.fields is not None:

@@ -81,7 +81,7 @@ def convert(
         "format": contents.format,
         "holds": contents.kind,
     }
-    contents, details = _resampled(contents, form, sampling, square)
+    contents, details = _resample(contents, form, sampling, square)
     form.writer(contents.content)
     if contents.picture is not None:
         details |= _write_sidecar(source, target, force)
@@ -114,8 +114,8 @@ def _directions(random: np.random.Generator) -> Vector:
     return vector(sin * np.cos(phi), sin * np.sin(phi), cos)
 
 
-def _resampled(contents: Contents, form: Format, sampling: Sampling, square: int) -> tuple[Contents, dict[str, Any]]:
-    """Resample a BRDF whose grid the format does not have. Return the contents, and what the report says of it."""
+def _resample(contents: Contents, form: Format, sampling: Sampling, square: int) -> tuple[Contents, dict[str, Any]]:
+    """Resample a BRDF whose grid the format does not have. Return the contents, and the details that the report adds."""
     if contents.table is not None and form.holds == ("fields",):
         material = material_of(contents)
         fields = adaptive_grid(material, description=str(_source(contents)), square=square)
@@ -131,7 +131,7 @@ def _resampled(contents: Contents, form: Format, sampling: Sampling, square: int
 
 
 def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[str, Any]]:
-    """Return RGL's fields on the MERL grid."""
+    """Resample RGL's fields to the MERL grid."""
     material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot hold it")

@@ -15,6 +15,7 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, GRID_SHAPE, Sampling, checked_table, merl_grid, sampling_of
+from matcam.core.jax import jax
 from matcam.core.workspace import default_workspace
 from matcam.forward.measurement import measure
 from matcam.material.metals import metal
@@ -94,7 +95,8 @@ def cell_pixels(sphere: Sphere, sampling: Sampling) -> CellPixels:
     """Number the pixels behind the cells of a table that pictures of a sphere fill."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
-    return CellPixels(*(_pixel_number(sphere.place(theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
+    place = jax.jit(lambda sphere, *angles: sphere.place(*angles))
+    return CellPixels(*(_pixel_number(place(sphere, theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
 
 
 def _pixel_number(place: Place) -> np.ndarray:
@@ -109,10 +111,10 @@ def simulated_chromium(seed: int = 1) -> xr.DataArray:
     MERL file cannot hold values below 0. The true answer is known, so this tests eyes and installation. It does not test the
     method, for which tests/oracle is made.
     """
-    return default_workspace().remember("simulated chromium", seed, lambda: _simulated(seed), most=1).copy()
+    return default_workspace().remember("simulated chromium", seed, lambda: _noisy_chromium(seed), most=1).copy()
 
 
-def _simulated(seed: int) -> xr.DataArray:
+def _noisy_chromium(seed: int) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
     # without masking: for so smooth a surface it is 1 to within 1e-6 up to 89 degrees
     chromium = Microfacet(GaussianNDF(CHROMIUM_WIDTH), Conductor(n, k), masking=None)

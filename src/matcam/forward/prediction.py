@@ -76,8 +76,9 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
         Holzschuch and Pacanowski (2017), section 3; docs/model.md 4.
 
     Example:
-        >>> round(np.degrees(matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.02))), 1)
-        61.8
+        >>> angle = matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.02))
+        >>> print(f"{np.degrees(angle):.1f} degrees")
+        57.1 degrees
     """
     return float(predict(rig, [ndf], dims)["loss_angle"][0])
 

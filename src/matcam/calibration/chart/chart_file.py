@@ -199,7 +199,7 @@ _UNITS = {
 
 
 def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
-    """Return an element's fields under their names in the file, which end in their units."""
+    """Return an element's fields, with units in their names."""
     return {f"{name}{_UNITS.get(name, '')}": value for name, value in vars(thing).items()}
 
 

@@ -19,7 +19,7 @@ from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, Pixels, WaveFit, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
@@ -58,7 +58,10 @@ class GratingMTF:
 
     @property
     def contrast(self) -> float:
-        """Return (brightest - darkest) / (brightest + darkest) that pixels on the middles of lines would read."""
+        """Return the contrast on the middles of lines.
+
+        It is (brightest - darkest) / (brightest + darkest) of pixels there.
+        """
         at_bright, at_dark = self.modulation.sum(), (self.modulation * (-1.0) ** np.array(self.orders)).sum()
         return float((at_bright - at_dark) / (2 + at_bright + at_dark))
 
@@ -96,8 +99,9 @@ def grating_mtf(
     channel: str | None = None,
     tone: Tone = "linear",
 ) -> GratingMTF:
-    """Measure the MTF of lens and pixel with a grating, at its frequency and at its harmonics.
+    """Measure the MTF of lens and pixel with a grating.
 
+    It is found at the grating's frequency and at its harmonics.
     Phases are fitted, so that no error is made by where pixels lie on the bars. Harmonics that look alike on the grid, or like
     the mean, get the errors that they deserve. Those that say nothing are left out.
 
@@ -221,7 +225,7 @@ def _moebius(k: int) -> int:
 
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Return which pixels lie deeper than the margin inside a convex polygon (n, 2) px."""
+    """Return which pixels lie deeper than the margin inside a convex polygon."""
     y, x = np.indices(shape).astype(float)
     middle, inside = corners.mean(0), np.ones(shape, bool)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -234,7 +238,7 @@ def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 def _expected_grating(
     grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
-    """Return a described grating in px of the region that holds it, and the region."""
+    """Return a described grating, and the region that holds it."""
     corners = projection(grating.corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
@@ -254,8 +258,8 @@ def _expected_grating(
 def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
 ) -> tuple[WaveFit, tuple[int, ...], _MeanWave]:
-    """Return the wave's fit, the orders of its harmonics, and its mean frequency and place."""
-    pixels = Pixels.where(values, found.inside)
+    """Return the wave's fit, its orders, and its mean."""
+    pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
     highest = max(1, int(_HIGHEST / max(float(frequency.mean()), 1e-6)))
@@ -281,7 +285,7 @@ def _fit_grating(
 
 
 class _MeanWave(NamedTuple):
-    """Hold a grating's mean frequency (fx, fy), cycles/px, and its mean place (x, y), px of the region."""
+    """Hold a grating's mean frequency, cycles/px, and mean place, px."""
 
     fx: float
     fy: float
@@ -289,8 +293,8 @@ class _MeanWave(NamedTuple):
     y: float
 
 
-def _other_wave(pixels: Pixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
-    """Say what else there is than one wave and noise; empty if nothing."""
+def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
+    """Say what there is besides one wave and noise, if anything."""
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()
     if left < _LEFT:
@@ -311,7 +315,10 @@ def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
 def _grating_result(
     picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray, wave: _MeanWave
 ) -> GratingMTF:
-    """Return a grating's MTF from its harmonics and the print's; signs: of the harmonics, where the phase was not known."""
+    """Return a grating's MTF from its harmonics and the print's.
+
+    signs: of the harmonics, where the phase was not known.
+    """
     f, direction = float(np.hypot(wave.fx, wave.fy)), float(np.arctan2(wave.fy, wave.fx))
     modulation = signs * fit.coefficients
     std = np.sqrt(np.diag(fit.covariance))

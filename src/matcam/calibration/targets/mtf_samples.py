@@ -16,7 +16,7 @@ KINDS = ("edge", "grating", "star", "dots")
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
-    """Hold values of a camera's MTF, measured at n frequencies in one place of one picture.
+    """Hold a camera's MTF as measured at n frequencies in one place.
 
     The MTF is the effective camera's: optics and pixel, signed.
 

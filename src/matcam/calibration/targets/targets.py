@@ -61,7 +61,7 @@ def measure_targets(
     f_number: float | None = None,
     source: str = "",
 ) -> Targets:
-    """Find a chart in a photograph, and measure its gratings, stars and dots.
+    """Find a chart, and measure its gratings, stars and dots.
 
     Squares are left to `edge_mtf` and `calibrate`. A target that cannot be measured is listed, and the others are measured.
 

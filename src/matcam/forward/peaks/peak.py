@@ -67,7 +67,7 @@ def peak_response(
     Example:
         >>> response = matcam.peak_response(matcam.rigs.merl(), matcam.GaussianNDF(0.002), np.radians([0, 75]))
         >>> print(np.round(response, 3))
-        [0.437 0.151]
+        [0.437 0.146]
     """
     theta = checks.viewing_angle("theta", theta)
     checks.choice("dims", dims, (1, 2))
