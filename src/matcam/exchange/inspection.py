@@ -146,7 +146,7 @@ def _result_report(data: xr.Dataset) -> dict[str, Any]:
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
-        raise ArgumentError("every value of the picture is missing")
+        raise ArgumentError("every value of the picture is missing: there is nothing to inspect")
     return {
         "shape": list(picture.shape),
         "missing_share": float(missing.mean()),

@@ -66,7 +66,9 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     albedo = _rgb(material.diffuse)
     share = float(albedo.max())
     if share >= 1:
-        raise ArgumentError("a diffuse albedo of 1 leaves no share for the highlight in Mitsuba's blendbsdf")
+        raise ArgumentError(
+            "a diffuse albedo of 1 leaves no share for the highlight in Mitsuba's blendbsdf: it must be less"
+        )
     if isinstance(material.fresnel, Conductor):
         facets |= {"eta": _colour(_rgb(material.fresnel.n)), "k": _colour(_rgb(material.fresnel.k))}
         facets |= {"specular_reflectance": 1 / (1 - share)} if share else {}
@@ -109,9 +111,9 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
     """
     _check(material)
     if not isinstance(material.ndf, GGX | AnisotropicGGX):
-        raise ArgumentError(f"pbrt has GGX facets, not {material.ndf!r}")
+        raise ArgumentError(f"pbrt takes GGX facets, not {material.ndf!r}")
     if not isinstance(material.fresnel, Conductor) or np.any(np.asarray(material.diffuse) > 0):
-        raise ArgumentError("pbrt's conductor is a metal without a diffuse part")
+        raise ArgumentError("pbrt's conductor can only be a metal without a diffuse part")
     if name is not None and (not name or any(c in name for c in '"\\\n')):
         raise ArgumentError(f"name must hold no quotes, backslashes or line breaks, got {name!r}")
     along, across = _alphas(material)

@@ -63,7 +63,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     """
     noise.checked()
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+        raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     pixels = cell_pixels(rig.sample, sampling_of(checked_table(table)))
     values = table.values.copy()

@@ -63,7 +63,9 @@ class CameraRequest:
             lens = lens_model(name, wavelength, self.pixel_pitch)
             return lambda _: lens
         if both and any(number is None for number in f_numbers):
-            raise ArgumentError("diffraction is to be taken into account, but not every picture's f-number is known")
+            raise ArgumentError(
+                "diffraction needs f-numbers, but not every picture's f-number is known: give f_numbers: give f_numbers"
+            )
         if not both:
             return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
         return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(self.pixel_pitch))

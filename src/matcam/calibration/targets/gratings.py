@@ -242,10 +242,12 @@ def _expected_grating(
     corners = projection(grating.corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
-        raise FitError("the grating lies outside the picture, or covers less than 16 x 16 px of it")
+        raise FitError(
+            "the grating lies outside the picture, or covers less than 16 x 16 px of it: photograph it larger"
+        )
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the picture")
+        raise FitError("the grating covers too few pixels of the picture: photograph it larger")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))

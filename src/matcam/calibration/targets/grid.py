@@ -224,7 +224,7 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
-        raise FitError("the grid of dots lies outside the picture")
+        raise FitError("the grid of dots lies outside the picture: give a picture that shows it whole")
     box = pixel_box(seen[inside], whole.shape, _REACH)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)

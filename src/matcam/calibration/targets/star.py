@@ -164,7 +164,7 @@ def _expected_star(
     outer = projection(np.array(star.centre) + star.outer * rim)
     box = pixel_box(outer, shape, 2)
     if min(box[2:]) < SMALLEST or (outer.min(0) < -0.5).any() or (outer.max(0) > np.array(shape[::-1]) - 0.5).any():
-        raise FitError("the star lies outside the picture")
+        raise FitError("the star lies outside the picture: give a picture that shows it whole")
     low = np.array(box[:2])
     centre = projection(np.array([star.centre]))[0] - low
     radii = np.linspace(max(star.inner, 0.2 * star.outer), star.outer, 6)
