@@ -11,13 +11,14 @@ from .calibration.targets.grid import DotGrid, dot_grid
 from .calibration.targets.mtf_samples import MTFSamples
 from .calibration.targets.star import StarMTF, star_mtf
 from .calibration.targets.targets import measure_targets
+from .camera.bracketing import expose_bracket, merge_bracket
 from .camera.camera import Camera
 from .camera.optics.gaussian import GaussianOptics
 from .camera.optics.halo import HaloOptics
 from .camera.optics.measured import MeasuredOptics
 from .camera.optics.pupil import DefocusOptics, DiffractionOptics
 from .camera.pixel import BoxPixel, WindowedGaussianPixel
-from .camera.sensor import PixelNoise, Sensor, expose_bracket, merge_bracket
+from .camera.sensor import PixelNoise, Sensor
 from .camera.uncertainty import Provenance, Uncertainty
 from .core.errors import MatcamError
 from .exchange.conversion import convert
@@ -44,16 +45,16 @@ from .inverse.fresnel_term import fresnel, tabulated_fresnel
 from .inverse.recoverability import limits
 from .inverse.rivals import Rivals, rivals
 from .material.adaptive import Adaptive
-from .material.material import Tabulated, albedo
-from .material.metals import metal, metal_sources, metals
+from .material.material import albedo
+from .material.metals import metal, metals
 from .material.microfacet import Microfacet
-from .material.ndf.anisotropic import AnisotropicBeckmann, AnisotropicGGX
-from .material.ndf.beckmann import Beckmann
+from .material.ndf.beckmann import AnisotropicBeckmann, Beckmann
 from .material.ndf.epd import EPD
 from .material.ndf.gaussian_lobe import GaussianNDF
-from .material.ndf.ggx import GGX
+from .material.ndf.ggx import GGX, AnisotropicGGX
 from .material.ndf.sgd import SGD
 from .material.reflectance import Conductor, Constant, Dielectric, Sampled, Schlick, fresnel_conductor
+from .material.tabulated import Tabulated
 from .rigs import Rig
 from .sample.cylinder import Cylinder
 from .sample.shape import Flat
@@ -130,7 +131,6 @@ __all__ = [
     "merge_bracket",
     "metadata",
     "metal",
-    "metal_sources",
     "metals",
     "mitsuba_material",
     "paper",

@@ -29,7 +29,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.peaks.lobe import lobe_record
 from matcam.forward.peaks.peak import predict
-from matcam.material.ndf.families import ONE_WIDTH
+from matcam.material.registry import ONE_WIDTH
 from tests.golden import rows
 
 

@@ -40,7 +40,7 @@ from matcam.core.json import write_json
 from matcam.figures.run_index import INLINE, write_run_index
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 

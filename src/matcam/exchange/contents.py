@@ -21,7 +21,8 @@ from matcam.files.merl import read_merl
 from matcam.files.rgl import check_fields, read_rgl
 from matcam.files.samples import read_samples, table_of
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 Format = Literal["merl", "rgl", "csv", "netcdf", "zarr", "exr", "tiff", "camera profile", "picture sidecar"]
 

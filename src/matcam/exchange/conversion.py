@@ -24,7 +24,8 @@ from matcam.files.samples import samples_of, write_samples
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 SUFFIXES = (".binary", ".bsdf", ".csv", ".nc", ".zarr.zip", ".exr", ".tif", ".tiff")
 """Of the outputs, which say their format."""

@@ -18,7 +18,8 @@ from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, sampling_of
 from matcam.exchange.contents import Contents
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Tabulated, albedo
+from matcam.material.material import albedo
+from matcam.material.tabulated import Tabulated
 
 _IN_PLANE, _ACROSS = 0.95, 0.3
 _LAST = 75  # degrees of theta_d

@@ -17,7 +17,7 @@ from matcam.inverse.fit.lobe_slopes import lobe_and_slope
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, known_axis
-from matcam.material.ndf.families import ONE_WIDTH
+from matcam.material.registry import ONE_WIDTH
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 
@@ -69,7 +69,7 @@ def limits(
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
-    assumed = (noise or PixelNoise(gain=0.01)).checked()
+    assumed = (noise or PixelNoise(picture_gain=0.01)).checked()
     known = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = known / float(rig.camera.parameters()[LENS])
     own = [_Information(rig, ndf, a, assumed, every) for a in values]

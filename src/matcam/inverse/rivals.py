@@ -20,8 +20,8 @@ from matcam.inverse.fit.fit_problem import Layout, Problem
 from matcam.inverse.fit.fit_result import MaterialFit, result_of
 from matcam.inverse.fit.material_fit import Prior, Search, fit, prior_rows
 from matcam.inverse.operator.lobe_operator import perfect_operator, radius_of
-from matcam.material.ndf.families import FAMILIES
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 _SMOOTH = 1.0

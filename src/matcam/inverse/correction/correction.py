@@ -24,7 +24,7 @@ from matcam.inverse.fit.candidates import AUTO, EVERY, bent, candidate_fits, lik
 from matcam.inverse.fit.fit_result import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig, radius_of
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED = 0.05
@@ -126,7 +126,7 @@ def _assembled(
 
     noise = shape.noise
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
-    variance = (noise.relative**2 + noise.gain**2) * data**2 + (noise.floor * peak) ** 2
+    variance = (noise.relative**2 + noise.picture_gain**2) * data**2 + (noise.floor * peak) ** 2
     variance = variance * np.where(lobe, ratio, 1.0) ** 2
     variance += np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
     scattered = glare * _farthest_glare(brdf, rig, found)

@@ -177,7 +177,7 @@ class Problem:
 
     def gain(self, noise: PixelNoise) -> float:
         """Standard deviation of a picture's strength beside its model: endless where strengths are free."""
-        return np.inf if self.layout.fresnel == "free" else noise.gain
+        return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: Model, weight: np.ndarray, gain: float) -> Whitening:
         """Free strengths drop what lies along the lobe; known gains shorten what lies along the picture."""

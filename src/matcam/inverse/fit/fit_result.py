@@ -52,7 +52,7 @@ def strengths_of(problem: Problem, solved: Solved) -> tuple[np.ndarray, np.ndarr
         return strength, np.sqrt(variance)
     own, taken = strength_errors(problem, solved)
     variance = own**2 + np.einsum("pus,pq,qus->us", taken, solved.covariance, taken)
-    variance += (solved.noise.gain * strength) ** 2
+    variance += (solved.noise.picture_gain * strength) ** 2
     seen = problem.data.used.any(-1)
     return np.where(seen, strength, np.nan), np.where(seen, np.sqrt(variance), np.nan)
 

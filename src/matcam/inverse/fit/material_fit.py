@@ -22,8 +22,8 @@ from matcam.inverse.fit.fit_result import MaterialFit, result_of
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, radius_of
 from matcam.inverse.operator.rig_axes import Axis, free_axis, known_axis
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES, WITH_POWER
 from matcam.material.ndf.free_lobe import KNOTS
+from matcam.material.registry import FAMILIES, WITH_POWER
 from matcam.numerics.interpolate import smoothness
 from matcam.rigs import Rig
 
@@ -161,7 +161,9 @@ class Search:
         data = self.problem.data
         noise = self.given or picture_noise.START
         # to begin with, each value's own variance; from then on the model's
-        weight = 1 / picture_noise.variance(data, np.abs(data.values), picture_noise.START._replace(gain=noise.gain))
+        weight = 1 / picture_noise.variance(
+            data, np.abs(data.values), picture_noise.START._replace(picture_gain=noise.picture_gain)
+        )
         starts = self._starts(weight)
         tried = [self._refined(start, weight, noise, rounds=1) for start in starts[:2]]
         first = min(tried, key=lambda solved: solved.misfit)
@@ -236,7 +238,7 @@ class Search:
             robust = picture_noise.huber(off)
             weight = robust / picture_noise.variance(data, model.value, noise)
             model = problem.model(p, weight)
-            white = problem.whitening(model, weight, noise.gain)
+            white = problem.whitening(model, weight, noise.picture_gain)
             flat = white(model.derivative).reshape(p.size, -1)
             covariance = _inverse(flat @ flat.T + self.known.T @ self.known)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
@@ -252,7 +254,7 @@ class Search:
     def _least_squares(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int) -> np.ndarray:
         problem = self.problem
         start = problem.model(p, weight)
-        held = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.gain)
+        held = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
         last: dict[bytes, np.ndarray] = {}
 
         def triangle(p: np.ndarray) -> np.ndarray:
