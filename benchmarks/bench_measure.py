@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam import GGX, Microfacet, rigs
 from matcam.core.grid import below_horizon, merl_grid
-from matcam.forward.measurement import measured_values
+from matcam.forward.measurement import table_values
 
 ALPHA, NODES, RADIUS, SIGMA, HALF, BATCH, ROUNDS = 0.005, 16, 256.0, 0.5, 0.5, 4096, 3
 REACH = HALF + 5.2 * SIGMA
@@ -75,7 +75,7 @@ def main() -> None:
     material, rig = Microfacet(GGX(ALPHA), 1.0), rigs.merl()
 
     def ours():
-        return measured_values(material, rig)[0].block_until_ready()
+        return table_values(material, rig)[0].block_until_ready()
 
     ours()
     print(f"memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB (asked for 2 GB)")

@@ -53,7 +53,7 @@ def main() -> None:
                     f"{np.round(at, 3).tolist()} | { {k: round(v, 3) for k, v in rms.items()} }",
                     flush=True,
                 )
-        free = fit(table, rigs.merl(), "epd", fresnel="free", diffuse=True, camera="free", every=EVERY)
+        free = fit(table, rigs.merl(), "epd", fresnel="free", diffuse=True, camera_parameters="free", every=EVERY)
         lens = free.params["optics.sigma_px"], free.std["optics.sigma_px"]
         print(
             f"{name} | lens free | sigma_mtf {lens[0]:.3f} +- {lens[1]:.3f} px, noise {free.noise.relative:.3f}",

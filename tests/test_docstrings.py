@@ -74,17 +74,6 @@ TO_DO = {
     "texture_contrast",
     "textured_picture",
     "with_pixel_noise",
-    # inverse
-    "Correction",
-    "MaterialFit",
-    "Rivals",
-    "correct",
-    "correction",
-    "fit",
-    "fresnel",
-    "limits",
-    "rivals",
-    "tabulated_fresnel",
 }
 """Public names whose docstrings do not comply yet. A name that complies, or that is gone, must leave the set."""
 

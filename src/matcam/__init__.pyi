@@ -1,11 +1,12 @@
 from . import paper, rigs
 from .batch.run import correct_all
-from .calibration.camera.combine import Calibration, calibrate
+from .calibration.camera.calibration import Calibration, calibrate
 from .calibration.chart.chart_file import read_chart, write_chart
 from .calibration.chart.chart_layout import design_chart
 from .calibration.chart.registration import register_chart
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
 from .calibration.edge.edge_result import EdgeMTF
+from .calibration.photograph.linear_image import LinearImage
 from .calibration.targets.gratings import GratingMTF, coltman, grating_mtf
 from .calibration.targets.grid import DotGrid, dot_grid
 from .calibration.targets.mtf_samples import MTFSamples
@@ -22,10 +23,10 @@ from .camera.sensor import PixelNoise, Sensor
 from .camera.uncertainty import Provenance, Uncertainty
 from .core.errors import MatcamError
 from .exchange.conversion import convert
-from .exchange.inspection import camera_trace, lobe_widths
 from .exchange.parameterisation import adaptive_grid
+from .exchange.receiver import metadata, solid_angles
 from .exchange.renderers import mitsuba_material, pbrt_material, rendered_sphere
-from .exchange.solid_angles import metadata, receiver
+from .exchange.trace import camera_trace, lobe_widths
 from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
 from .files.float_pictures import read_exr, read_float_tiff, write_exr, write_float_tiff
 from .files.merl import read_merl, write_merl
@@ -33,17 +34,18 @@ from .files.rgl import read_rgl, write_rgl
 from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .forward.image import picture, picture_values
-from .forward.lobe_table import lobe_table, with_pixel_noise
-from .forward.measurement import measure, measured_values
-from .forward.peaks.peak import loss_angle, peak_response
+from .forward.measurement import measure, table_values
+from .forward.noisy_table import with_pixel_noise
+from .forward.peaks.peak import peak_response
+from .forward.prediction import loss_angle
 from .forward.stamps import highlight_stamps
 from .forward.texture import texture_contrast, textured_picture
-from .inverse.correction.correction import Correction, correct, correction
-from .inverse.fit.fit_result import MaterialFit
-from .inverse.fit.material_fit import fit
+from .inverse.correction.correction import Correction, correct
+from .inverse.fit.fit_setup import fit
+from .inverse.fit.material_fit import MaterialFit
 from .inverse.fresnel_term import fresnel, tabulated_fresnel
 from .inverse.recoverability import limits
-from .inverse.rivals import Rivals, rivals
+from .inverse.rival_fits import Rivals, rivals
 from .material.adaptive import Adaptive
 from .material.material import albedo
 from .material.metals import metal, metals
@@ -85,6 +87,7 @@ __all__ = [
     "GaussianOptics",
     "GratingMTF",
     "HaloOptics",
+    "LinearImage",
     "MTFSamples",
     "MatcamError",
     "MaterialFit",
@@ -110,7 +113,6 @@ __all__ = [
     "convert",
     "correct",
     "correct_all",
-    "correction",
     "design_chart",
     "dot_grid",
     "edge_mtf",
@@ -122,12 +124,10 @@ __all__ = [
     "grating_mtf",
     "highlight_stamps",
     "limits",
-    "lobe_table",
     "lobe_widths",
     "loss_angle",
     "measure",
     "measure_targets",
-    "measured_values",
     "merge_bracket",
     "metadata",
     "metal",
@@ -147,13 +147,14 @@ __all__ = [
     "read_samples",
     "read_sidecar",
     "read_zarr",
-    "receiver",
     "register_chart",
     "rendered_sphere",
     "rigs",
     "rivals",
     "sidecar_path",
+    "solid_angles",
     "star_mtf",
+    "table_values",
     "tabulated_fresnel",
     "texture_contrast",
     "textured_picture",

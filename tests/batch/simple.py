@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.batch.job import Corrected
+from matcam.batch.executors.processes import ProcessExecutor
+from matcam.batch.job import attempt
+from matcam.batch.recipe import CorrectedTable
 from matcam.camera.optics.gaussian import GaussianOptics
 
 GAIN = 1.25
+
+
+def work_in_this_process(monkeypatch):
+    """Let a run's jobs be done here: no worker has to be started."""
+    monkeypatch.setattr(ProcessExecutor, "outcomes", lambda self, jobs: (attempt(job) for job in jobs))
 
 
 def brighter(table, rig, options):
@@ -31,13 +38,13 @@ def brighter(table, rig, options):
     )
     summary = {
         "ndf": "ggx", "params": {"alpha": 0.01, "diffuse[R]": 0.1}, "std": {"alpha": 1e-4, "diffuse[R]": float("nan")},
-        "half_width_rad": float(np.nanmean(table.values[0])), "half_width_std_rad": 1e-4, "determined": True,
+        "hwhm_rad": float(np.nanmean(table.values[0])), "hwhm_std_rad": 1e-4, "determined": True,
         "noise": {"relative": 0.01, "floor": 1e-4, "picture_gain": 0.01}, "misfit": 1.0, "log_likelihood": 0.0,
         "degrees_of_freedom": 10, "remarks": [],
     }  # fmt: skip
     document = {
         "camera": rig.camera.profile(), "fit": summary, "doubts": {}, "glare": options.glare,
-        "shape": {"strength": 0.0, "b": []}, "supported_share": 1.0, "peak_gain_75": GAIN,
+        "shape": {"scale": 0.0, "b": []}, "determination": "determined", "supported_share": 1.0, "peak_gain_75": GAIN,
         "peak_lost": {"5": 0.1, "45": None, "75": 1 - 1 / GAIN}, "verdict": "Well determined.",
         "remarks": [],
     }  # fmt: skip
@@ -45,7 +52,7 @@ def brighter(table, rig, options):
     def write_page(path, name, force):
         path.write_text(f"<title>{name}</title>")
 
-    return Corrected(data, document, write_page)
+    return CorrectedTable(data, document, write_page)
 
 
 def slowly(table, rig, options):
@@ -68,6 +75,13 @@ def deadly(table, rig, options):
     return brighter(table, rig, options)
 
 
+def hanging(table, rig, options):
+    """Does not return over the material "poison"."""
+    if table.attrs["source"] == "poison.binary":
+        time.sleep(3600)
+    return brighter(table, rig, options)
+
+
 def faulty(table, rig, options):
     """Has a bug that shows over the material "odd"."""
     if table.attrs["source"] == "odd.binary":
@@ -75,7 +89,7 @@ def faulty(table, rig, options):
     return brighter(table, rig, options)
 
 
-def told_lens(table, rig, options):
+def records_lens(table, rig, options):
     """Says in its record with which lens it was asked to work."""
     done = brighter(table, rig, options)
     assert isinstance(rig.camera.optics, GaussianOptics)

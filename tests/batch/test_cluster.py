@@ -13,7 +13,7 @@ from distributed import Client
 
 from matcam import rigs
 from matcam.batch.executors import cluster
-from matcam.batch.executors.cluster import ClusterError, outcomes
+from matcam.batch.executors.cluster import ClusterError, ClusterExecutor
 from matcam.batch.run import correct_all
 from matcam.core.errors import ArgumentError
 from tests.batch import simple
@@ -195,4 +195,4 @@ def test_a_file_that_kills_every_worker(tmp_path):
 
 
 def test_nothing_to_do_needs_no_cluster():
-    assert list(outcomes([], "tcp://127.0.0.1:9")) == []
+    assert list(ClusterExecutor("tcp://127.0.0.1:9").outcomes([])) == []

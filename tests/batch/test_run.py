@@ -20,8 +20,10 @@ from typer.testing import CliRunner
 
 from matcam import Cylinder, Rig, read_merl, read_netcdf, rigs
 from matcam.batch import job, run
-from matcam.batch.executors.processes import WorkerError
-from matcam.batch.job import Job, Options, attempted
+from matcam.batch.executors.processes import ProcessExecutor, WorkerError
+from matcam.batch.folder import RunFolder
+from matcam.batch.job import Job, attempt
+from matcam.batch.recipe import Options, Recipe
 from matcam.batch.run import correct_all
 from matcam.cli.app import app
 from matcam.core.errors import ArgumentError, OutputError
@@ -40,8 +42,7 @@ def database(tmp_path_factory):
 
 @pytest.fixture
 def here(monkeypatch):
-    """Work in this process: no worker has to be started."""
-    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    simple.work_in_this_process(monkeypatch)
 
 
 def times(folder, *names):
@@ -72,7 +73,7 @@ def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):
     assert {p.name for p in out.iterdir() if p.name.startswith(".")} <= {".lock"}
 
     old = times(out, "a", "b")
-    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    simple.work_in_this_process(monkeypatch)
     again = correct_all(
         [database / f"{n}.binary" for n in ("a", "b")], rigs.merl(), out, corrector=simple.deadly
     )  # fmt: skip
@@ -207,7 +208,7 @@ def test_other_settings_and_changed_inputs(tmp_path, here):
 
 def test_one_run_at_a_time(tmp_path, here):
     database = write_database(tmp_path / "in", ["a"])
-    with run.held(tmp_path / "out"), pytest.raises(OutputError, match="in use by another run"):
+    with RunFolder(tmp_path / "out").locked(), pytest.raises(OutputError, match="in use by another run"):
         correct_all([database], rigs.merl(), tmp_path / "out", corrector=simple.brighter)
 
 
@@ -248,7 +249,7 @@ def test_refused_before_any_work(tmp_path, database, here):
         correct_all([database], rigs.merl(), database)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "a.html").write_text("mine")
-    with pytest.raises(OutputError, match="--force"):
+    with pytest.raises(OutputError, match="force=True"):
         correct_all([database], rigs.merl(), tmp_path / "mine")
     assert [path.name for path in (tmp_path / "mine").iterdir() if path.name[0] != "."] == ["a.html"]
     (tmp_path / "mine" / "a.html").unlink()
@@ -260,9 +261,8 @@ def test_refused_before_any_work(tmp_path, database, here):
 
 
 def one(database, tmp_path, **more):
-    return Job(
-        database / "a.binary", tmp_path / "a.binary", rigs.merl(), Options(), corrector=simple.brighter, key="k", **more
-    )
+    recipe = Recipe(rigs.merl(), Options(), corrector=simple.brighter, **more)
+    return Job(database / "a.binary", tmp_path / "a.binary", recipe, key="k")
 
 
 def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch):
@@ -276,7 +276,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch):
         return table
 
     monkeypatch.setattr(job, "read_merl", read_slowly)
-    assert "changed while it was read" in attempted(one(database, tmp_path)).reason
+    assert "changed while it was read" in attempt(one(database, tmp_path)).reason
     assert not list(tmp_path.glob("a.*"))
 
 
@@ -286,7 +286,7 @@ def test_a_full_disk(tmp_path, database, limit):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
     try:
-        outcome = attempted(one(database, tmp_path))
+        outcome = attempt(one(database, tmp_path))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert outcome.trace is None
@@ -299,16 +299,25 @@ def test_a_full_disk(tmp_path, database, limit):
 def test_a_fault_of_ours_is_traced(tmp_path, monkeypatch):
     (tmp_path / "in").mkdir()
     write_table(tmp_path / "in" / "odd.binary", 1)
-    work = Job(tmp_path / "in" / "odd.binary", tmp_path / "odd.binary", rigs.merl(), Options(), corrector=simple.faulty)
-    outcome = attempted(work)
+    recipe = Recipe(rigs.merl(), Options(), corrector=simple.faulty)
+    outcome = attempt(Job(tmp_path / "in" / "odd.binary", tmp_path / "odd.binary", recipe))
     assert "a fault of matcam" in outcome.reason
     assert "ZeroDivisionError: a bug" in outcome.reason
     assert "in faulty" in outcome.trace
 
 
 def test_a_worker_of_another_version(tmp_path, database):
-    outcome = attempted(one(database, tmp_path, version="9.9"))
+    outcome = attempt(one(database, tmp_path, version="9.9"))
     assert "the run was started by 9.9" in outcome.reason
+
+
+def test_a_worker_that_hangs_is_killed(database, tmp_path):
+    """After the time limit; the other material is corrected by the worker that takes its place."""
+    recipe = Recipe(rigs.merl(), Options(), corrector=simple.hanging)
+    jobs = [Job(database / f"{name}.binary", tmp_path / f"{name}.binary", recipe) for name in ("poison", "a")]
+    ended = {outcome.source.stem: outcome.reason for outcome in ProcessExecutor(1, time_limit=12.0).outcomes(jobs)}
+    assert ended == {"poison": f"{jobs[0].source}: the worker that held it died (no result after 12 s)", "a": None}
+    assert (tmp_path / "a.json").exists()
 
 
 def test_workers_that_cannot_start(tmp_path, database, monkeypatch):
@@ -379,12 +388,12 @@ def command(monkeypatch, *arguments):
 
 
 def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
-    def told(paths, rig, output, **options):
+    def record(paths, rig, output, **options):
         asked.update(options, radius=float(rig.sample.radius), paths=paths, output=output)
         return run.Run(tmp_path, (), (), ())
 
     asked = {}
-    monkeypatch.setattr(run, "correct_all", told)
+    monkeypatch.setattr(run, "correct_all", record)
     options = (
         "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --no-pages --zarr --fit-camera"
     )
@@ -421,13 +430,13 @@ def test_the_command(database, tmp_path, monkeypatch, here):
 
 def test_where_a_gpu_is_at_hand_materials_are_done_side_by_side(database, tmp_path, monkeypatch):
     """The same files as by workers; what fails stops nothing else."""
-    monkeypatch.setattr(run.threads, "gpu_at_hand", lambda: True)
-    monkeypatch.setattr(run.processes, "outcomes", None)
+    monkeypatch.setattr(run, "has_gpu", lambda: True)
+    monkeypatch.setattr(ProcessExecutor, "outcomes", None)
     done = correct_all([database], rigs.merl(), tmp_path / "gpu", corrector=simple.brighter)
     assert sorted(path.stem for path in done.corrected) == ["a", "b", "poison"]
     assert "short.binary" in reasons(done)["short"]
     monkeypatch.undo()
-    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(work) for work in jobs))
+    simple.work_in_this_process(monkeypatch)
     correct_all([database], rigs.merl(), tmp_path / "here", corrector=simple.brighter)
     for name in ("a.binary", "b.binary", "poison.binary"):
         assert (tmp_path / "gpu" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()

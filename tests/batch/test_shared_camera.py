@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from matcam import Camera, rigs, write_merl
-from matcam.batch import run, shared_camera
-from matcam.batch.job import attempted
+from matcam.batch import shared_camera
 from matcam.batch.run import correct_all
 from matcam.core.errors import FitError
 from matcam.core.grid import brdf_table
@@ -22,7 +21,7 @@ from tests.oracle.merl_lobe import conductor
 
 @pytest.fixture
 def here(monkeypatch):
-    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(job) for job in jobs))
+    simple.work_in_this_process(monkeypatch)
 
 
 @pytest.mark.slow
@@ -37,7 +36,7 @@ def test_the_blur_is_found_and_used(tmp_path, here):
         write_merl(tmp_path / f"m{seed}.binary", brdf_table(np.repeat(one, 3, axis=3).clip(min=0), "centre"))
     (tmp_path / "short.binary").write_bytes(b"short")
     again = lambda: correct_all(  # noqa: E731
-        [tmp_path], recorded.rig(0.55), tmp_path / "out", "ggx", fit_camera=True, corrector=simple.told_lens
+        [tmp_path], recorded.rig(0.55), tmp_path / "out", "ggx", fit_camera=True, corrector=simple.records_lens
     )
     done = again()
     assert len(done.corrected) == 2
@@ -46,9 +45,9 @@ def test_the_blur_is_found_and_used(tmp_path, here):
     print(f"sigma {sigma:.5f} +- {std:.5f} px")
     assert std < 0.005
     assert abs(sigma - 0.5) < 4 * std
-    told = [json.loads((tmp_path / "out" / f"m{seed}.json").read_text()) for seed in range(2)]
-    assert [one["lens"] for one in told] == [sigma, sigma]
-    assert told[0]["camera"]["uncertainty"]["covariance"][0][0] == pytest.approx(std**2)
+    records = [json.loads((tmp_path / "out" / f"m{seed}.json").read_text()) for seed in range(2)]
+    assert [one["lens"] for one in records] == [sigma, sigma]
+    assert records[0]["camera"]["uncertainty"]["covariance"][0][0] == pytest.approx(std**2)
     written = (tmp_path / "out" / "camera.json").stat().st_mtime_ns
     resumed = again()
     assert (len(resumed.kept), resumed.corrected) == (2, ())
@@ -62,7 +61,9 @@ def test_a_blur_that_does_not_show_is_not_used(tmp_path, here, monkeypatch):
         params={"optics.sigma_px": 0.01}, std={"optics.sigma_px": 0.02}, camera=rigs.merl().camera, log_likelihood=0.0
     )
     monkeypatch.setattr(shared_camera, "candidate_fits", lambda *arguments, **options: [fitted])
-    start = functools.partial(correct_all, [tmp_path / "in"], rigs.merl(), tmp_path / "out", corrector=simple.told_lens)
+    start = functools.partial(
+        correct_all, [tmp_path / "in"], rigs.merl(), tmp_path / "out", corrector=simple.records_lens
+    )
     with pytest.raises(FitError, match=r"a\.binary do not determine the camera's blur \(0\.01 \+- 0\.02 px\)"):
         start(fit_camera=True)
     assert len(start().corrected) == 1
@@ -71,4 +72,4 @@ def test_a_blur_that_does_not_show_is_not_used(tmp_path, here, monkeypatch):
 def test_nothing_to_fit_a_camera_to(tmp_path, here):
     (tmp_path / "short.binary").write_bytes(b"short")
     with pytest.raises(FitError, match="no table can be read"):
-        correct_all([tmp_path], rigs.merl(), tmp_path / "out", fit_camera=True, corrector=simple.told_lens)
+        correct_all([tmp_path], rigs.merl(), tmp_path / "out", fit_camera=True, corrector=simple.records_lens)

@@ -7,8 +7,6 @@ import pytest
 import xarray as xr
 
 from matcam import read_netcdf, rigs
-from matcam.batch import run
-from matcam.batch.job import attempted
 from matcam.batch.run import correct_all
 from matcam.core.errors import OutputError
 from tests.batch import simple
@@ -21,7 +19,7 @@ def open_run(folder):
 
 @pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
 def test_a_run_as_one_zarr(tmp_path, monkeypatch):
-    monkeypatch.setattr(run.processes, "outcomes", lambda jobs, count: (attempted(job) for job in jobs))
+    simple.work_in_this_process(monkeypatch)
     database, out = write_database(tmp_path / "in", ["b"]), tmp_path / "out"
     again = lambda **how: correct_all([database], rigs.merl(), out, corrector=simple.brighter, **how)  # noqa: E731
     again(zarr=True)

@@ -5,8 +5,9 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from matcam import Camera, MTFSamples, calibrate
-from matcam.calibration.photograph import planes
+from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
+from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
 from tests.oracle import slanted_edge, slanted_squares
@@ -159,7 +160,7 @@ def test_few_edges_do_not_tell_lens_and_pixel_apart():
 
 
 def remarks(picture, **options):
-    return " ".join(calibrate([picture], **options).remarks)
+    return " ".join(texts(calibrate([picture], **options).remarks))
 
 
 @pytest.mark.slow
@@ -190,11 +191,11 @@ def test_what_was_assumed_of_the_tone_curve(tmp_path):
     codes = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     (tmp_path / "a.png").write_bytes(png_encode(np.rint(codes).clip(0, 255).astype(np.uint8)))
     found = calibrate([tmp_path / "a.png"])
-    assert found.remarks == ("a.png: 8 bits and no tone curve stated: sRGB assumed (--tone)",)
+    assert found.remarks == (Remark("tone-assumed", "a.png: 8 bits and no tone curve stated: sRGB assumed (--tone)"),)
     assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
     assert calibrate([tmp_path / "a.png"], tone="srgb").remarks == ()
     (tmp_path / "b.png").write_bytes(png_encode((60000 * light).clip(0, 65535).astype(np.uint16)))
-    assert "16 bits and no tone curve stated: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0]
+    assert "16 bits and no tone curve stated: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0].text
 
 
 # ---------------------------------------------------------------- what is refused
@@ -258,6 +259,6 @@ def test_bad_arguments():
         calibrate([], samples=star, model="measured")
     mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
     with pytest.raises(ArgumentError, match="camera raw is linear"):
-        planes.planes_of(mosaic, None, "srgb")
+        planes_of(mosaic, None, "srgb")
     with pytest.raises(ArgumentError, match="channel 'Y' is not in this picture; it has R, G, B"):
-        planes.planes_of(mosaic, ["Y"], None)
+        planes_of(mosaic, ["Y"], None)

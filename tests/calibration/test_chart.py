@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from matcam.calibration.chart.chart import Chart, Dots, Grating, Square, Star, harmonic
-from matcam.calibration.chart.chart_file import json_schema, read_chart, write_chart
+from matcam.calibration.chart.chart import Chart, Dots, Grating, Square, Star
+from matcam.calibration.chart.chart_file import chart_schema, read_chart, write_chart
 from matcam.calibration.chart.chart_layout import KINDS, design_chart
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.figures.chart import chart_figure
@@ -95,11 +95,11 @@ def test_harmonics_of_printed_patterns():
         level = 0.55 + 0.35 * wave
         for order in (1, 2, 3, 5):
             truth = 2 * (level * np.cos(2 * np.pi * order * t)).mean() / level.mean()
-            assert harmonic(grating, order) == pytest.approx(truth, abs=1e-7)
+            assert grating.harmonic(order) == pytest.approx(truth, abs=1e-7)
 
 
 def test_published_schema_is_the_one_in_the_code():
-    assert json.loads((REPOSITORY / "docs" / "chart-v1.schema.json").read_text()) == json_schema()
+    assert json.loads((REPOSITORY / "docs" / "chart-v1.schema.json").read_text()) == chart_schema()
 
 
 def _decoded(page):

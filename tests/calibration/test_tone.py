@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.photograph.tone import linearised, tone_from_patches
+from matcam.calibration.photograph.tone import linear_values, tone_from_patches
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.files.tone_curve import read_tone_curve
 
@@ -17,21 +17,21 @@ def encoded(light, full):
 
 def test_named_curves():
     codes = encoded(LIGHT, 65535).astype(np.uint16)
-    assert linearised(codes, "srgb") == pytest.approx(LIGHT, abs=1e-4)
-    assert linearised(LIGHT ** (1 / 2.2), 2.2) == pytest.approx(LIGHT, abs=1e-12)
-    assert linearised(codes, None).dtype == np.float64
-    np.testing.assert_array_equal(linearised(codes, "linear"), codes)
+    assert linear_values(codes, "srgb") == pytest.approx(LIGHT, abs=1e-4)
+    assert linear_values(LIGHT ** (1 / 2.2), 2.2) == pytest.approx(LIGHT, abs=1e-12)
+    assert linear_values(codes, "linear").dtype == np.float64
+    np.testing.assert_array_equal(linear_values(codes, "linear"), codes)
 
 
 def test_tables(tmp_path, real_data):
     table = np.arange(256.0) ** 2
     codes = np.array([[0, 3, 255]], dtype=np.uint8)
-    np.testing.assert_array_equal(linearised(codes, table), [[0, 9, 65025]])
+    np.testing.assert_array_equal(linear_values(codes, table), [[0, 9, 65025]])
     three = np.stack([table, 2 * table, 3 * table], 1)
-    np.testing.assert_array_equal(linearised(codes, three, 2), [[0, 27, 195075]])
-    np.testing.assert_array_equal(linearised(codes.reshape(1, 1, 3), three), [[[0, 18, 195075]]])
+    np.testing.assert_array_equal(linear_values(codes, three, 2), [[0, 27, 195075]])
+    np.testing.assert_array_equal(linear_values(codes.reshape(1, 1, 3), three), [[[0, 18, 195075]]])
     np.testing.assert_array_equal(
-        linearised(np.tile(codes.reshape(1, 1, 1, 3), (2, 1, 1, 1)), three)[1], [[[0, 18, 195075]]]
+        linear_values(np.tile(codes.reshape(1, 1, 1, 3), (2, 1, 1, 1)), three)[1], [[[0, 18, 195075]]]
     )
     np.savetxt(tmp_path / "one.dat", table, header="squares")
     np.testing.assert_allclose(read_tone_curve(tmp_path / "one.dat"), table)
@@ -54,7 +54,7 @@ def test_measured_from_patches():
     picture = np.clip(np.rint(picture + rng.normal(0, 2, picture.shape)), 0, 255).astype(np.uint8)
     patches = [(40 * i + 5, 5, 30, 30) for i in range(light.size)]
     table = tone_from_patches(picture, patches, light)
-    truth = linearised(np.arange(256, dtype=np.uint8), "srgb")
+    truth = linear_values(np.arange(256, dtype=np.uint8), "srgb")
     inside = slice(40, 243)
     assert np.max(np.abs(table - truth)[inside]) < 0.01
     colour = np.stack([picture, picture[:, ::-1], picture], -1)
@@ -101,8 +101,8 @@ def test_what_does_not_fit():
         (np.arange(60.0)[::-1], "not monotone"), (np.ones((5, 2)), "one or three each"),
     ):  # fmt: skip
         with pytest.raises(ArgumentError, match=words):
-            linearised(codes, tone)
+            linear_values(codes, tone)
     with pytest.raises(ArgumentError, match="whole numbers"):
-        linearised(codes / 2, np.arange(60.0))
+        linear_values(codes / 2, np.arange(60.0))
     with pytest.raises(FileFormatError, match="no such file"):
         read_tone_curve("none")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, metadata, receiver, rigs
+from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, metadata, rigs, solid_angles
 from matcam.core.errors import ArgumentError
-from matcam.exchange.solid_angles import effective_area
+from matcam.exchange.receiver import effective_area
 
 
 @pytest.mark.parametrize(("sigma", "half"), [(0.1, 0.5), (0.5, 0.5), (0.5, 0.35), (2.0, 0.5)])
@@ -24,7 +24,7 @@ def test_equivalent_receiver_moves_the_half_vector_as_much():
     """Views within a cone of that solid angle, the sample held still, have half vectors that cover as much of the sphere of
     normals as the kernel's area does on the sample's picture: at normal view and at 60 degrees."""
     rig = Rig(rigs.merl().camera, Sphere(100.0), aperture=0.1, lamp_radius=0.01)
-    found = receiver(rig)
+    found = solid_angles(rig)
     radius = np.arccos(1 - found["equivalent_receiver_sr"] / (2 * np.pi))
     for theta_d in (0.0, np.pi / 3):
         light = np.array([np.sin(theta_d), 0, np.cos(theta_d)])
@@ -54,21 +54,21 @@ def test_a_near_camera(distance):
         return 100.0 * point[0] / (distance - point[1]) / limb, half - u
 
     (x0, h0), (x1, h1) = picture_and_half(-1e-4), picture_and_half(1e-4)
-    found = receiver(Rig(rigs.merl().camera, Sphere(100.0, distance)))
+    found = solid_angles(Rig(rigs.merl().camera, Sphere(100.0, distance)))
     expected = 4 * found["kernel_area_px2"] * ((h1 - h0) / (x1 - x0)) ** 2
     assert found["equivalent_receiver_sr"] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("sample", [Flat(), Cylinder(100.0)])
 def test_normals_that_do_not_turn_all_round_make_no_such_receiver(sample):
-    found = receiver(Rig(rigs.merl().camera, sample))
+    found = solid_angles(Rig(rigs.merl().camera, sample))
     assert found["equivalent_receiver_sr"] is None
     json.dumps(metadata(Rig(rigs.merl().camera, sample)), allow_nan=False)
 
 
 def test_wrong_input():
     with pytest.raises(ArgumentError, match="rig must be a Rig"):
-        receiver(rigs.merl().camera)
+        solid_angles(rigs.merl().camera)
 
 
 def test_metadata_is_json_and_complete():

@@ -13,7 +13,7 @@ from matcam.figures.calibration import targets_figure
 from matcam.figures.curves import fresnel_figure, highlight_figure, loss_figure, prediction_figure
 from matcam.figures.edge import edge_figure
 from matcam.figures.style import save
-from matcam.forward.peaks.peak import predict
+from matcam.forward.prediction import predict
 from tests.oracle import merl_lobe, slanted_edge
 
 

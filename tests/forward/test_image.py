@@ -21,8 +21,8 @@ from matcam import (
     picture_values,
 )
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.blur import blur_of
-from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record as taken_by
 from matcam.material.material import Material
 from tests.oracle.sphere_record import Setup, Surface, record
@@ -226,12 +226,12 @@ def test_gradients(k):
     weights = np.random.default_rng(1).normal(size=SHAPE)
     rows, columns = (a.ravel() - 30.0 for a in np.mgrid[:61, :61])
     _, rig = shiny(NUMBERS)
-    targets = Targets(columns, -rows, np.full(rows.size, LAMP), np.zeros(rows.size, dtype=np.int32))
-    plan = planned(rig.sample, blur_of(rig), np.array([LAMP]), targets)
+    places = RecordPlaces(columns, -rows, np.full(rows.size, LAMP), np.zeros(rows.size, dtype=np.int32))
+    plan = integration_plan(imaging_of(rig), np.array([LAMP]), places)
 
     def under_plan(numbers):
         material, rig = shiny(numbers)
-        return float(jnp.sum(weights.ravel() * taken_by(material, rig.sample, blur_of(rig), plan)[:, 0]))
+        return float(jnp.sum(weights.ravel() * taken_by(material, imaging_of(rig), plan)[:, 0]))
 
     def total(numbers):
         material, rig = shiny(numbers)

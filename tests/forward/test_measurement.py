@@ -5,8 +5,8 @@ import pytest
 
 from matcam import GGX, Microfacet, measure, rigs
 from matcam.core.grid import below_horizon, cosines, merl_grid
-from matcam.forward.integral.blur import blur_of
-from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
 from tests.golden import rows
 from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
@@ -32,13 +32,12 @@ def recorded_cells(alphas, cells):
             out.append(position)
     x, y, slices = np.concatenate(x), np.concatenate(y), np.tile(j, 2).astype(np.int32)
     rig, lamps = rigs.merl(), 2 * GRID.theta_d
-    targets = Targets(x, y, lamps[slices], slices)
-    blur = blur_of(rig)
-    plan = planned(rig.sample, blur, lamps, targets)
+    imaging = imaging_of(rig)
+    plan = integration_plan(imaging, lamps, RecordPlaces(x, y, lamps[slices], slices))
     return np.array(
         [
             np.mean(
-                np.reshape(record(material(alpha), rig.sample, blur, plan)[:, 0], (2, -1)) / np.array(cosine),
+                np.reshape(record(material(alpha), imaging, plan)[:, 0], (2, -1)) / np.array(cosine),
                 0,
             )
             for alpha in alphas

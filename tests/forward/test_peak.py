@@ -27,8 +27,8 @@ from matcam import (
 from matcam.camera.optics import fourier
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
-from matcam.forward.peaks.lobe import lobe_record
-from matcam.forward.peaks.peak import predict
+from matcam.forward.peaks.tangent_plane import lobe_record
+from matcam.forward.prediction import predict
 from matcam.material.registry import ONE_WIDTH
 from tests.golden import rows
 

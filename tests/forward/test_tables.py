@@ -6,10 +6,10 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Schlick, Sphere, measure
 from matcam.core.grid import cosines, merl_grid, theta_h_edges
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.blur import blur_of
-from matcam.forward.integral.plan import Targets, planned
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
-from matcam.forward.measurement import measured_values
+from matcam.forward.measurement import table_values
 from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
 
 pytestmark = pytest.mark.slow
@@ -33,10 +33,9 @@ def one_way(theta_h, theta_d, phi_d):
     theta_h, theta_d, phi_d = (a.ravel() for a in np.broadcast_arrays(theta_h, theta_d, phi_d))
     x, y = place(theta_h, theta_d, phi_d, RADIUS)
     lamps, which = np.unique(2 * theta_d, return_inverse=True)
-    targets = Targets(x, y, 2 * theta_d, which.astype(np.int32))
-    blur = blur_of(rig())
-    plan = planned(Sphere(RADIUS), blur, lamps, targets)
-    values = record(Microfacet(GGX(SURFACE.alpha), 1.0), Sphere(RADIUS), blur, plan)[:, 0]
+    imaging = imaging_of(rig())
+    plan = integration_plan(imaging, lamps, RecordPlaces(x, y, 2 * theta_d, which.astype(np.int32)))
+    values = record(Microfacet(GGX(SURFACE.alpha), 1.0), imaging, plan)[:, 0]
     return np.asarray(values) / np.asarray(cosines(theta_h, theta_d, phi_d)[0])
 
 
@@ -101,12 +100,12 @@ def test_gradients(k):
 
     grid = merl_grid("centre")
     random = np.random.default_rng(3)
-    seen = np.argwhere(np.isfinite(np.asarray(measured_values(*made(numbers))[0][..., 0])))
+    seen = np.argwhere(np.isfinite(np.asarray(table_values(*made(numbers))[0][..., 0])))
     i, j, l = seen[random.choice(len(seen), 300)].T  # noqa: E741 - the third index of a table
     weights = random.normal(size=i.size)
 
     def total(numbers):
-        return jnp.sum(weights * measured_values(*made(numbers))[0][i, j, l, 0])
+        return jnp.sum(weights * table_values(*made(numbers))[0][i, j, l, 0])
 
     angles = grid.theta_h[i], grid.theta_d[j], grid.phi_d[l]
     x, y, light = [], [], []
@@ -114,12 +113,14 @@ def test_gradients(k):
         for out, value in zip((x, y), place(*angles[:2], angles[2] + turn, RADIUS), strict=True):
             out.append(value)
         light.append(np.asarray(cosines(*angles[:2], angles[2] + turn)[0]))
-    targets = Targets(np.concatenate(x), np.concatenate(y), 2 * np.tile(angles[1], 2), np.tile(j, 2).astype(np.int32))
-    plan = planned(Sphere(RADIUS), blur_of(made(numbers)[1]), 2 * grid.theta_d, targets)
+    places = RecordPlaces(
+        np.concatenate(x), np.concatenate(y), 2 * np.tile(angles[1], 2), np.tile(j, 2).astype(np.int32)
+    )
+    plan = integration_plan(imaging_of(made(numbers)[1]), 2 * grid.theta_d, places)
 
     def under_plan(numbers):
         material, rig = made(numbers)
-        values = np.asarray(record(material, rig.sample, blur_of(rig), plan)[:, 0]).reshape(2, -1)
+        values = np.asarray(record(material, imaging_of(rig), plan)[:, 0]).reshape(2, -1)
         return float(np.sum(weights * np.mean(values / np.array(light), axis=0)))
 
     value, slope = jax.jvp(total, (jnp.asarray(numbers),), (jnp.eye(4)[k],))

@@ -37,8 +37,8 @@ class Pictures(NamedTuple):
 
 def table_of(cells, values):
     whole = np.full((90, 90, 180, 1), np.nan)
-    slices = np.broadcast_to(cells.slices[:, None], values.shape)[cells.kept]
-    whole[cells.i_theta_h[cells.kept], slices, cells.i_phi_d[cells.kept], 0] = values[cells.kept]
+    slices = np.broadcast_to(cells.slices[:, None], values.shape)[cells.valid]
+    whole[cells.i_theta_h[cells.valid], slices, cells.i_phi_d[cells.valid], 0] = values[cells.valid]
     coords = {"theta_h": GRID.theta_h, "theta_d": GRID.theta_d, "phi_d": GRID.phi_d, "channel": ["G"]}
     return xr.DataArray(
         whole, dims=("theta_h", "theta_d", "phi_d", "channel"), coords=coords, attrs={"sampling": "centre"}
@@ -84,7 +84,7 @@ def bound(shot, lobe, n=CHROMIUM[0], k=CHROMIUM[1], noise=NOISE, sigmas=None):
     """Covariance that no unbiased estimate can undercut (Cramer-Rao) of the logarithms of the lobe's numbers, of n and k,
     from the oracle's own derivatives; pictures' gains are nuisances. sigmas: (lower, upper) shots and the prior's
     relative std, if ln sigma_mtf is free too."""
-    usable = np.isfinite(shot.rule.ways(lobe)).all(-1) & shot.cells.kept
+    usable = np.isfinite(shot.rule.ways(lobe)).all(-1) & shot.cells.valid
     theta = shot.cells.theta_d[:, None]
 
     def model(numbers, n, k, rule=shot.rule):

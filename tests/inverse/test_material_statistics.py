@@ -54,7 +54,7 @@ def test_efficiency_with_a_known_camera():
             )
             slopes.append(np.log(up / down) / 2e-3)
         known = np.sqrt(np.array(slopes) @ covariance[: len(lobe), : len(lobe)] @ slopes)
-        widths.append(np.log(found.half_width / recorded.half_width(lobe)) / known)
+        widths.append(np.log(found.hwhm / recorded.half_width(lobe)) / known)
     ratios, widths = np.array(ratios), np.array(widths)
     error = 1 / np.sqrt(2 * judged)
     print(f"bound above 5 %: {COUNT - judged}, of which called determined: {len(overstated)} {overstated}")

@@ -1,14 +1,9 @@
-"""A run's folder is one run's at a time, and holds no leftovers of one that was killed.
-
-Which materials are finished: what lies on disk says it, so that a killed run goes on where it was.
-
-Which material of a run stands in which row of its Zarr.
-"""
+"""A run's folder: whose it is, which inputs it takes, and what a run keeps in it beside the materials' own files."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import errno
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,87 +11,173 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from matcam.batch.job import Job, unchanged
-from matcam.batch.store import open_rows, whole_rows, write_row
-from matcam.core.errors import FileFormatError, OutputError
-from matcam.core.json import read_json
+import filelock
+
+from matcam.batch.job import Job, Outcome
+from matcam.batch.recipe import SETTINGS_FORMAT
+from matcam.batch.store import open_rows, whole_rows
+from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.io import check_output, reading
+from matcam.core.json import read_json, write_json
 from matcam.files.datasets import read_netcdf
 
-_LOCK = ".lock"
+SETTINGS = "settings.json"
+_INDEX, _FAILED, _CAMERA, _ZARR, _LOCK = "index.html", "failed.json", "camera.json", "run.zarr", ".lock"
+_RESERVED = {Path(name).stem for name in (_INDEX, _FAILED, _CAMERA, SETTINGS)}
+_WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # what some network file systems answer
 _TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)")
 
 
-@contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Hold a folder, made where it is not there, until the end. The system lets go of it when this process dies, however that
-    comes about. OutputError where another run holds it, or it cannot be made."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / _LOCK).open("w")
-    except OSError as error:
-        raise OutputError(f"output folder {folder} cannot be written: {error.strerror}") from None
-    with lock:
+class RunFolder:
+    """Manage the folder that one run at a time fills.
+
+    Args:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.index, self.camera, self.zarr = path / _INDEX, path / _CAMERA, path / _ZARR
+        self._settings, self._failed = path / SETTINGS, path / _FAILED
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """Create the folder if needed and keep other runs out of it.
+
+        The system releases the lock when this process dies. OutputError if another run holds it, or the folder cannot be
+        created.
+        """
+        lock = filelock.FileLock(self.path / _LOCK)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock.acquire(timeout=0)
+        except filelock.Timeout:
             raise OutputError(
-                f"output folder {folder} is in use by another run: wait for it, or choose another"
+                f"output folder {self.path} is in use by another run: wait for it, or choose another"
             ) from None
-        except OSError:
-            pass  # a file system without locks, as some network ones
-        yield
+        except NotImplementedError:
+            pass  # filelock's own word for a file system without locks
+        except OSError as error:
+            if error.errno not in _WITHOUT_LOCKS:
+                raise OutputError(f"output folder {self.path} cannot be written: {error.strerror}") from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
+        """Find the tables that `paths` name, and the file that each becomes in this folder.
+
+        A folder stands for its *.binary, in order of their names; a file that is given twice counts once. Returns
+        {input: output}, and the inputs that are refused: two of one name would write the same files, and the run's own
+        files have names too. ArgumentError if there is no table at all; OutputError if this folder holds an input.
+        """
+        given = [Path(path) for path in paths]
+        found: dict[Path, Path] = {}
+        for path in given:
+            for file in _tables_in(path) if path.is_dir() else [path]:
+                found.setdefault(file.resolve(), file)
+        if not found:
+            raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: no *.binary in there")
+        namesakes: dict[str, list[Path]] = {}
+        for file in found.values():
+            # some file systems do not tell upper from lower case
+            namesakes.setdefault(file.stem.casefold(), []).append(file)
+        outputs: dict[Path, Path] = {}
+        refused = []
+        for stem, files in namesakes.items():
+            for file in files:
+                output = self.path / f"{file.stem}.binary"
+                if output.exists() and file.exists() and output.samefile(file):
+                    raise OutputError(f"output {output} is the input itself: choose another folder")
+                if len(files) > 1:
+                    others = ", ".join(str(other) for other in files if other is not file)
+                    refused.append(Outcome(file, 0.0, f"{file}: its name is also that of {others}: rename one"))
+                elif stem in _RESERVED:
+                    refused.append(
+                        Outcome(file, 0.0, f"{file}: {file.stem} is the name of a file of the run: rename it")
+                    )
+                else:
+                    outputs[file] = output
+        return outputs, refused
+
+    def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
+        """Tell whether the folder already is this run's.
+
+        OutputError if it is the folder of a run with other settings, which is named, unless `force`; or if files that a
+        run would write are there, and no run wrote them.
+        """
+        if not self._settings.exists():
+            for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):
+                check_output(path, force=force)
+            return False
+        there = read_json(self._settings, "the settings of a run")
+        if not isinstance(there, dict) or there.get("format") != SETTINGS_FORMAT:
+            raise OutputError(f"output {self._settings} is not the settings of a run: choose another folder")
+        different = _first_difference(there, settings)
+        if different is not None and not force:
+            name, old, new = different
+            raise OutputError(
+                f"output folder {self.path} is another run's: its {name} is {old}, this run's is {new}; choose another "
+                "folder, or use force=True to do everything again"
+            )
+        return different is None
+
+    def claim(self, settings: dict[str, Any]) -> None:
+        """Make the folder this run's."""
+        write_json(self._settings, settings, force=True)
+
+    def sweep(self, jobs: Iterable[Job]) -> None:
+        """Remove the temporary files that a killed process left beside the run's own."""
+        stems = {*_RESERVED, *(job.name for job in jobs)}
+        for path in self.path.iterdir():
+            found = _TEMPORARY.fullmatch(path.name)
+            if found and found[1] in stems:
+                path.unlink(missing_ok=True)
+
+    def assign_rows(self, jobs: Sequence[Job], waiting: Sequence[Job]) -> list[Job]:
+        """Return the waiting jobs, each with its row of the run's Zarr.
+
+        Finished materials whose rows are missing, because the Zarr was asked for later or lost, are copied from their
+        NetCDF files. Errors as `open_rows`'s and `StoreRow.write`'s.
+        """
+        if not jobs:
+            return list(waiting)
+        rows = open_rows(self.zarr, [job.name for job in jobs], jobs[0].recipe.sampling)
+        whole = whole_rows(self.zarr)
+        later = {job.name for job in waiting}
+        for job in jobs:
+            if job.name not in later and not whole[rows[job.name].row]:
+                rows[job.name].write(read_netcdf(job.output.with_suffix(".nc")))
+        return [replace(job, row=rows[job.name]) for job in waiting]
+
+    def write_failures(self, failures: Sequence[Outcome]) -> None:
+        """Write what failed and why, or remove an old list if nothing did."""
+        if not failures:
+            self._failed.unlink(missing_ok=True)
+            return
+        listed = [{"file": str(f.source), "reason": f.reason, "trace": f.trace} for f in failures]
+        write_json(self._failed, {"failed": listed}, force=True)
 
 
-def sweep(folder: Path, stems: Iterable[str]) -> None:
-    """Remove the temporary files of `atomic.replacing` that a killed process left beside files of these names."""
-    known = set(stems)
-    for path in folder.iterdir():
-        found = _TEMPORARY.fullmatch(path.name)
-        if found and found[1] in known:
-            path.unlink(missing_ok=True)
+def _tables_in(folder: Path) -> list[Path]:
+    """List a folder's MERL files by name."""
+    with reading(folder):
+        return sorted(p for p in folder.iterdir() if p.suffix.lower() == ".binary" and not p.name.startswith("."))
 
 
-def record_of(path: Path, key: str) -> dict[str, Any] | None:
-    """A material's record, if it is one of the run with this key and all its files are there with the sizes that they had."""
-    try:
-        document = read_json(path, "a material's record")
-        run = document["run"]
-        if run["settings"] != key:
-            return None
-        whole = all((path.parent / name).stat().st_size == size for name, size in run["files"].items())
-    except (FileFormatError, OSError, KeyError, TypeError, AttributeError, json.JSONDecodeError):
+def _first_difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str] | None:
+    """Return (name, old, new) of the first entry in which two documents differ; None if they do not."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in [*new, *(key for key in old if key not in new)]:
+            found = _first_difference(old.get(key), new.get(key), f"{name}.{key}" if name else str(key))
+            if found:
+                return found
         return None
-    return document if whole else None
+    return None if old == new else (name, _short(old), _short(new))
 
 
-def is_finished(job: Job) -> bool:
-    """Whether a job's files are all there, whole, made with its settings from its input as it is now."""
-    if job.key is None:
-        return False
-    document = record_of(job.record, job.key)
-    return document is not None and unchanged(job.source, document.get("input"))
-
-
-def records(jobs: Iterable[Job]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(name, record) of those of a run's jobs that are finished."""
-    for job in jobs:
-        document = record_of(job.record, job.key or "")
-        if document is not None:
-            yield job.name, document
-
-
-STORE = "run.zarr"
-
-
-def with_rows(store: Path, jobs: Sequence[Job], waiting: Sequence[Job]) -> list[Job]:
-    """The jobs that are waiting, each told its row. Rows of finished materials that are not whole, because the Zarr was asked
-    for later, or lost, are copied from their NetCDF. Errors as `open_rows`'s and `write_row`'s."""
-    if not jobs:
-        return list(waiting)
-    rows = open_rows(store, [job.name for job in jobs], jobs[0].sampling)
-    whole = whole_rows(store)
-    later = {job.name for job in waiting}
-    for job in jobs:
-        if job.name not in later and not whole[rows[job.name]]:
-            write_row(store, rows[job.name], read_netcdf(job.output.with_suffix(".nc")))
-    return [replace(job, store=store, row=rows[job.name]) for job in waiting]
+def _short(value: Any) -> str:
+    """Write a value in at most 60 characters."""
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

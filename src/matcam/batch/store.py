@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -26,9 +26,35 @@ _VALUES: dict[str, tuple[type, dict[str, str]]] = {
 }
 
 
-def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, int]:
-    """The row of each material in a store, which is made, or grown by those that it has not. ArgumentError where zarr is not
-    installed, OutputError where the store is not one of runs or cannot be written."""
+class StoreRow(NamedTuple):
+    """Name one material's row of a run's Zarr.
+
+    Attributes:
+        store: folder of the Zarr.
+        row: index along its first dimension.
+    """
+
+    store: Path
+    row: int
+
+    def write(self, data: xr.Dataset) -> None:
+        """Write a corrected table as this row. OutputError if that fails."""
+        try:
+            group = _zarr().open_group(self.store, mode="r+", zarr_format=3)
+            group[_DONE][self.row] = False
+            for name in _VALUES:
+                group[name][self.row] = data[name].values
+            group[_DONE][self.row] = True
+        except (OSError, KeyError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"output {self.store}, row {self.row}, cannot be written: {reason}") from None
+
+
+def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
+    """Return the row of each material in a store, which is created or grown as needed.
+
+    ArgumentError if zarr is not installed; OutputError if the store is not one of runs or cannot be written.
+    """
     zarr = _zarr()
     try:
         with warnings.catch_warnings():
@@ -37,36 +63,23 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
             if _ROW not in group:
                 if any(True for _ in group):
                     raise OutputError(f"output {store} is not the Zarr of a run: choose another folder")
-                _made(group, sampling)
+                _create_arrays(group, sampling)
             there = [str(name) for name in group[_ROW][:]]
             new = [name for name in names if name not in set(there)]
             if new:
-                _grown(group, [*there, *new])
+                _grow(group, [*there, *new])
     except (OSError, KeyError, ValueError) as error:
         raise OutputError(f"output {store} cannot be written as the Zarr of a run: {error}") from None
-    return {name: row for row, name in enumerate([*there, *new])}
-
-
-def write_row(store: Path, row: int, data: xr.Dataset) -> None:
-    """Write a corrected table as one row."""
-    try:
-        group = _zarr().open_group(store, mode="r+", zarr_format=3)
-        group[_DONE][row] = False
-        for name in _VALUES:
-            group[name][row] = data[name].values
-        group[_DONE][row] = True
-    except (OSError, KeyError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"output {store}, row {row}, cannot be written: {reason}") from None
+    return {name: StoreRow(store, row) for row, name in enumerate([*there, *new])}
 
 
 def whole_rows(store: Path) -> np.ndarray:
-    """Which rows hold a corrected table, bool."""
+    """Return which rows hold a corrected table, bool."""
     return np.asarray(_zarr().open_group(store, mode="r", zarr_format=3)[_DONE][:])
 
 
-def _made(group: Any, sampling: Sampling) -> None:
-    """Arrays without a material yet."""
+def _create_arrays(group: Any, sampling: Sampling) -> None:
+    """Create the arrays, without a material yet."""
     group.attrs["sampling"] = sampling
     for name, values in merl_grid(sampling)._asdict().items():
         array = group.create_array(
@@ -82,13 +95,13 @@ def _made(group: Any, sampling: Sampling) -> None:
             name, shape=(0, *sizes[: len(dims)]), chunks=(1, *sizes[: len(dims)]), dtype=kind,
             fill_value=np.nan if kind is float else False, dimension_names=(_ROW, *dims), attributes=attributes,
         )  # fmt: skip
-    told = {"long_name": "whether the row is whole"}
-    group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=told)
+    meaning = {"long_name": "whether the row is whole"}
+    group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=meaning)
     group.create_array(_ROW, shape=(0,), chunks=(4096,), dtype=str, dimension_names=(_ROW,))
 
 
-def _grown(group: Any, names: list[str]) -> None:
-    """Rows for these materials; their names last, because they are what is looked at."""
+def _grow(group: Any, names: list[str]) -> None:
+    """Add rows for these materials; their names last, because names say which rows exist."""
     for name in (*_VALUES, _DONE):
         array = group[name]
         array.resize((len(names), *array.shape[1:]))

@@ -16,45 +16,58 @@ _SOME_FAILED = 1
 def command(
     pictures: Annotated[
         list[Path],
-        typer.Argument(help="Photographs of slanted edges, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."),
+        typer.Argument(
+            help="Photographs of slanted edges to read, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Camera profile to write (JSON).")] = Path(
         "camera.json"
     ),
     model: Annotated[
-        Literal["gaussian", "halo", "diffraction", "defocus", "measured"], typer.Option("--model", help="Lens.")
+        Literal["gaussian", "halo", "diffraction", "defocus", "measured"],
+        typer.Option("--model", help="Model of the lens."),
     ] = "gaussian",
     half_width: Annotated[
-        float, typer.Option("--half-width", metavar="PX", help="Half the side of a pixel's sensitive area, px.")
+        float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
     fit_pixel: Annotated[
-        bool, typer.Option("--fit-pixel", help="Fit the half width, too; refused where it cannot be known to 10 %.")
+        bool, typer.Option("--fit-pixel", help="Fit the half width too; refused if it cannot be known to 10 %.")
     ] = False,
     wavelength: Annotated[
-        float | None, typer.Option("--wavelength", metavar="NM", help="nm, where diffraction is taken into account.")
+        float | None,
+        typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
     ] = None,
     pitch: Annotated[
-        float | None, typer.Option("--pitch", metavar="UM", help="Of the pixels, um, where diffraction is.")
+        float | None, typer.Option("--pitch", metavar="UM", help="Pixel pitch for diffraction and defocus, um.")
     ] = None,
     f_number: Annotated[
-        list[float] | None, typer.Option("--f-number", help="One, or one for each picture. Default: the files' own.")
+        list[float] | None,
+        typer.Option("--f-number", help="F-number: one, or one for each picture. Default: the files' own."),
     ] = None,
     tone: Annotated[
-        str | None,
-        typer.Option("--tone", metavar="CURVE", help="linear, srgb, gamma:2.2, or a file of linear values by code."),
-    ] = None,
+        str,
+        typer.Option(
+            "--tone",
+            metavar="CURVE",
+            help="Tone curve: auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file of linear values by code.",
+        ),
+    ] = "auto",
     tone_patches: Annotated[
         Path | None,
-        typer.Option("--tone-patches", help="File of lines x y width height light: patches of the first picture."),
+        typer.Option(
+            "--tone-patches",
+            help="File with lines x y width height light: patches of the first picture that show its tone curve.",
+        ),
     ] = None,
     channel: Annotated[
-        list[str] | None, typer.Option("--channel", help="R, G, B, Y (luminance) or grey. Default: all there are.")
+        list[str] | None,
+        typer.Option(
+            "--channel", help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all that the pictures have."
+        ),
     ] = None,
     chart: Annotated[
         Path | None,
-        typer.Option(
-            "--chart", help="Description of the chart, which matcam chart has written: measures all its targets."
-        ),
+        typer.Option("--chart", help="Description of the chart, as `matcam chart` writes it: measure all its targets."),
     ] = None,
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
@@ -65,7 +78,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """From photographs of a chart to a camera profile: edges are found and measured without help.
+    """Calibrate a camera from photographs of a chart, whose edges are found and measured without help.
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
@@ -82,7 +95,7 @@ def command(
         from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
-        from matcam.calibration.camera.combine import calibrate
+        from matcam.calibration.camera.calibration import calibrate
 
         found = calibrate(
             files,
@@ -98,7 +111,7 @@ def command(
         )
         written = _write(found, output, figure, table, files, force)
     if json:
-        show.as_json(_document(found, written))
+        show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
     else:
         _print(found, written)
     for name, why in found.failed.items():
@@ -107,7 +120,7 @@ def command(
 
 
 def _files(given: list[Path]) -> list[Path]:
-    """The pictures; of folders all that are in them."""
+    """Return the pictures, a folder's by name."""
     from matcam.core.errors import FileFormatError
     from matcam.files.photographs import PICTURES
 
@@ -123,16 +136,16 @@ def _files(given: list[Path]) -> list[Path]:
     return files
 
 
-def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
+def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
     from matcam.core.errors import ArgumentError
 
     if patches is not None:
-        if tone is not None:
+        if tone != "auto":
             raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
         from matcam.calibration.photograph.tone import measured_tone
 
         return measured_tone(files[0], patches)
-    if tone is None or tone in ("linear", "srgb"):
+    if tone in ("auto", "linear", "srgb"):
         return tone
     if tone.startswith("gamma:"):
         try:
@@ -140,7 +153,7 @@ def _tone(tone: str | None, patches: Path | None, files: list[Path]) -> Any:
         except ValueError:
             raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:") from None
     if not Path(tone).is_file():
-        raise ArgumentError(f"--tone must be linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
+        raise ArgumentError(f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
     from matcam.files.tone_curve import read_tone_curve
 
     return read_tone_curve(tone)
@@ -167,7 +180,7 @@ def _write(found: Any, output: Path, figure: Path, table: Path, files: list[Path
 
 
 def _verdict(found: Any) -> list[str]:
-    """The result in a few lines."""
+    """Return the result in a few lines."""
     lines = []
     for name, fit in found.channels.items():
         numbers = ", ".join(
@@ -188,31 +201,3 @@ def _print(found: Any, written: list[Path]) -> None:
     for remark in found.remarks:
         show.say(f"note: {remark}")
     show.say("written: " + ", ".join(map(str, written)))
-
-
-def _document(found: Any, written: list[Path]) -> dict[str, Any]:
-    return {
-        "channel": found.channel,
-        "channels": {
-            name: {
-                "parameters": dict(zip(fit.names, fit.values, strict=True)),
-                "covariance": fit.covariance,
-                "chi2": fit.chi2,
-                "degrees": fit.degrees,
-                "consistent": fit.consistent,
-                "misfit": fit.misfit,
-                "misfit_std": fit.misfit_std,
-                "spread": fit.spread,
-                "measurements": fit.measurements,
-                "frequency_cycles_per_px": fit.frequency,
-                "mtf": fit.mtf,
-                "mtf_std": fit.mtf_std,
-                "camera_mtf": fit.model_mtf,
-            }
-            for name, fit in found.channels.items()
-        },
-        "pictures": list(found.pictures),
-        "failed": found.failed,
-        "remarks": list(found.remarks),
-        "files": [str(path) for path in written],
-    }

@@ -16,14 +16,18 @@ SOME_FAILED, NONE_DONE = 1, 2
 
 def command(
     paths: Annotated[
-        list[Path], typer.Argument(metavar="PATH...", help="MERL files, and folders whose *.binary are meant.")
+        list[Path],
+        typer.Argument(metavar="PATH...", help="MERL files to read, and folders that stand for their *.binary."),
     ],
     ndf: Annotated[
         Literal["auto", "ggx", "epd", "sgd", "beckmann", "gaussian"],
         typer.Option("--ndf", help="Family of the lobe; auto: ggx or epd, the likelier."),
     ] = "auto",
     glare: Annotated[
-        float, typer.Option("--glare", help="Share of light that the lens may scatter without its profile saying so.")
+        float,
+        typer.Option(
+            "--glare", help="Share of light that the lens may scatter without its profile saying so (no unit)."
+        ),
     ] = 1e-3,
     masking: Masking = "smith",
     camera: CameraProfile = None,
@@ -35,21 +39,26 @@ def command(
         typer.Option(
             "--output",
             "-o",
-            help="MERL file to write; .nc, .json and .html go beside it. Default: FILE-corrected.binary. Of several: a folder.",
+            help="MERL file to write (.nc, .json, .html go beside it), or a run's folder. Default: FILE-corrected.binary.",
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", help="Processes of a run, one core each. Default: one a core.", min=1)
+        int | None,
+        typer.Option(
+            "--workers", help="Number of a run's processes, one core each. Default: one for each core.", min=1
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
-            "--cluster", metavar="WHERE", help="Run on Dask: local:N, or a scheduler's address (tcp://host:8786)."
+            "--cluster",
+            metavar="WHERE",
+            help="Do the run on Dask: local:N, or a scheduler's address (tcp://host:8786).",
         ),
     ] = None,
-    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="A page to read for each material.")] = True,
+    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page to read for each material.")] = True,
     zarr: Annotated[
-        bool, typer.Option("--zarr", help="All materials of a run as one Zarr besides, FOLDER/run.zarr.")
+        bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr besides, FOLDER/run.zarr.")
     ] = False,
     fit_camera: Annotated[
         bool,
@@ -60,103 +69,84 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """The table that a perfect camera would have measured, with its uncertainty: MERL, NetCDF, JSON and a page to read.
+    """Correct a table for its camera, with uncertainty: MERL, NetCDF, JSON and a page to read.
 
-    Of several files, or a folder, a run: `-o` names the folder that it fills. Killed, it goes on where it was when started
-    again. What fails is listed at the end and stops nothing else (exit code 1; 2 where nothing was corrected).
+    Several files, or a folder, are a run: `-o` names the folder that it fills. A run that was killed goes on where it was
+    when it is started again. What fails is listed at the end and stops nothing else (exit code 1; 2 if nothing was
+    corrected).
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
     from matcam.core.errors import ArgumentError
 
-    how = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
-    rig_options = (camera, radius, lamp, sampling)
-    alone = (
-        len(paths) == 1 and not paths[0].is_dir() and (output is None or (bool(output.suffix) and not output.is_dir()))
-    )
-    if alone:
-        if output and output.suffix.lower() != ".binary":
-            raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
-        if workers is not None or cluster is not None or zarr or fit_camera:
-            raise ArgumentError(
-                "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
-            )
-        _one(paths[0], output, how, rig_options, pages, force, json)
-        return
-    if output is None or output.suffix.lower() == ".binary":
+    one_file = len(paths) == 1 and not paths[0].is_dir()
+    alone = one_file and (output is None or (bool(output.suffix) and not output.is_dir()))
+    if alone and output and output.suffix.lower() != ".binary":
+        raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
+    if alone and (workers is not None or cluster is not None or zarr or fit_camera):
+        raise ArgumentError(
+            "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
+        )
+    if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
-    chosen = {"workers": workers, "cluster": cluster, "pages": pages, "zarr": zarr, "fit_camera": fit_camera}
-    _run(paths, output, how, rig_options, chosen, force, json)
+    from matcam.core.workspace import keep_rules
 
-
-def _one(
-    file: Path, output: Path | None, how: dict[str, Any], rig_options: Any, pages: bool, force: bool, json: bool
-) -> None:
-    output = output or Path(f"{file.stem}-corrected.binary")
-    camera, radius, lamp, sampling = rig_options
-    with show.working(f"{file}: correcting"):
-        from matcam.batch.job import Job, Options, corrected_files
+    keep_rules()
+    rig = rig_of(camera, radius, lamp, cell_value=sampling)
+    how: dict[str, Any] = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
+    if alone:
+        from matcam.batch.job import Job, write_corrected
+        from matcam.batch.recipe import Options, Recipe
         from matcam.core.io import check_output
-        from matcam.core.workspace import keep_rules
 
-        rig = rig_of(camera, radius, lamp, cell_value=sampling)
-        job = Job(file, output, rig, Options(**how), sampling, page=pages, force=force)
+        target = output or Path(f"{paths[0].stem}-corrected.binary")
+        job = Job(paths[0], target, Recipe(rig, Options(**how), sampling, pages), force=force)
         for path in job.files:
-            check_output(path, force=force, inputs=[file, *([camera] if camera else [])])
-        keep_rules()
-        document = corrected_files(job)
-    written = [str(path) for path in job.files]
-    if json:
-        show.as_json({**document, "files": written})
+            check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
+        with show.working(f"{paths[0]}: correcting"):
+            document = write_corrected(job)
+        _print_table({**document, "files": [str(path) for path in job.files]}, paths[0].name, json)
         return
-    print_fit(document["fit"], file.name)
+    from matcam.batch.run import correct_all
+
+    with show.tallying("correcting") as watch:
+
+        def show_progress(progress: Any) -> None:
+            watch(progress.kept + progress.corrected + progress.failed, progress.total)
+            if progress.last is not None and progress.last.reason is not None:
+                show.remark(progress.last.reason)
+
+        run = correct_all(
+            paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, zarr=zarr,
+            fit_camera=fit_camera, force=force, watch=show_progress, **how,
+        )  # fmt: skip
+    _print_run(run, json)
+    if run.failures:
+        raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)
+
+
+def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
+    """Print what was found of one table."""
+    if json:
+        show.as_json(document)
+        return
+    print_fit(document["fit"], name)
     show.say(
         f"supported entries (std under 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
         f"{document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:
-        if remark not in document["fit"]["remarks"]:  # said with the fit
-            show.say(f"note: {remark}")
-    show.say("written: " + ", ".join(written))
+        if remark not in document["fit"]["remarks"]:  # printed with the fit
+            show.say(f"note: {remark['text']}")
+    show.say("written: " + ", ".join(document["files"]))
 
 
-def _run(
-    paths: list[Path],
-    output: Path,
-    how: dict[str, Any],
-    rig_options: Any,
-    run_options: dict[str, Any],
-    force: bool,
-    json: bool,
-) -> None:
-    camera, radius, lamp, sampling = rig_options
-    with show.tallying("correcting") as watch:
-        from matcam.batch.run import correct_all
-        from matcam.core.workspace import keep_rules
-
-        keep_rules()
-        rig = rig_of(camera, radius, lamp, cell_value=sampling)
-
-        def told(progress: Any) -> None:
-            last = progress.last
-            watch(progress.kept + progress.corrected + progress.failed, progress.total)
-            if last is not None and last.reason is not None:
-                show.remark(last.reason)
-
-        run = correct_all(paths, rig, output, sampling=sampling, force=force, watch=told, **how, **run_options)
+def _print_run(run: Any, json: bool) -> None:
+    """Print what a run did."""
     if json:
-        show.as_json(
-            {
-                "folder": str(run.folder),
-                "corrected": [str(path) for path in run.corrected],
-                "kept": [str(path) for path in run.kept],
-                "failed": [{"file": str(failure.source), "reason": failure.reason} for failure in run.failures],
-            }
-        )
-    else:
-        kept = f", {len(run.kept)} finished before" if run.kept else ""
-        show.say(f"{run.folder}: {len(run.corrected)} corrected{kept}, {len(run.failures)} failed")
-        for failure in run.failures:
-            show.say(f"failed: {failure.reason}")
-    if run.failures:
-        raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)
+        show.as_json(run.to_dict())
+        return
+    kept = f", {len(run.kept)} finished before" if run.kept else ""
+    show.say(f"{run.folder}: {len(run.corrected)} corrected{kept}, {len(run.failures)} failed")
+    for failure in run.failures:
+        show.say(f"failed: {failure.reason}")

@@ -1,4 +1,4 @@
-"""`matcam demo`: the main job, on data that the software makes itself."""
+"""`matcam demo`: the main job, on simulated data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Simulate a chromium sphere, photograph it with the MERL rig, and get its Fresnel term back.
+    """Simulate the MERL rig's record of a chromium sphere, and recover its Fresnel term.
 
     Example: `matcam demo -o demo`
     """
@@ -41,9 +41,11 @@ def command(
 
 def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) -> None:
     from matcam.files.merl import write_merl
-    from matcam.forward.demonstration import WIDTH, simulated_chromium
+    from matcam.forward.noisy_table import CHROMIUM_WIDTH, simulated_chromium
 
-    show.say(f"1. A chromium sphere with a lobe of {WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:")
+    show.say(
+        f"1. A chromium sphere with a lobe of {CHROMIUM_WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:"
+    )
     show.say(f"   {table}")
     with show.working("photographing the sphere"):
         write_merl(table, simulated_chromium().clip(min=0), force=force)

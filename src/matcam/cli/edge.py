@@ -12,33 +12,40 @@ from matcam.cli.options import AsJson, Force
 
 
 def command(
-    picture: Annotated[Path, typer.Argument(help="Photograph of an edge: TIFF, PNG or JPEG.")],
+    picture: Annotated[
+        Path, typer.Argument(help="Photograph of an edge to read: TIFF, PNG, JPEG, OpenEXR, camera raw.")
+    ],
     roi: Annotated[
         tuple[int, int, int, int] | None,
-        typer.Option("--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: all of it."),
+        typer.Option(
+            "--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: the whole picture."
+        ),
     ] = None,
     model: Annotated[
         Literal["gaussian", "diffraction", "defocus", "halo"],
         typer.Option("--model", help="Lens of the parametric estimate."),
     ] = "gaussian",
     wavelength: Annotated[
-        float | None, typer.Option("--wavelength", metavar="NM", help="For diffraction and defocus, nm.")
+        float | None,
+        typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
     ] = None,
     pitch: Annotated[
-        float | None, typer.Option("--pitch", metavar="UM", help="Of the pixels, um: for diffraction and defocus.")
+        float | None, typer.Option("--pitch", metavar="UM", help="Pixel pitch for diffraction and defocus, um.")
     ] = None,
     half_width: Annotated[
-        float, typer.Option("--half-width", metavar="PX", help="Half the side of a pixel's sensitive area, px.")
+        float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
     cfa: Annotated[
         Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
-        typer.Option("--cfa", help="The picture is a mosaic: colours of its first 2 x 2 px."),
+        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
     ] = None,
     channel: Annotated[
-        Literal["R", "G", "B", "Y"] | None, typer.Option("--channel", help="Colour; Y: luminance (default).")
+        Literal["R", "G", "B", "Y"] | None,
+        typer.Option("--channel", help="Colour to measure; Y is luminance. Default: Y."),
     ] = None,
     tone: Annotated[
-        Literal["linear", "srgb"], typer.Option("--tone", help="What the codes are: linear, or sRGB, which is undone.")
+        Literal["linear", "srgb", "auto"],
+        typer.Option("--tone", help="What the codes are: linear, or sRGB, which is undone; auto: sRGB for 8 bits."),
     ] = "linear",
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture all the same.")
@@ -50,7 +57,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """MTF of lens and pixel across a slanted edge, with error bars: free of a model, and as a lens (ISO 12233).
+    """Measure the MTF of lens and pixel across a slanted edge (ISO 12233): free of a model, and as a lens.
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
@@ -65,11 +72,11 @@ def command(
 
         use_compilation_cache()
         from matcam.calibration.edge.edge import edge_mtf
-        from matcam.files.photographs import read_photograph
+        from matcam.files.photographs import open_photograph
 
-        image = read_photograph(picture)
+        photograph = open_photograph(picture)
         result = edge_mtf(
-            image,
+            photograph,
             roi,
             model=model,
             wavelength=None if wavelength is None else wavelength * 1e-9,
@@ -77,10 +84,10 @@ def command(
             half_width=half_width,
             cfa=cfa,
             channel=channel,
-            tone=None if tone == "linear" else tone,
+            tone=tone,
             accept_sharpened=accept_sharpened,
         )
-        _write(result, image, roi, picture.name, output, force)
+        _write(result, photograph.values, roi, picture.name, output, force)
     if json:
         show.as_json(_document(result, output))
     else:

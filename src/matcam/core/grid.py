@@ -9,12 +9,13 @@ The table: a BRDF on the MERL grid as a labelled xarray, missing values NaN, its
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 
@@ -25,13 +26,61 @@ Sampling = Literal["centre", "edge"]
 SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
 """Where in its cell a tabulated value was sampled; loaders of MERL files disagree."""
 
+_BORDER = 1e-9  # cells: an angle this close below a border lies on it, but for rounding
+
 
 class Grid(NamedTuple):
-    """Sampling points of a MERL table, rad: theta_h (90,), theta_d (90,), phi_d (180,)."""
+    """Hold the angles at which the cells of a MERL table are sampled.
+
+    Attributes:
+        theta_h: half angles, rad (90,).
+        theta_d: difference angles, rad (90,).
+        phi_d: azimuths of the difference, rad (180,).
+
+    Example:
+        >>> from matcam.core.grid import merl_grid
+        >>> merl_grid("centre").index(theta_h=0.0, phi_d=np.radians(90))
+        (0, slice(None, None, None), 90)
+    """
 
     theta_h: np.ndarray
     theta_d: np.ndarray
     phi_d: np.ndarray
+
+    def index(  # type: ignore[override]  # not that of a tuple: a grid answers by angle
+        self, *, theta_h: ArrayLike | None = None, theta_d: ArrayLike | None = None, phi_d: ArrayLike | None = None
+    ) -> tuple[Any, Any, Any]:
+        """Return where a table holds these angles: what to put between its brackets.
+
+        An angle belongs to the cell that contains it, wherever in the cell the value was sampled (MERL's own rule, which
+        rounds down). On the border of two cells it belongs to the upper one; the end of the range belongs to the last cell.
+
+        Args:
+            theta_h: half angle, or an array of them, rad, [0, pi / 2]. Default: None, all of them.
+            theta_d: difference angle, rad, [0, pi / 2]. Default: None, all of them.
+            phi_d: azimuth of the difference, rad, [0, pi]. Default: None, all of them.
+
+        Returns:
+            An index for each of (theta_h, theta_d, phi_d): whole numbers, or slice(None) for an angle that is not given.
+
+        Raises:
+            ArgumentError: an angle is out of its range.
+        """
+        given = {"theta_h": theta_h, "theta_d": theta_d, "phi_d": phi_d}
+        i, j, k = (
+            slice(None) if angle is None else _cell_of(name, angle, count)
+            for (name, angle), count in zip(given.items(), GRID_SHAPE, strict=True)
+        )
+        return i, j, k
+
+
+def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
+    """Return the number of the cell that contains an angle."""
+    end = np.pi if name == "phi_d" else np.pi / 2
+    share = np.asarray(checks.within(name, angle, 0, end, "rad")) / end
+    place = count * (np.sqrt(share) if name == "theta_h" else share)
+    cell = np.minimum(np.floor(place + _BORDER).astype(int), count - 1)
+    return cell if cell.ndim else int(cell)
 
 
 def merl_grid(sampling: Sampling) -> Grid:

@@ -12,10 +12,12 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-
-import xarray as xr
+from typing import TYPE_CHECKING
 
 from matcam.core.errors import FileFormatError, OutputError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
@@ -36,7 +38,7 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
                 raise OutputError(f"output {path} cannot be written: {parent} is a file, not a folder")
             break
     if path.exists() and not force:
-        raise OutputError(f"output {path} exists: use --force (force=True) to replace it")
+        raise OutputError(f"output {path} exists: use force=True to replace it")
     return path
 
 

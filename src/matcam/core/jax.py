@@ -6,13 +6,12 @@ lobes, and highlights are 1e3 to 1e6 times brighter than what surrounds them.
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
+
+from matcam.core.workspace import user_cache_folder
 
 jax.config.update("jax_enable_x64", True)
 
@@ -28,8 +27,10 @@ def is_concrete(value: object) -> bool:
 
 
 def use_compilation_cache() -> None:
-    """Keep compiled functions on disk between runs (the command line does; a library must not choose this for its user)."""
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    jax.config.update("jax_compilation_cache_dir", str(Path(root) / "matcam" / "jax"))
+    """Keep compiled functions in the user's cache folder between runs.
+
+    A program may choose this for its user; a library must not.
+    """
+    jax.config.update("jax_compilation_cache_dir", str(user_cache_folder() / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

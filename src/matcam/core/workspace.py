@@ -1,30 +1,165 @@
-"""A thing with the key by which it is told from others: for caches of what is not hashable itself.
+"""Where results that depend on a rig alone are kept: in memory, and on disk between processes.
 
-What depends on a rig alone, kept on disk between runs under a name made of its content.
+Nothing is kept behind a caller's back: functions that keep something take a `Workspace`. Libraries that name none share the one
+that `default_workspace` returns, which keeps nothing on disk. The command line and a run's workers name `Workspace.user()`.
 
-What is worth keeping on disk between processes: compiled functions, and what depends on a rig alone.
+Tables that come with the package (metals, checksums, EPD's peak) and what depends on a few plain numbers alone (a spline's
+basis, a lens model) are constants, whoever asks: they stay in `functools.cache` where they are made.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import threading
 import zipfile
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from matcam.core.errors import OutputError
+from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.io import replacing
 
 T = TypeVar("T")
 
 
+@dataclass(frozen=True)
+class Workspace:
+    """Keep what depends on a rig alone, for the next call in this process and for the next process.
+
+    Args:
+        folder: folder on disk for arrays that other processes may use; it is made when something is kept. Default: None,
+            nothing is kept on disk.
+        entries: results of each kind kept in memory, the latest used; 0: none (no unit). Default: 6, enough for the rigs and
+            slices of one correction.
+        files: files kept in `folder`, the latest written (no unit). Default: 12, at most some hundred MB.
+
+    Raises:
+        ArgumentError: `entries` or `files` is not a whole number >= 0.
+
+    Example:
+        >>> from matcam.core.workspace import Workspace
+        >>> workspace = Workspace()
+        >>> workspace.remember("squares", 3, lambda: 3**2)
+        9
+        >>> workspace.remember("squares", 3, lambda: print("not asked again"))
+        9
+    """
+
+    folder: Path | None = None
+    entries: int = 6
+    files: int = 12
+    _memory: dict[str, OrderedDict[Hashable, Any]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for name in ("entries", "files"):
+            value = getattr(self, name)
+            if type(value) is not int or value < 0:
+                raise ArgumentError(f"{name} must be a whole number >= 0, got {value!r:.60}")
+        if self.folder is not None:
+            object.__setattr__(self, "folder", Path(self.folder))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to another process without what is in memory."""
+        return type(self), (self.folder, self.entries, self.files)
+
+    @classmethod
+    def user(cls) -> Workspace:
+        """Return a workspace in the user's cache folder.
+
+        A program may choose this for its user; a library must not.
+
+        Returns:
+            A workspace that keeps files in the folder `rules` of `user_cache_folder`.
+        """
+        return cls(user_cache_folder() / "rules")
+
+    def remember(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
+        """Return what `make` returned for this key before, or call it.
+
+        Args:
+            kind: what is kept; each kind has a memory of its own.
+            key: all that the result depends on.
+            make: function that computes the result.
+            most: results of this kind kept in memory, where they are too large for `entries` of them. Default: None.
+
+        Returns:
+            The result, which callers share: it must not be changed.
+        """
+        with self._lock:
+            memory = self._memory.setdefault(kind, OrderedDict())
+            if key in memory:
+                memory.move_to_end(key)
+                return memory[key]
+        result = make()
+        with self._lock:
+            memory[key] = result
+            while len(memory) > min(self.entries, self.entries if most is None else most):
+                memory.popitem(last=False)
+        return result
+
+    def kept(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Return the arrays that `make` returned for this description before, from disk, or call it.
+
+        The file's name is a hash of the description and of the package's version. A file that cannot be read is made again, and
+        one that cannot be written is not: a full disk must not stop a fit.
+
+        Args:
+            description: text that holds all that the arrays depend on.
+            make: function that computes the arrays.
+
+        Returns:
+            The arrays by name.
+        """
+        if self.folder is None:
+            return make()
+        name = hashlib.sha256(f"{metadata.version('matcam')}\n{description}".encode()).hexdigest()[:32]
+        path = self.folder / f"{name}.npz"
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return {key: file[key] for key in file.files}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            pass  # not there, or not whole: made again
+        arrays = make()
+        try:
+            with replacing(path, force=True) as temporary:
+                np.savez(temporary, **arrays)  # type: ignore[arg-type]
+            by_age = sorted(self.folder.glob("*.npz"), key=lambda p: p.stat().st_mtime)
+            for old in by_age[: max(len(by_age) - self.files, 0)]:
+                old.unlink(missing_ok=True)
+        except (OutputError, OSError):
+            pass
+        return arrays
+
+
+@cache
+def default_workspace() -> Workspace:
+    """Return the workspace of a process that names none: in memory, nothing on disk. It is made here and nowhere else."""
+    return Workspace()
+
+
+def user_cache_folder() -> Path:
+    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    if root:
+        return Path(root) / "matcam"
+    import pooch  # a fifth of a second that only programs should cost
+
+    return pooch.os_cache("matcam")
+
+
+# For callers that do not pass a workspace yet.
+
+
 class Keyed(Generic[T]):
-    """`thing`, equal to another of the same key."""
+    """Compare a thing by a key."""
 
     def __init__(self, key: Hashable, thing: T):
         self.key, self.thing = key, thing
@@ -36,42 +171,23 @@ class Keyed(Generic[T]):
         return isinstance(other, Keyed) and self.key == other.key
 
 
-_MOST_FILES = 12
-_folder: Path | None = None
+_rules = default_workspace()
 
 
-def use_folder(folder: Path | None) -> None:
-    """Keep rules in `folder` from now on; None: nowhere, as a library does until it is told."""
-    global _folder
-    _folder = folder
+def current_workspace() -> Workspace:
+    """Return the workspace that `keep_rules` chose, for callers that pass none."""
+    return _rules
 
 
-def kept(description: str, made: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays of `made()`, from disk if this very description was kept by this version of the package."""
-    if _folder is None:
-        return made()
-    name = hashlib.sha256(f"{metadata.version('matcam')}\n{description}".encode()).hexdigest()[:32]
-    path = _folder / f"{name}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass  # not there, or not whole: made again
-    arrays = made()
-    try:
-        with replacing(path, force=True) as temporary:
-            np.savez(temporary, **arrays)  # type: ignore[arg-type]
-        for old in sorted(_folder.glob("*.npz"), key=lambda p: p.stat().st_mtime)[:-_MOST_FILES]:
-            old.unlink(missing_ok=True)
-    except (OutputError, OSError):
-        pass  # a full or read-only disk must not stop a fit
-    return arrays
+def kept(description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Keep arrays in the workspace that `keep_rules` chose."""
+    return _rules.kept(description, make)
 
 
 def keep_rules() -> None:
-    """Keep both in the user's cache folder from now on. A process of ours may; a library must not choose this for its user."""
+    """Keep compiled functions and arrays in the user's cache folder from now on."""
     from matcam.core.jax import use_compilation_cache
 
+    global _rules
     use_compilation_cache()
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    use_folder(Path(root) / "matcam" / "rules")
+    _rules = Workspace.user()

@@ -1,34 +1,29 @@
-"""From any file format to any other that can hold the data. What is resampled says so, and by how much it errs."""
+"""Conversion of a file from any format to any other that can hold the data.
+
+Each kind of contents has a writer. Where a format cannot hold the values themselves they are resampled, and the report says so
+and by how much the result errs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
-from matcam.core.io import check_output, write_columns
+from matcam.core.io import check_output
 from matcam.core.json import write_json
 from matcam.core.shading import Vector, local_shading, vector
-from matcam.exchange.contents import Contents, material_of, read_contents
+from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.parameterisation import SQUARE, adaptive_grid
-from matcam.files.datasets import write_netcdf, write_zarr
-from matcam.files.float_pictures import write_exr, write_float_tiff
-from matcam.files.merl import write_merl
-from matcam.files.rgl import write_rgl
-from matcam.files.samples import samples_of, write_samples
+from matcam.files.formats import Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
 from matcam.material.material import Material
 from matcam.material.tabulated import Tabulated
-
-SUFFIXES = (".binary", ".bsdf", ".csv", ".nc", ".zarr.zip", ".exr", ".tif", ".tiff")
-"""Of the outputs, which say their format."""
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 
@@ -41,37 +36,66 @@ def convert(
     square: int = SQUARE,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Read `source`, write `target` in the format that its name ends in; a report as plain numbers.
+    """Convert a file to the format that the output's name ends in.
 
-    sampling: of a MERL file, see `read_merl`, and of the table that an RGL file is resampled to. square: resolution of an RGL
-    file that is made, see `adaptive_grid`. Report: `input`, `output`, `holds`, `resampled` (None where every value is kept),
-    and where resampled `error` (see `resampling_error`) and `missing_share` of what had to be made up. ArgumentError where
-    the target's format cannot hold the data; OutputError where it cannot go.
+    The input's format is recognised by its content. A picture's sidecar goes along.
+
+    Args:
+        source: input: MERL, RGL, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
+        target: output: .binary, .bsdf, .csv, .nc, .zarr.zip, .exr, .tif or .tiff.
+        sampling: point of its cell, "centre" or "edge", at which a MERL file's values are sampled, and those of the
+            table that an RGL file is resampled to. Default: "centre"; loaders of MERL files disagree, see
+            `read_merl`.
+        square: nodes along each side of the square of an RGL file that is made, see `adaptive_grid`. Default: 192; fewer
+            make a smaller file.
+        force: True to replace an existing output. Default: False.
+
+    Returns:
+        Report as plain values: `input`, `output`, `format` and `holds` of the input, and `resampled`, None where every value is
+        kept. Where resampled: `missing_share` of the values that were made up, and `error`, the relative difference at 4096
+        random pairs of directions.
+
+    Raises:
+        ArgumentError: the output's format cannot hold the data.
+        FileFormatError: the input is damaged or of no known format.
+        OutputError: the output exists, or cannot be written.
+
+    Source:
+        docs/exchange.md.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     picture = pathlib.Path(folder, "picture.exr")
+        ...     matcam.write_exr(picture, np.ones((4, 5)))
+        ...     report = matcam.convert(picture, picture.with_suffix(".tif"))
+        >>> report["holds"], report["resampled"]
+        ('a picture', None)
     """
     source, target = Path(source), Path(target)
-    suffix = output_suffix(target)
+    form = format_for(target)
     check_output(target, force=force, inputs=[source])
-    held = read_contents(source, sampling)
-    report: dict[str, Any] = {"input": str(source), "output": str(target), "format": held.format, "holds": held.kind}
-    write, more = _writer(held, suffix, sampling, square)
-    if held.picture is not None:
-        more |= _move_sidecar(source, target, force)
-    write(target, force)
-    return {**report, "resampled": None, **more}
-
-
-def output_suffix(target: Path) -> str:
-    """The ending of a name that says its format; ArgumentError for another."""
-    for suffix in SUFFIXES:
-        if target.name.lower().endswith(suffix):
-            return suffix
-    raise ArgumentError(f"{target}: the name must end in one of {', '.join(SUFFIXES)}")
+    contents = read_contents(source, sampling)
+    report: dict[str, Any] = {
+        "input": str(source),
+        "output": str(target),
+        "format": contents.format,
+        "holds": contents.kind,
+    }
+    contents, details = _resample(contents, form, sampling, square)
+    form.writer(contents.content)
+    if contents.picture is not None:
+        details |= _write_sidecar(source, target, force)
+    write_contents(target, contents, force=force)
+    return {**report, "resampled": None, **details}
 
 
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
-    """Relative difference of two materials' BRDFs at 4096 pairs of random directions up to 80 degrees from the normal, the
-    largest of their channels: `median`, `p99` (exceeded by 1 %), `largest`; `known` is the share of pairs where the first
-    has a value."""
+    """Compare two materials' BRDFs at 4096 pairs of random directions up to 80 degrees from the normal.
+
+    The relative difference is the largest of the channels. Returned are its `median`, `p99` (exceeded by 1 %) and
+    `largest`, and `known`, the share of pairs where the first material has a value.
+    """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
     seen = local_shading(light, view)
@@ -91,87 +115,37 @@ def _directions(random: np.random.Generator) -> Vector:
     return vector(sin * np.cos(phi), sin * np.sin(phi), cos)
 
 
-Write = Callable[[Path, bool], None]
+def _resample(contents: Contents, form: Format, sampling: Sampling, square: int) -> tuple[Contents, dict[str, Any]]:
+    """Resample a BRDF whose grid the format does not have. Return the contents, and the details that the report adds."""
+    if contents.table is not None and form.holds == ("fields",):
+        material = material_of(contents)
+        fields = adaptive_grid(material, description=str(_source(contents)), square=square)
+        note = f"to RGL's parameterisation, {fields.sizes['theta_i']} angles of light, {square} x {square} values each"
+        details = {
+            "missing_share": fields.attrs["missing_share"],
+            "error": resampling_error(material, Adaptive(fields)),
+        }
+        return Contents(contents.format, fields=fields), {"resampled": note, **details}
+    if contents.fields is not None and "table" in form.holds and "fields" not in form.holds:
+        return _as_table(contents, sampling)
+    return contents, {}
 
 
-def _writer(held: Contents, suffix: str, sampling: Sampling, square: int) -> tuple[Write, dict[str, Any]]:
-    """What writes the file, and what the report has to say besides."""
-    if held.picture is not None:
-        return _picture_writer(held.picture, suffix), {}
-    if suffix in (".exr", ".tif", ".tiff"):
-        raise ArgumentError(f"{held.kind} is not a picture: it goes into {', '.join(SUFFIXES[:5])}")
-    if held.result is not None or held.samples is not None:
-        return _result_writer(held, suffix), {}
-    if suffix == ".bsdf" and held.fields is None:
-        material = material_of(held)
-        fields = adaptive_grid(material, description=str(_source(held)), square=square)
-        said = f"to RGL's parameterisation, {fields.sizes['theta_i']} angles of light, {square} x {square} values each"
-        more = {"missing_share": fields.attrs["missing_share"], "error": resampling_error(material, Adaptive(fields))}
-        return lambda path, force: write_rgl(path, fields, force=force), {"resampled": said, **more}
-    if suffix in (".binary", ".csv") and held.fields is not None:
-        return _as_table(held, suffix, sampling)
-    if held.table is not None:
-        return _table_writer(held.table, suffix), {}
-    assert held.fields is not None
-    return _fields_writer(held.fields, suffix), {}
-
-
-def _table_writer(table: xr.DataArray, suffix: str) -> Write:
-    if suffix == ".binary":
-        return lambda path, force: write_merl(path, table, force=force)
-    if suffix == ".csv":
-        return lambda path, force: write_samples(path, samples_of(table), force=force)
-    labelled = table.to_dataset(name="brdf")
-    return lambda path, force: _labelled_writer(suffix)(path, labelled, force=force)
-
-
-def _fields_writer(fields: xr.Dataset, suffix: str) -> Write:
-    writer = write_rgl if suffix == ".bsdf" else _labelled_writer(suffix)
-    return lambda path, force: writer(path, fields, force=force)
-
-
-def _labelled_writer(suffix: str) -> Callable[..., None]:
-    return write_netcdf if suffix == ".nc" else write_zarr
-
-
-def _as_table(held: Contents, suffix: str, sampling: Sampling) -> tuple[Write, dict[str, Any]]:
-    """RGL's fields on the MERL grid."""
-    material = material_of(held)
+def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[str, Any]]:
+    """Resample RGL's fields to the MERL grid."""
+    material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot hold it")
     table = true_table(material, sampling)
     negative = float((table < 0).mean())  # RGL's tables go below zero where nothing was measured
     table = table.clip(min=0).assign_attrs(table.attrs)
-    said = f"to the MERL grid at each cell's {sampling}; below zero, set to it: {negative:.2%}"
-    more = {"resampled": said, "missing_share": 0.0, "error": resampling_error(material, Tabulated(table))}
-    return _table_writer(table, suffix), more
+    note = f"to the MERL grid at each cell's {sampling}; below zero, set to it: {negative:.2%}"
+    details = {"resampled": note, "missing_share": 0.0, "error": resampling_error(material, Tabulated(table))}
+    return Contents(contents.format, table=table), details
 
 
-def _result_writer(held: Contents, suffix: str) -> Write:
-    data = held.result if held.result is not None else held.samples
-    assert data is not None
-    if suffix in (".binary", ".bsdf"):
-        raise ArgumentError(f"{held.kind} has no place in {suffix}: {', '.join(SUFFIXES[2:5])} can hold it")
-    if suffix == ".csv":
-        if held.samples is not None:
-            samples = held.samples
-            return lambda path, force: write_samples(path, samples, force=force)
-        result = held.result
-        assert result is not None
-        return lambda path, force: write_columns(path, result, force=force)
-    labelled = data if isinstance(data, xr.Dataset) else data.to_dataset(name="samples")
-    return lambda path, force: _labelled_writer(suffix)(path, labelled, force=force)
-
-
-def _picture_writer(picture: np.ndarray, suffix: str) -> Write:
-    writers = {".exr": write_exr, ".tif": write_float_tiff, ".tiff": write_float_tiff}
-    if suffix not in writers:
-        raise ArgumentError(f"a picture goes into {', '.join(writers)}, not into {suffix}")
-    return lambda path, force: writers[suffix](path, picture, force=force)
-
-
-def _move_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
-    """The sidecar goes along, with the picture's new name in it."""
+def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
+    """Write the picture's sidecar beside the output, with its new name in it."""
     beside = sidecar_path(source)
     if not beside.exists() or beside == sidecar_path(target):
         return {}
@@ -181,6 +155,6 @@ def _move_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
     return {"sidecar": str(sidecar_path(target))}
 
 
-def _source(held: Contents) -> str:
-    data = held.table if held.table is not None else held.fields
+def _source(contents: Contents) -> str:
+    data = contents.table if contents.table is not None else contents.fields
     return "" if data is None else str(data.attrs.get("source", ""))

@@ -1,134 +1,67 @@
-"""Whether a table shows the camera that took it.
-
-What can be seen in a file without any model.
-"""
+"""The contents of a file in plain values, without any model: grids, gaps, reciprocity, albedo, lobes, a camera's parameters."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, sampling_of
+from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
+from matcam.exchange.trace import camera_trace, lobe_widths
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
 from matcam.material.material import albedo
 from matcam.material.tabulated import Tabulated
 
-_IN_PLANE, _ACROSS = 0.95, 0.3
-_LAST = 75  # degrees of theta_d
-_GAUSSIAN = np.sqrt(2 * np.log(2))  # half width at half maximum over standard deviation
-_SIGNIFICANT, _WIDENING = 5.0, 1.15
-
-
-class LobeWidths(NamedTuple):
-    """Half widths at half maximum in theta_h, rad, one per theta_d of the table; NaN where there is no lobe."""
-
-    in_plane: np.ndarray
-    """In the plane of light and view."""
-    across: np.ndarray
-
-
-def lobe_widths(table: xr.DataArray) -> LobeWidths:
-    """Of the BRDF, mean over channels."""
-    along = np.abs(np.cos(table["phi_d"].values))
-    return LobeWidths(
-        *(
-            _half_widths(table.values[:, :, chosen], table["theta_h"].values)
-            for chosen in (along > _IN_PLANE, along < _ACROSS)
-        )
-    )
-
-
-def camera_trace(table: xr.DataArray) -> dict[str, Any]:
-    """Whether lobes widen as a camera makes them: in the plane of light and view, width^2 = lobe^2 + (kernel / cos theta_d)^2,
-    and not across it (MODEL 3). Plain numbers: `visible`; `kernel_rad` and `lobe_rad`, standard deviations as of Gaussians;
-    `significance` of the kernel's term; `widening` in the plane over that across, from normal view to 75 degrees.
-
-    Visible: significance above 5 and widening above 1.15. Then a camera, a lamp's disc across, or a finish that widens by
-    itself in this way was there; None where too few angles show a lobe.
-    """
-    widths = lobe_widths(table)
-    theta_d = table["theta_d"].values
-    cos = np.cos(theta_d)
-    known = np.isfinite(widths.in_plane) & np.isfinite(widths.across) & (theta_d < np.radians(_LAST))
-    # broad lobes reach the horizon, where they are cut
-    known &= theta_d + 3 * np.nan_to_num(widths.in_plane, nan=9.0) < np.pi / 2
-    if known.sum() < 20:
-        return {"visible": None, "kernel_rad": None, "lobe_rad": None, "significance": None, "widening": None}
-    squares = (widths.in_plane[known] / _GAUSSIAN) ** 2
-    basis = np.stack([np.ones(known.sum()), cos[known] ** -2], axis=-1)
-    fitted, *_ = np.linalg.lstsq(basis, squares, rcond=None)
-    left = squares - basis @ fitted
-    covariance = np.linalg.inv(basis.T @ basis) * np.sum(left**2) / (known.sum() - 2)
-    significance = float(fitted[1] / max(np.sqrt(covariance[1, 1]), 1e-300))
-    ratio = (widths.in_plane / widths.across)[known]
-    widening = float(np.median(ratio[-5:]) / np.median(ratio[:5]))
-    return {
-        "visible": bool(significance > _SIGNIFICANT and widening > _WIDENING),
-        "kernel_rad": float(np.sqrt(max(fitted[1], 0.0))),
-        "lobe_rad": float(np.sqrt(max(fitted[0], 0.0))),
-        "significance": significance,
-        "widening": widening,
-    }
-
-
-def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
-    """values: (theta_h, theta_d, phi_d, channel). Linear between the grid's points, from the first one's value down."""
-    present = np.isfinite(values)
-    count = present.sum(axis=(2, 3))
-    mean = np.where(count > 0, np.where(present, values, 0).sum(axis=(2, 3)) / np.maximum(count, 1), np.nan)
-    found = np.full(values.shape[1], np.nan)
-    for k in range(values.shape[1]):
-        if not mean[0, k] > 0:
-            continue
-        relative = mean[:, k] / mean[0, k]
-        below = np.flatnonzero(relative < 0.5)
-        if below.size and below[0]:
-            i = int(below[0])
-            found[k] = np.interp(-0.5, -relative[i - 1 : i + 1], theta_h[i - 1 : i + 1])
-    return found
-
-
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 """Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
 
 
-def inspect_contents(held: Contents) -> dict[str, Any]:
-    """What is in a file of any format that holds measurements (see `read_contents`), as plain numbers (JSON): `holds`, and
-    what there is to say of a table, RGL's fields (their own grid, and all that is said of a table after resampling), samples,
-    another result or a picture."""
-    if held.table is not None:
-        return {"holds": held.kind, **inspect_table(held.table)}
-    if held.fields is not None:
-        return {"holds": held.kind, **_of_fields(held.fields)}
-    if held.samples is not None:
-        return {"holds": held.kind, **_of_samples(held.samples)}
-    if held.result is not None:
-        return {"holds": held.kind, **_of_result(held.result)}
-    assert held.picture is not None
-    return {"holds": held.kind, **_of_picture(held.picture)}
+def inspect_contents(contents: Contents) -> dict[str, Any]:
+    """Report the contents of a file that holds measurements (see `read_contents`), as plain values (JSON).
+
+    The report has `holds`, and what there is of a table, samples, another result or a picture. RGL's fields are reported by
+    their own grid, and by all that is reported of a table after resampling.
+    """
+    report: dict[str, Callable[[Any], dict[str, Any]]] = {
+        "table": inspect_table,
+        "fields": _fields_report,
+        "samples": _samples_report,
+        "result": _result_report,
+        "picture": _picture_report,
+    }
+    return {"holds": contents.kind, **report[contents.content](contents.data)}
 
 
 def inspect_table(table: xr.DataArray) -> dict[str, Any]:
-    """Grid, missing share, reciprocity, albedo, lobe widths and the trace of a camera in a BRDF table, as plain numbers (JSON).
+    """Report on a BRDF table, as plain values (JSON).
 
-    reciprocity_rms: rms over cells of the relative difference between phi_d and pi - phi_d, which reciprocity and the
-    mirror symmetry of an isotropic material make equal. albedo: of light from theta_o, per channel, what is missing counted as
-    0 (see `albedo`). lobe: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
-    over channels; None where there is no lobe. camera: see `camera_trace`.
+    Args:
+        table: BRDF on the MERL grid, 1/sr.
+
+    Returns:
+        Grid, missing shares, range, and:
+
+        - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the mirror
+          symmetry of an isotropic material make them equal.
+        - `albedo`: of light from theta_o, per channel; missing values count as 0 (see `albedo`).
+        - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean over
+          channels; None where there is no lobe.
+        - `camera`: see `camera_trace`.
     """
     sampling = sampling_of(table)
     values = table.values
     missing = np.isnan(values)
     below = below_horizon(sampling)
     widths = lobe_widths(table)
+    reported = merl_grid(sampling).index(theta_d=np.radians(REPORTED_ANGLES))[1]
     return {
         "grid": dict(zip(("theta_h", "theta_d", "phi_d"), GRID_SHAPE, strict=True)),
         "channels": [str(c) for c in table["channel"].values],
@@ -142,10 +75,10 @@ def inspect_table(table: xr.DataArray) -> dict[str, Any]:
         "lobe": [
             {
                 "theta_d_deg": angle,
-                "in_plane_hwhm_deg": _degrees(widths.in_plane[min(angle, GRID_SHAPE[1] - 1)]),
-                "across_hwhm_deg": _degrees(widths.across[min(angle, GRID_SHAPE[1] - 1)]),
+                "in_plane_hwhm_deg": _degrees(widths.in_plane[j]),
+                "across_hwhm_deg": _degrees(widths.across[j]),
             }
-            for angle in REPORTED_ANGLES
+            for angle, j in zip(REPORTED_ANGLES, reported, strict=True)
         ],
         "camera": camera_trace(table),
     }
@@ -166,14 +99,14 @@ def _degrees(angle: float) -> float | None:
 
 
 def _albedo(material: Tabulated | Adaptive, channels: list[str]) -> list[dict[str, Any]]:
-    found = albedo(material, np.radians(REPORTED_ANGLES))
+    shares = albedo(material, np.radians(REPORTED_ANGLES))
     return [
         {"theta_o_deg": angle, **{c: float(value) for c, value in zip(channels, values, strict=True)}}
-        for angle, values in zip(REPORTED_ANGLES, found, strict=True)
+        for angle, values in zip(REPORTED_ANGLES, shares, strict=True)
     ]
 
 
-def _of_fields(fields: xr.Dataset) -> dict[str, Any]:
+def _fields_report(fields: xr.Dataset) -> dict[str, Any]:
     material = Adaptive(fields)
     colour = "spectra" if "spectra" in fields else "rgb"
     own = {
@@ -189,7 +122,7 @@ def _of_fields(fields: xr.Dataset) -> dict[str, Any]:
     return {"own_grid": own, "resampled": "to the MERL grid", **inspect_table(true_table(material))}
 
 
-def _of_samples(samples: xr.DataArray) -> dict[str, Any]:
+def _samples_report(samples: xr.DataArray) -> dict[str, Any]:
     spans = {
         name: np.degrees([samples[name].min(), samples[name].max()]).tolist()
         for name in ("theta_h", "theta_d", "phi_d")
@@ -203,7 +136,7 @@ def _of_samples(samples: xr.DataArray) -> dict[str, Any]:
     }
 
 
-def _of_result(data: xr.Dataset) -> dict[str, Any]:
+def _result_report(data: xr.Dataset) -> dict[str, Any]:
     variables = {
         str(name): {"shape": dict(zip(map(str, v.dims), v.shape, strict=True)), "units": str(v.attrs.get("units", ""))}
         for name, v in data.variables.items()
@@ -211,7 +144,7 @@ def _of_result(data: xr.Dataset) -> dict[str, Any]:
     return {"variables": variables, "attributes": {str(k): str(v)[:200] for k, v in data.attrs.items()}}
 
 
-def _of_picture(picture: np.ndarray) -> dict[str, Any]:
+def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
         raise ArgumentError("every value of the picture is missing")
@@ -223,7 +156,7 @@ def _of_picture(picture: np.ndarray) -> dict[str, Any]:
 
 
 def inspect_camera(path: str | Path) -> dict[str, Any]:
-    """Parameters, their standard deviations, MTF50 (cycles/px, along a row) and provenance of a camera profile."""
+    """Report parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance of a camera profile."""
     camera = Camera.load(path)
     frequency = np.linspace(0, 2, 4001)
     below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)

@@ -1,15 +1,15 @@
 """Any isotropic material in RGL's adaptive parameterisation (Dupuy & Jakob 2018), so that renderers can sample it.
 
-What the format divides by is chosen so that what is left is smooth:
+The format divides by functions that are chosen so that a smooth remainder is tabulated:
 
-- `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o, that is of D F G and of all else there is; even
-  in sqrt(theta_h) with twice the density of a MERL table, so that its points are among the nodes and its kinks are met.
+- `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o: of D F G and of all else there is. It is even in
+  sqrt(theta_h) with twice the density of a MERL table, so that the table's points are among the nodes and its kinks are met.
 - `sigma`: the projected area of facets so distributed, by the closed integral over azimuth.
 - `vndf`: visible normals D max(0, i . m) / sigma, mixed with normals ~ sqrt(D) cos theta_m, which spread logarithmically
-  over the tail, and with even ones: visible normals alone would leave the tail a few per cent of the square.
-- `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it runs on linearly in cos theta_o, so that the
-  cells at the horizon are right on this side of it; but not below zero, which renderers take for a mistake.
-- `luminance`: what is left for samples to be distributed as BRDF cos theta_o.
+  over the tail, and with even ones. Visible normals alone would leave the tail a few per cent of the square.
+- `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it goes on linearly in cos theta_o, so that the
+  cells at the horizon are right on this side of it. It never goes below zero, which renderers take for a mistake.
+- `luminance`: the density that is left, so that samples are distributed as BRDF cos theta_o.
 """
 
 from __future__ import annotations
@@ -29,8 +29,10 @@ _HALF_PI = np.pi / 2
 
 
 def _light_angles(below: int, beyond: int) -> np.ndarray:
-    """Angles to 82 degrees and some beyond it, to 89, spaced as cos theta: `sigma` leaves a factor 1 / cos theta where a
-    lobe has no mirror, and between them it errs by h^2 (1 + 2 tan^2 theta) / 8."""
+    """Space angles to 82 degrees, and some beyond it to 89, as cos theta.
+
+    `sigma` leaves a factor 1 / cos theta where a lobe has no mirror; between the angles it errs by h^2 (1 + 2 tan^2 theta) / 8.
+    """
     log_tan = lambda degrees: np.log(np.tan(np.pi / 4 + np.radians(degrees) / 2))  # noqa: E731  the integral of 1 / cos
     effort = np.concatenate([np.linspace(0, log_tan(82), below), np.linspace(log_tan(82), log_tan(89), beyond + 1)[1:]])
     return 2 * np.arctan(np.exp(effort)) - _HALF_PI
@@ -38,20 +40,39 @@ def _light_angles(below: int, beyond: int) -> np.ndarray:
 
 LIGHT_ANGLES = _light_angles(36, 8)
 """Angles of the light that are tabulated, rad."""
-_THETA_NODES, _AZIMUTH_NODES = 181, 65
 SQUARE = 192
 """Nodes of the tabulated square along each side; the file is 36 MB."""
+_THETA_NODES, _AZIMUTH_NODES = 181, 65
 _VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
 _FAINTEST = 1e-9  # of the peak of D: nothing is divided by less
 
 
 def adaptive_grid(material: Material, *, description: str = "", square: int = SQUARE) -> xr.Dataset:
-    """Fields of an RGL file (see `read_rgl`) that stand for an isotropic material with one or three channels.
+    """Resample an isotropic material to the fields of an RGL file.
 
-    square: nodes of the tabulated square along each side, an even number from 8 to 512. Values that are missing are
-    interpolated along theta_h, and continued where there is nothing beyond them: the format has no missing values. Attribute
-    `missing_share` says how many they were of all that lie above the horizon. How close the result comes to the material is
-    for `resampling_error` to say.
+    The format has no missing values. Missing ones are interpolated along theta_h, and extrapolated where there is
+    nothing beyond them. `convert` reports how close the result comes to the material.
+
+    Args:
+        material: isotropic material with one or three channels, such as `Tabulated(table)`.
+        description: text that the file carries. Default: "", which stands for "made by matcam".
+        square: nodes of the tabulated square along each side, an even number from 8 to 512. Default: 192, a file of 36 MB;
+            fewer make a smaller and coarser one.
+
+    Returns:
+        Dataset of the fields, as `read_rgl` returns and `write_rgl` and `Adaptive` take them. Attribute `missing_share` is the
+        share of missing values among all above the horizon.
+
+    Raises:
+        ArgumentError: the material is anisotropic, has another count of channels, or reflects nothing.
+
+    Source:
+        Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
+
+    Example:
+        >>> fields = matcam.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
+        >>> fields["rgb"].dims, fields["rgb"].shape
+        (('phi_i', 'theta_i', 'channel', 'row', 'column'), (1, 44, 3, 8, 8))
     """
     if not isinstance(material, Material):
         raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
@@ -68,16 +89,16 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     visible = _visible(u, facets)
     warp = Warp(visible)
     grid = np.linspace(0, 1, square)
-    place_u, place_v, held_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
+    place_u, place_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
     theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
-    held = np.interp(place_u, u, facets)
-    values = np.maximum(_continued(outgoing * (4 * seen_area[:, None, None] / held)[..., None], cos_o), 0)
+    d = np.interp(place_u, u, facets)
+    values = np.maximum(_fill_gaps(outgoing * (4 * seen_area[:, None, None] / d)[..., None], cos_o), 0)
     # of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the warp
     light = LIGHT_ANGLES[:, None, None]
     cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
-    solid = held * np.maximum(cos, 0) * _jacobian(place_u)
-    density = values.mean(axis=-1) * solid / np.where(held_density > 0, held_density, 1.0)
+    solid = d * np.maximum(cos, 0) * _jacobian(place_u)
+    density = values.mean(axis=-1) * solid / np.where(tabulated_density > 0, tabulated_density, 1.0)
     whole = lambda half, axis: np.concatenate([half, np.flip(half, axis)], axis).astype(np.float32)  # noqa: E731
     note = (description or "made by matcam").encode()
     return xr.Dataset(
@@ -96,13 +117,13 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
 
 
 def _nodes(material: Material) -> int:
-    """A multiple of a MERL table's steps, with at least ten to the lobe's width."""
+    """Return the count of nodes in theta_h: a multiple of a MERL table's steps, at least ten to the lobe's width."""
     finest = np.sqrt(float(material.finest) / _HALF_PI)
     return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
 
 
 def _facets(material: Material, u: np.ndarray) -> np.ndarray:
-    """D at the nodes, (n,), with the integral of D cos over the hemisphere 1."""
+    """Return D at the nodes, (n,), with the integral of D cos over the hemisphere 1."""
     theta_h = (u**2 * _HALF_PI)[:, None, None]
     theta_d = np.radians(np.arange(2.5, 80, 5))[:, None]
     phi_d = np.radians(np.arange(0, 180, 30.0))
@@ -117,13 +138,11 @@ def _facets(material: Material, u: np.ndarray) -> np.ndarray:
     if not np.any(light > 0):
         raise ArgumentError("the material reflects nothing: there is nothing to sample")
     mean = np.where(total > 0, light / np.where(total > 0, total, 1), np.nan)
-    held = np.interp(u, u[total > 0], mean[total > 0])
-    held = np.maximum(held, _FAINTEST * held.max())
+    d = np.interp(u, u[total > 0], mean[total > 0])
+    d = np.maximum(d, _FAINTEST * d.max())
     fine = _between(u)
     theta = fine**2 * _HALF_PI
-    return held / np.trapezoid(
-        np.interp(fine, u, held) * 2 * np.pi * np.cos(theta) * np.sin(theta) * np.pi * fine, fine
-    )
+    return d / np.trapezoid(np.interp(fine, u, d) * 2 * np.pi * np.cos(theta) * np.sin(theta) * np.pi * fine, fine)
 
 
 def _between(u: np.ndarray) -> np.ndarray:
@@ -131,7 +150,7 @@ def _between(u: np.ndarray) -> np.ndarray:
 
 
 def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> np.ndarray:
-    """Integral of D max(0, m . o) over the hemisphere of m. Over azimuth that of max(0, a + b cos phi) is closed."""
+    """Integrate D max(0, m . o) over the hemisphere of m; over azimuth max(0, a + b cos phi) has a closed form."""
     fine = _between(u)
     theta = fine**2 * _HALF_PI
     a, b = np.cos(theta) * np.cos(theta_o)[:, None], np.sin(theta) * np.sin(theta_o)[:, None]
@@ -141,13 +160,16 @@ def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> n
 
 
 def _jacobian(u: np.ndarray) -> np.ndarray:
-    """Solid angle per area of the unit square."""
+    """Return the solid angle per area of the unit square."""
     return 2 * np.pi**2 * u * np.sin(u**2 * _HALF_PI)
 
 
 def _visible(u: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Density of half vectors per area of the unit square, (T, azimuths, nodes): azimuths as of visible normals and evenly,
-    half and half; in each, angles as of visible normals, and for the sake of resolution ~ sqrt(D) cos and evenly."""
+    """Return the density of half vectors per area of the unit square, (T, azimuths, nodes).
+
+    Azimuths are distributed as visible normals and evenly, half and half. In each, angles are distributed as visible normals
+    and, for the sake of resolution, as sqrt(D) cos and evenly.
+    """
     theta = u**2 * _HALF_PI
     phi = np.linspace(-np.pi, np.pi, _AZIMUTH_NODES)[:, None]
     light = LIGHT_ANGLES[:, None, None]
@@ -161,8 +183,10 @@ def _visible(u: np.ndarray, facets: np.ndarray) -> np.ndarray:
 
 
 def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """BRDF cos_o for the light at LIGHT_ANGLES and half vectors (T, rows, columns), with channels behind; NaN below the
-    horizon and where missing. Also cos_o, and the missing share of what is above."""
+    """Return BRDF cos_o for the light at LIGHT_ANGLES and half vectors (T, rows, columns), channels last.
+
+    It is NaN below the horizon and where missing. Also returned are cos_o, and the missing share above the horizon.
+    """
     light = np.broadcast_to(LIGHT_ANGLES[:, None, None], theta_m.shape)
     i = np.sin(light), np.zeros(light.shape), np.cos(light)
     m = np.sin(theta_m) * np.cos(phi_m), np.sin(theta_m) * np.sin(phi_m), np.cos(theta_m)
@@ -178,8 +202,8 @@ def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tup
     return np.where(above[..., None], outgoing, np.nan), o[2], missing
 
 
-def _continued(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
-    """Without gaps: inside, linear along each row; beyond the last value of a row, linear in cos_o, held below -0.2."""
+def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
+    """Fill gaps: inside, linearly along each row; beyond a row's last value linearly in cos_o, constant below -0.2."""
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)
     for place in np.ndindex(values.shape[0], values.shape[1]):
@@ -189,12 +213,12 @@ def _continued(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
             if not known.size:
                 result[(*place, slice(None), channel)] = np.nan
                 continue
-            filled = np.interp(columns, known, row[known, channel])
+            whole = np.interp(columns, known, row[known, channel])
             if known.size > 1 and known[-1] < columns[-1]:
                 a, b = known[-2:]
                 slope = (row[b, channel] - row[a, channel]) / min(cos[b] - cos[a], -1e-6)
                 # towards the horizon the BRDF times the cosine may fall, never rise
-                filled[b + 1 :] += max(slope, 0) * (np.maximum(cos[b + 1 :], -0.2) - cos[b])
-            result[(*place, slice(None), channel)] = filled
+                whole[b + 1 :] += max(slope, 0) * (np.maximum(cos[b + 1 :], -0.2) - cos[b])
+            result[(*place, slice(None), channel)] = whole
     empty = ~np.isfinite(result)
     return np.where(empty, 0.0, result) if empty.any() else result

@@ -1,12 +1,11 @@
-"""Microfacet materials in the words of renderers: Mitsuba 3 (a dict) and pbrt-v4 (text).
+"""Materials for renderers: microfacet materials as Mitsuba 3 and pbrt-v4 name them, and a sphere rendered by Mitsuba.
 
-What "roughness" means is where such exports go wrong. Here it is alpha, the scale of facet SLOPES, as in Walter et al. 2007:
-Mitsuba's `alpha` is that number; pbrt's `roughness` is that number only with `remaproughness false` (by default pbrt takes
-alpha = sqrt(roughness)). Disney's roughness would be sqrt(alpha). What stays different: Mitsuba masks separably, G1 G1, as
-`masking="smith-separable"`; pbrt masks with height correlation, as "smith". What a renderer's model does not have is refused:
-`adaptive_grid` makes a file of any material.
+Such exports go wrong over the meaning of "roughness". Here it is alpha, the scale of facet SLOPES, as in Walter et al. 2007.
 
-A sphere of a material, by Mitsuba 3 (extra `matcam[render]`): linear radiance, before any display.
+- Mitsuba's `alpha` is that value. pbrt's `roughness` is that value only with `remaproughness false`; by default pbrt takes
+  alpha = sqrt(roughness). Disney's roughness would be sqrt(alpha).
+- Mitsuba masks separably, G1 G1, as `masking="smith-separable"`. pbrt masks with height correlation, as "smith".
+- What a renderer's model does not have is refused: `adaptive_grid` makes a file of any material.
 """
 
 from __future__ import annotations
@@ -32,11 +31,30 @@ _ELSE = "convert it to a .bsdf file instead"
 
 
 def mitsuba_material(material: Microfacet) -> dict[str, Any]:
-    """Dict for `mitsuba.load_dict`, for RGB variants: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a
-    constant reflectance, with a diffuse part.
+    """Return a microfacet material as a dict for `mitsuba.load_dict`.
 
-    Exact for `masking="smith-separable"` but for Mitsuba's rational approximation of Beckmann's masking (0.35 %); any other
-    masking is replaced by that. The diffuse part is added by a `blendbsdf`, whose shares are divided out again.
+    It is meant for RGB variants. The export is exact for `masking="smith-separable"`, but for Mitsuba's rational
+    approximation of Beckmann's masking (0.35 %). Any other masking is replaced by that. A `blendbsdf` adds the
+    diffuse part; its shares are divided out again.
+
+    Args:
+        material: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a constant reflectance, with a diffuse
+            part below 1; a fit's `.material` is one.
+
+    Returns:
+        The dict.
+
+    Raises:
+        ArgumentError: Mitsuba's models do not have such a material.
+
+    Source:
+        Walter et al. (2007): alpha. Mitsuba 3, plugins `roughconductor` and `blendbsdf`.
+
+    Example:
+        >>> gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
+        >>> facets = matcam.mitsuba_material(gold)
+        >>> facets["type"], facets["distribution"], facets["alpha_u"]
+        ('roughconductor', 'ggx', 0.1)
     """
     _check(material)
     kind = "ggx" if isinstance(material.ndf, GGX | AnisotropicGGX) else "beckmann"
@@ -66,8 +84,28 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
 
 
 def pbrt_material(material: Microfacet, name: str | None = None) -> str:
-    """Text for a pbrt-v4 scene: `Material "conductor" ...`, or a named material. GGX facets, isotropic or not, of a metal,
-    nothing diffuse: that is what pbrt's conductor is. n and k stand at this package's wavelengths of R, G, B, in nm."""
+    """Return a microfacet material as text for a pbrt-v4 scene.
+
+    n and k stand at this package's wavelengths of R, G and B, in nm.
+
+    Args:
+        material: GGX facets, isotropic or not, of a metal (`Conductor`) without a diffuse part.
+        name: name of the material in the scene. Default: None, a `Material "conductor"` for the shapes that follow.
+
+    Returns:
+        The text.
+
+    Raises:
+        ArgumentError: pbrt's conductor is no such material, or the name holds quotes, backslashes or line breaks.
+
+    Source:
+        Walter et al. (2007): alpha. pbrt-v4, material `conductor`.
+
+    Example:
+        >>> gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
+        >>> print(matcam.pbrt_material(gold, name="gold").splitlines()[1])
+        MakeNamedMaterial "gold" "string type" "conductor"
+    """
     _check(material)
     if not isinstance(material.ndf, GGX | AnisotropicGGX):
         raise ArgumentError(f"pbrt has GGX facets, not {material.ndf!r}")
@@ -127,13 +165,38 @@ def rendered_sphere(
     size: int = 256,
     samples: int = 64,
 ) -> np.ndarray:
-    """Radiance of a sphere that fills the picture, float32 (size, size, 3), NaN nowhere; row 0 on top.
+    """Render a sphere of a material by Mitsuba 3 (extra `matcam[render]`).
 
-    Lit by a distant lamp of irradiance pi, `lamp_angle` (rad, (-pi, pi)) from the camera towards +x and a third as far
-    upwards, under an even sky of radiance 0.2: a white diffuse sphere has radiance 1 + 0.2 where it faces the lamp. Or by
-    `environment`, an OpenEXR file of three channels (latitudes by longitudes) that takes the place of both. The camera is far
-    away; its film is a box of one pixel in float32, because Mitsuba's own filter is a blur of half a pixel. Any material goes
-    by way of `adaptive_grid`. ArgumentError where Mitsuba is not installed or a number is out of its range.
+    The sphere fills the picture. The camera is far away. Its film is a box of one pixel in float32, because Mitsuba's own
+    filter is a blur of half a pixel. Any material goes by way of `adaptive_grid`.
+
+    A lamp of irradiance pi stands far away, towards +x and a third as far upwards, under an even sky of radiance 0.2. A white
+    diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
+
+    Args:
+        material: any isotropic material with one or three channels.
+        lamp_angle: angle between lamp and camera, in (-pi, pi), rad. Default: 0.7.
+        environment: OpenEXR file of three channels (latitudes by longitudes) that takes the place of lamp and sky. Default:
+            None, lamp and sky.
+        size: side of the picture, in [16, 4096], px. Default: 256.
+        samples: samples per pixel, in [1, 65536]. Default: 64; more make less noise.
+
+    Returns:
+        Linear radiance, float32, (size, size, 3), without NaN; row 0 on top.
+
+    Raises:
+        ArgumentError: Mitsuba is not installed, or an argument is out of its range.
+
+    Source:
+        Mitsuba 3, plugin `measured`; docs/exchange.md.
+
+    Example:
+        >>> material = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
+        >>> matcam.rendered_sphere(material, size=32, samples=4).shape  # doctest: +SKIP
+        (32, 32, 3)
+        >>> matcam.rendered_sphere(material, size=8)
+        Traceback (most recent call last):
+        matcam.core.errors.ArgumentError: size must be a whole number from 16 to 4096, got 8
     """
     for name, value, low, high in (("size", size, 16, 4096), ("samples", samples, 1, 1 << 16)):
         if type(value) is not int or not low <= value <= high:

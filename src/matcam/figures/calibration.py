@@ -1,7 +1,4 @@
-"""A calibration on one page: edges in the picture, their mean MTF and the camera's, what is left, the blur over the field.
-
-What a chart's targets say of the MTF, side by side.
-"""
+"""Figures of calibrations: a camera fitted to edges on one page, and the MTFs of a chart's targets side by side."""
 
 from __future__ import annotations
 
@@ -11,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from matcam.calibration.camera.calibration import Calibration
 from matcam.calibration.camera.camera_fit import CameraFit
-from matcam.calibration.camera.combine import Calibration
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
 from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled
@@ -23,17 +20,23 @@ _LARGEST = 900  # px of the picture as it is drawn
 
 
 def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Sequence[str]) -> Figure:
-    """Figure of a result of `calibrate`. picture: the first one, any codes; None: there is none. lines: the verdict."""
+    """Draw a result of `calibrate`: edges in the picture, MTFs, residuals, blur over the field.
+
+    Args:
+        found: the result.
+        picture: the first picture, in any codes; None if there is none.
+        lines: the verdict, printed below.
+    """
     with styled():
         figure = Figure(figsize=(10.5, 7.6), layout="constrained")
         axes = figure.subplot_mosaic(
-            [["picture", "mtf"], ["left", "field"], ["words", "words"]],
+            [["picture", "mtf"], ["residuals", "field"], ["words", "words"]],
             height_ratios=(1.15, 1, 0.12 + 0.075 * len(lines)),
         )
         channel = found.channels[found.channel]
         _draw_picture(axes["picture"], channel, picture, found.channel)
         _draw_mtf(axes["mtf"], found)
-        _draw_left(axes["left"], found)
+        _draw_residuals(axes["residuals"], found)
         _draw_field(axes["field"], found, picture)
         axes["words"].axis("off")
         axes["words"].text(
@@ -70,24 +73,34 @@ def _draw_mtf(axes: Axes, found: Calibration) -> None:
     nyquist_line(axes, 0.6)
     for name, fit in found.channels.items():
         colour = _COLOURS[name]
-        if np.isfinite(fit.mtf).all():
+        if np.isfinite(fit.curve.mtf).all():
             axes.fill_between(
-                fit.frequency, fit.mtf - 2 * fit.mtf_std, fit.mtf + 2 * fit.mtf_std, color=colour, alpha=0.25, lw=0
+                fit.curve.frequency,
+                fit.curve.mtf - 2 * fit.curve.mtf_std,
+                fit.curve.mtf + 2 * fit.curve.mtf_std,
+                color=colour,
+                alpha=0.25,
+                lw=0,
             )
-            axes.plot(fit.frequency, fit.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
-        axes.plot(fit.frequency, fit.model_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
+            axes.plot(fit.curve.frequency, fit.curve.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
+        axes.plot(fit.curve.frequency, fit.curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
     axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
     axes.legend(loc="upper right", fontsize=8.5)
     axes.set_title("MTF, and 2 standard deviations", loc="left")
 
 
-def _draw_left(axes: Axes, found: Calibration) -> None:
+def _draw_residuals(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     for name, fit in found.channels.items():
-        left = fit.mtf - fit.model_mtf
-        axes.plot(fit.frequency, left, color=_COLOURS[name], lw=1.2, label=name)
+        left = fit.curve.mtf - fit.curve.camera_mtf
+        axes.plot(fit.curve.frequency, left, color=_COLOURS[name], lw=1.2, label=name)
         axes.fill_between(
-            fit.frequency, left - 2 * fit.mtf_std, left + 2 * fit.mtf_std, color=_COLOURS[name], alpha=0.2, lw=0
+            fit.curve.frequency,
+            left - 2 * fit.curve.mtf_std,
+            left + 2 * fit.curve.mtf_std,
+            color=_COLOURS[name],
+            alpha=0.2,
+            lw=0,
         )
     axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges less camera [-]")
     if len(found.channels) > 1:
@@ -125,8 +138,13 @@ _LOOKS = {
 
 
 def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, title: str = "") -> Figure:
-    """MTF of lens and pixel by frequency, with error bars, of every kind of target; camera: to compare them with, then with
-    what they leave, in their standard deviations."""
+    """Draw the MTF of lens and pixel that each kind of target shows, with error bars.
+
+    Args:
+        samples: samples of all targets.
+        camera: camera to compare them with; a second panel then shows the differences in standard deviations. Default: None.
+        title: title. Default: "MTF".
+    """
     with styled():
         figure = Figure(figsize=(9.2, 4.2), layout="constrained")
         axes, left = figure.subplots(1, 2, width_ratios=(1.5, 1)) if camera is not None else (figure.subplots(), None)

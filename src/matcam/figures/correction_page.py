@@ -2,78 +2,59 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from matcam.core.io import replacing
-from matcam.figures.spheres import ball, body_white, shown
-from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, styled
-from matcam.inverse.correction.correction import BENT, Correction
+from matcam.core.grid import merl_grid, sampling_of
+from matcam.core.remark import texts
+from matcam.figures.spheres import body_white, encoded_for_screen, table_sphere
+from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
+from matcam.inverse.correction.correction import Correction
 
 _SLICES = (5, 45, 65, 75)
-_BALL = 180
-_STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}
-table{border-collapse:collapse}td,th{padding:.2rem .9rem;text-align:right;border-bottom:1px solid #ddd}
-td:first-child,th:first-child{text-align:left}img{max-width:100%}.verdict{background:#f2f2f2;padding:.6rem 1rem}"""
+_SPHERE = 180  # px
 
 
 def write_correction_page(
     path: str | Path, raw: xr.DataArray, done: Correction, name: str, *, force: bool = False
 ) -> None:
-    """Write the page of a correction: verdict, numbers with errors, F, lobes and spheres before and after, no network
-    needed. raw: the table that was corrected."""
+    """Write the page of a correction: verdict, parameters, F, lobes and spheres before and after.
+
+    Args:
+        path: HTML file to write; it needs no network and no other file.
+        raw: the table that was corrected.
+        done: its correction.
+        name: title of the page.
+        force: whether to replace the file. Default: False.
+    """
     found = done.fit
-    rows = "".join(
-        f"<tr><td>{html.escape(key)}</td><td>{value:.6g}</td><td>{found.std[key]:.2g}</td></tr>"
-        for key, value in found.params.items()
-    )
-    notes = "".join(f"<li>{html.escape(remark)}</li>" for remark in done.remarks)
-    pictures = [
+    figures = [
         ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
         ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
-        ("A sphere in the light of one lamp, before and after", ball_figure(raw, done)),
+        ("A sphere in the light of one lamp, before and after", sphere_figure(raw, done)),
     ]
-    drawn = "".join(
-        f"<h2>{html.escape(text)}</h2><img alt='{html.escape(text)}' src='{_inline(f)}'>" for text, f in pictures
-    )
-    document = (
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{html.escape(name)}: corrected</title>"
-        f"<style>{_STYLE}</style><h1>{html.escape(name)}</h1><p class='verdict'>{html.escape(verdict(raw, done))}</p>"
-        f"<ul>{notes}</ul><h2>Numbers of the lobe ({html.escape(found.family)})</h2>"
-        f"<table><tr><th>number</th><th>value</th><th>std</th></tr>{rows}"
-        f"<tr><td>half width at half maximum, rad</td><td>{found.half_width:.6g}</td><td>{found.half_width_std:.2g}</td></tr>"
-        f"</table>{drawn}</html>\n"
-    )
-    with replacing(path, force=force) as temporary:
-        temporary.write_text(document, encoding="utf-8")
-
-
-def verdict(raw: xr.DataArray, done: Correction) -> str:
-    """What was found, in three plain sentences."""
-    response = done.table["response"].values[0, :, 90]
-    there = np.isfinite(raw.values)
-    share = float(done.table["supported"].values[there].mean())
-    lost = [f"{1 - response[j]:.0%} at {j}°" for j in (5, 45, 75)]
-    known = "well determined" if done.fit.determined else "NOT determined by these pictures"
-    if done.fit.determined and done.shape.strength > BENT:
-        known = f"determined only if its lobe is {done.fit.family}, which does not explain the data"
-    peak = done.table["supported"].values[0, 5:76].mean()
-    return (
-        f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
-        f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and {share:.0%} of all "
-        "entries are."
-    )
+    content = {
+        "name": name,
+        "verdict": done.verdict,
+        "remarks": texts(done.remarks),
+        "family": found.family,
+        "parameters": [
+            *((key, value, found.std[key]) for key, value in found.params.items()),
+            ("half width at half maximum, rad", found.hwhm, found.hwhm_std),
+        ],
+        "figures": [(title, inline_png(figure)) for title, figure in figures],
+    }
+    write_page(path, "correction_page.html", content, force=force)
 
 
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """F over theta_d, free in every picture, beside the recorded peak over cos^2, both over their mean at 10 to 45 degrees;
-    middle channel."""
+    """Draw F over theta_d, free in every slice, beside the recorded peak times cos^2, in the middle channel.
+
+    Both are divided by their mean from 10 to 45 degrees.
+    """
     curves = done.fit.curves
     channel = curves.sizes["channel"] // 2
     theta = np.degrees(curves["theta_d"].values)
@@ -106,15 +87,16 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """BRDF against theta_h at several theta_d, phi_d = 90 degrees, middle channel."""
-    channel, phi = raw.sizes["channel"] // 2, 90
+    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, in the middle channel."""
+    channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
     theta_h = np.degrees(raw["theta_h"].values)
     with styled():
         figure = Figure(figsize=(9.6, 6.4), layout="constrained")
-        for axes, j in zip(figure.subplots(2, 2).flat, _SLICES, strict=True):
-            before = raw.values[:, j, phi, channel]
-            after, std = (done.table[v].values[:, j, phi, channel] for v in ("brdf", "brdf_std"))
-            good = done.table["supported"].values[:, j, phi, channel]
+        for axes, theta_d in zip(figure.subplots(2, 2).flat, np.radians(_SLICES), strict=True):
+            at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
+            before = raw.values[at]
+            after, std = (done.table[v].values[at] for v in ("brdf", "brdf_std"))
+            good = done.table["supported"].values[at]
             seen = np.isfinite(before) & (before > 0)
             if not seen.any():
                 axes.text(0.5, 0.5, "missing in this table", transform=axes.transAxes, ha="center", color=GREY)
@@ -128,7 +110,7 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
             axes.set_yscale("log")
             top = np.nanmax(after[seen])
             axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
-            axes.set_title(rf"$\theta_d$ = {np.degrees(raw['theta_d'].values[j]):.1f}°", loc="left")
+            axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")
             axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
             axes.set_ylabel("BRDF [1/sr]")
         drawn = [axes for axes in figure.axes if axes.lines]
@@ -137,28 +119,22 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     return figure
 
 
-def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """A sphere under one distant lamp 50 degrees from the camera, from the table before and after, and its highlight 20
-    times closer and as bright as it is."""
+def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
+    """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight 20 times closer."""
     with styled():
         figure = Figure(figsize=(8.6, 8.6), layout="constrained")
         panels = figure.subplots(2, 2)
         for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
-            before, after = (ball(values, _BALL, zoom) for values in (raw.values, done.table["brdf"].values))
+            before, after = (table_sphere(values, _SPHERE, zoom) for values in (raw.values, done.table["brdf"].values))
             white = body_white(after) if zoom == 1 else after.max(initial=0)
             for axes, picture, title in zip(row, (before, after), ("as recorded", "corrected"), strict=True):
-                seen = shown(picture, white)
-                axes.imshow(seen if seen.shape[-1] == 3 else seen[..., 0], cmap="gray", interpolation="nearest")
+                display = encoded_for_screen(picture, white)
+                axes.imshow(
+                    display if display.shape[-1] == 3 else display[..., 0], cmap="gray", interpolation="nearest"
+                )
                 axes.set_title(f"{title}, exposed {exposed}", loc="left")
                 axes.axis("off")
         figure.supxlabel(
             "display-encoded, one exposure a row; below, the highlight 20 times closer", fontsize=8, color=GREY
         )
     return figure
-
-
-def _inline(figure: Figure) -> str:
-    stream = io.BytesIO()
-    with styled():
-        figure.savefig(stream, format="png", dpi=110)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

@@ -1,11 +1,14 @@
-"""How every picture looks, and how it is written.
+"""The style of all figures and pages, and how they are written.
 
 No pyplot: it keeps global state, and costs half a second. Colours: Okabe & Ito's, which colour-blind readers tell apart.
+Pages are Jinja2 templates (templates/*.html), which escape all that is put into them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import base64
+import io
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -43,12 +46,12 @@ _RC: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Context in which every figure is drawn."""
+    """Return the context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-    """`check_output` for a picture; its suffix chooses the format."""
+    """Check an output that is a picture, whose suffix chooses the format, as `check_output` does."""
     path = Path(path)
     path = check_output(path, force=force, inputs=inputs)
     if path.suffix.lower() not in SUFFIXES:
@@ -57,7 +60,7 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
-    """Write a figure; a format's own date is left out, so that the same data give the same file. dpi: of a PNG."""
+    """Write a figure without a date, so that the same data give the same file. `dpi` is a PNG's."""
     path = check_picture(path, force=force)
     metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
     with styled(), replacing(path, force=force) as temporary:
@@ -65,13 +68,37 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
-    """Angles on the x axis, in degrees."""
+    """Label the x axis with angles in degrees."""
     axes.set_xlabel(f"{label} [degrees]")
     axes.set_xlim(0, end)
     axes.set_xticks(range(0, int(end) + 1, 15))
 
 
 def nyquist_line(axes: Axes, height: float = 1.0) -> None:
-    """The highest frequency that whole pixels resolve, 0.5 cycles/px on the x axis; its name stands just below `height`."""
+    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name stands just below `height`."""
     axes.axvline(0.5, color=GREY, lw=0.8)
     axes.annotate("Nyquist", (0.5, height), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
+
+
+def inline_png(figure: Figure) -> str:
+    """Return a figure as the address of an image that stands in its page."""
+    stream = io.BytesIO()
+    with styled():
+        figure.savefig(stream, format="png", dpi=110)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, force: bool = False) -> None:
+    """Write an HTML page from one of the package's templates; everything in `content` is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("matcam.figures", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    text = environment.get_template(template).render(content)
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(text, encoding="utf-8")

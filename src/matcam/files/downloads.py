@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import os
 import zipfile
+import zlib
 from collections.abc import Callable
 from functools import cache
 from importlib import resources
@@ -21,7 +21,7 @@ SOURCE_SETTING = "MATCAM_MERL_SOURCE"
 """Environment variable that names another source: an archive (ending in .zip) or a folder of NAME.binary files."""
 
 _TIMEOUT = 60  # s
-_READ_AHEAD = 1 << 20  # bytes per range request
+_BLOCK = 1 << 20  # bytes between two reports of progress
 
 
 @cache
@@ -87,14 +87,14 @@ class _WholeFile:
         with requests.get(url, timeout=_TIMEOUT, stream=True) as reply, Path(output_file).open("wb") as output:
             reply.raise_for_status()
             size = int(reply.headers.get("Content-Length", 0))
-            for block in reply.iter_content(_READ_AHEAD):
+            for block in reply.iter_content(_BLOCK):
                 output.write(block)
                 if self.progress:
                     self.progress(output.tell(), size)
 
 
 class _ArchiveMember:
-    """A pooch downloader that takes one member out of a remote zip archive."""
+    """Take one member out of a remote zip archive, as a pooch downloader, by range requests."""
 
     def __init__(self, archive: str, name: str, progress: Callable[[int, int], None] | None):
         self.archive = archive
@@ -102,79 +102,56 @@ class _ArchiveMember:
         self.progress = progress
 
     def __call__(self, url: str, output_file: str | Path, pooch: Any) -> None:
-        with _RemoteFile(self.archive) as remote, zipfile.ZipFile(remote) as archive:
-            member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == self.name), None)
-            if member is None:
-                raise DownloadError(f"{self.archive} does not contain {self.name}")
-            with archive.open(member) as packed, Path(output_file).open("wb") as output:
-                while block := packed.read(_READ_AHEAD):
-                    output.write(block)
-                    if self.progress:
-                        self.progress(output.tell(), member.file_size)
-
-
-class _RemoteFile(io.RawIOBase):
-    """A file on a web server, read in blocks by HTTP range requests."""
-
-    def __init__(self, url: str):
+        import remotezip
         import requests
+        import urllib3
 
-        self._session = requests.Session()
-        self._url = url
-        self._position = 0
-        self._block = b""
-        self._block_start = 0
-        self._size = 0
+        headers = {"Accept-Encoding": "identity"}
+
+        class Fetcher(remotezip.RemoteFetcher):
+            def get_file_size(self) -> int:
+                """Ask by a range request, too: some servers answer HEAD differently, or not at all."""
+                first = {**headers, "Range": "bytes=0-0"}
+                with session.get(self._url, headers=first, timeout=_TIMEOUT, stream=True) as reply:
+                    reply.raise_for_status()
+                    if reply.status_code != 206 or "Content-Range" not in reply.headers:
+                        raise remotezip.RangeNotSupported
+                    return int(reply.headers["Content-Range"].rsplit("/", 1)[-1])
+
+            def fetch(self, data_range: Any, stream: bool = False) -> Any:
+                """Raise what is no OSError, which zipfile would take for a damaged archive."""
+                try:
+                    return super().fetch(data_range, stream)
+                except requests.exceptions.RequestException as error:
+                    raise remotezip.RemoteIOError(str(error)) from None
+
         try:
-            self._fetch(0, 0)
-        except Exception:
-            self.close()
-            raise
-
-    def _fetch(self, first: int, last: int) -> bytes:
-        headers = {"Range": f"bytes={first}-{last}", "Accept-Encoding": "identity"}
-        # streamed, so that a server that ignores the range is noticed before it has sent a gigabyte
-        with self._session.get(self._url, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
-            reply.raise_for_status()
-            if reply.status_code != 206 or "Content-Range" not in reply.headers:
-                raise DownloadError(
-                    f"{self._url}: this server sends only the whole archive; fetch and unpack it yourself, or name a "
-                    "folder of files"
-                )
-            self._size = int(reply.headers["Content-Range"].rsplit("/", 1)[-1])
-            return reply.content
-
-    def close(self) -> None:
-        self._session.close()
-        super().close()
-
-    def seekable(self) -> bool:
-        return True
-
-    def readable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._position
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._size}[whence]
-        self._position = start + offset
-        return self._position
-
-    def readinto(self, buffer: Any) -> int:
-        count = min(len(buffer), self._size - self._position)
-        if count <= 0:
-            return 0
-        start = self._position - self._block_start
-        if not 0 <= start < len(self._block):
-            last = min(self._position + max(count, _READ_AHEAD), self._size) - 1
-            self._block = self._fetch(self._position, last)
-            self._block_start, start = self._position, 0
-        block = self._block[start : start + count]
-        buffer[: len(block)] = block
-        self._position += len(block)
-        return len(block)
+            with (
+                requests.Session() as session,
+                remotezip.RemoteZip(
+                    self.archive,
+                    session=session,
+                    fetcher=Fetcher,
+                    support_suffix_range=False,
+                    headers=headers,
+                    timeout=_TIMEOUT,
+                ) as archive,
+            ):
+                member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == self.name), None)
+                if member is None:
+                    raise DownloadError(f"{self.archive} does not contain {self.name}")
+                with archive.open(member) as packed, Path(output_file).open("wb") as output:
+                    while block := packed.read(_BLOCK):
+                        output.write(block)
+                        if self.progress:
+                            self.progress(output.tell(), member.file_size)
+        except remotezip.RangeNotSupported:
+            raise DownloadError(
+                f"{self.archive}: this server sends only the whole archive; fetch and unpack it yourself, or name a "
+                "folder of files"
+            ) from None
+        except (remotezip.RemoteZipError, urllib3.exceptions.HTTPError, EOFError, zlib.error) as error:
+            raise requests.exceptions.ConnectionError(str(error) or "the archive broke off") from None
 
 
 def _one_line(error: Exception) -> str:

@@ -1,9 +1,8 @@
-"""A picture to within a stated error, exact only where it has to be: most of a sample is smooth, or dark beside its highlight.
+"""Pictures of a material on a curved sample, as the rig's camera takes them.
 
-What a pixel records lies between the least and the largest radiance within its kernel's reach. Where these differ by less
-than the error, the radiance at its centre will do. A highlight can hide between the centres, so all around it is exact.
-
-A picture of a material on a curved sample, as the rig's camera takes it.
+A picture within a stated error is exact only where it has to be: most of a sample is smooth, or dark beside its highlight. A
+pixel records a value between the least and the largest radiance within its kernel's reach. Where these differ by less than
+the error, the radiance at its centre will do. A highlight can hide between the centres, so all around it is exact.
 """
 
 from __future__ import annotations
@@ -20,56 +19,15 @@ from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.blur import Blur, blur_of, groups_of, kernel_error
-from matcam.forward.integral.plan import Targets, filled, planned
+from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
+from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
 from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.shape import Curved
 
-
-def record_within(
-    error: float, material: Material, sample: Curved, blur: Blur, lamp_angle: float, x: np.ndarray, y: np.ndarray
-) -> jax.Array:
-    """Radiance, 1/sr, that pixels centred on x (columns,), y (rows,) px, one apart, record, within `error` of the largest;
-    shape (rows, columns, channels). Not to be differentiated: which pixels are exact depends on the material."""
-    scales = [group.scale for group in groups_of(blur, sample)]
-    around = int(np.ceil(max(scale.reach for scale in scales)))
-    beyond = np.arange(1, around + 1)
-    wide = [np.concatenate([a[0] - step * beyond[::-1], a, a[-1] + step * beyond]) for a, step in ((x, 1), (y, -1))]
-    centres = np.asarray(_at_centres(Scene(material, sample, jnp.asarray(lamp_angle)), *np.meshgrid(*wide)))
-    grown = (2 * around + 1, 2 * around + 1, 1)
-    span = (maximum_filter(centres, grown) - minimum_filter(centres, grown)).max(axis=-1)
-    span, centres = (a[around : around + y.size, around : around + x.size] for a in (span, centres))
-    values, peak_x = centres.copy(), float(highlight_x(sample, jnp.asarray(lamp_angle)))
-    x, y = np.meshgrid(x, y)
-
-    def exactly(chosen: np.ndarray) -> None:
-        which = filled(np.flatnonzero(chosen))
-        if which.size:
-            targets = Targets(
-                x.ravel()[which],
-                y.ravel()[which],
-                np.full(which.size, lamp_angle),
-                np.zeros(which.size, dtype=np.int32),
-            )
-            plan = planned(sample, blur, np.array([lamp_angle]), targets)
-            values.reshape(-1, values.shape[-1])[which] = np.asarray(record(material, sample, blur, plan))
-
-    side = max(scale.near for scale in scales)
-    near = (np.abs(x - peak_x) < side) & (np.abs(y) < side)
-    exactly(near)
-    peak = values[near].max(initial=0.0) or centres.max()
-    exactly((span > error * peak) & ~near)
-    return jnp.asarray(values)
-
-
-@jax.jit
-def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
-    element, visible = scene.sample.at(x, y)
-    lit = visible & (scene.seen(element).cos_i > 0)
-    return jnp.where(lit[..., None], scene.sent(element), 0.0)
+_FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
 
 
 def picture(
@@ -83,31 +41,51 @@ def picture(
     seed: Seed | None = None,
     time: float = 0.0,
 ) -> xr.DataArray:
-    """The picture of a sphere or cylinder of `material` under a distant lamp of unit irradiance.
+    """Return the picture of a sphere or cylinder under a distant lamp.
 
-    lamp_angle: between lamp and camera, rad, [0, pi): 2 theta_d; the lamp stands towards +x (right). shape: (height,
-    width); None: the rig's crop, or what holds the sample and its blur. Row 0 is on top, pixel centres lie on integers,
-    the optical axis at ((width - 1) / 2, (height - 1) / 2).
+    The lamp's irradiance is 1, and it stands towards +x (right). Row 0 is on top. Pixel centres lie on integers, and the
+    optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
 
-    error: None for a record as exact as is known (1e-4 of every value or 1e-7 of the peak); else the largest error that may
-    be made, as a share of the picture's peak, [1e-6, 0.1]: the more, the faster.
+    Args:
+        material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
+        rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
+        lamp_angle: angle between lamp and optical axis, in [0, pi), rad: 2 theta_d with a distant camera.
+        shape: (height, width), px. Default: the rig's crop, or what holds the sample and its blur.
+        error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
+            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak).
+        exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
+        seed: seed of the raw picture's noise, a whole number or a JAX key. Default: None, allowed for radiance only.
+        time: exposure time of the raw picture, s, in which dark current gathers. Default: 0.
 
-    exposure: None for radiance, 1/sr; a number, e- per unit of radiance, for a raw picture of the camera's sensor, DN, of
-    `time` s, with the noise that `seed` stands for.
+    Returns:
+        Radiance, 1/sr, or digital values, DN, (row, column, channel); (row, column) behind a colour mosaic. Coordinates `x`
+        and `y`, px, count from the optical axis, y upwards. Attribute `kernel_error`: see `measure`.
 
-    DataArray (row, column, channel), or (row, column) behind a colour mosaic. For the differentiable values alone see
-    `picture_values`.
+    Raises:
+        ArgumentError: an argument is out of its range, the sample is flat, or exposure lacks a sensor or a seed.
+
+    Source:
+        docs/model.md 2 and 3.
+
+    Example:
+        The middle of a sphere, where no kernel meets the highlight or the limb; without a shape, the whole sphere.
+
+        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
+        >>> image = matcam.picture(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5))
+        >>> image.dims, image.shape
+        (('row', 'column', 'channel'), (3, 5, 1))
     """
     view = _view(material, rig, lamp_angle, shape)
-    exposed = _exposed(rig.camera.sensor, exposure, seed, time)
+    raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
     if error is None:
-        values = _recorded(material, view)
+        values = _exact_record(material, view)
     else:
-        error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
-        values = record_within(error, material, *view)
+        values = _record_within(
+            float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak")), material, view
+        )
     quantity, unit = "radiance", "1/sr"
-    if exposed is not None:
-        values, quantity, unit = exposed(values), "digital", "DN"
+    if raw is not None:
+        values, quantity, unit = raw(values), "digital", "DN"
     return xr.DataArray(
         np.asarray(values),
         dims=("row", "column", "channel")[: values.ndim],
@@ -129,20 +107,47 @@ def picture(
 def picture_values(
     material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None = None
 ) -> jax.Array:
-    """Radiance of `picture`, 1/sr, shape (height, width, channels): differentiable in the numbers of the material and
-    the camera. ArgumentError inside jax.jit."""
-    return _recorded(material, _view(material, rig, lamp_angle, shape))
+    """Return the radiance of `picture` as an array.
+
+    It is differentiable in the parameters of material and camera.
+
+    Args:
+        material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
+        rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
+        lamp_angle: angle between lamp and optical axis, in [0, pi), rad; it cannot be traced.
+        shape: (height, width), px. Default: see `picture`.
+
+    Returns:
+        Radiance under unit irradiance, (height, width, channels), 1/sr.
+
+    Raises:
+        ArgumentError: see `picture`; or the call stands inside jax.jit.
+
+    Source:
+        docs/model.md 2 and 3.
+
+    Example:
+        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
+        >>> matcam.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
+        (3, 5, 1)
+    """
+    return _exact_record(material, _view(material, rig, lamp_angle, shape))
 
 
 class _View(NamedTuple):
-    """What is photographed, and what the picture shows of it."""
+    """A sample as it is photographed, and the part of it that the picture shows.
 
-    sample: Curved
-    blur: Blur
+    Attributes:
+        imaging: sample and blur.
+        lamp_angle: angle between lamp and optical axis, rad.
+        x: places of the columns, px.
+        y: places of the rows, px.
+    """
+
+    imaging: Imaging
     lamp_angle: float
     x: np.ndarray
     y: np.ndarray
-    """Places of the columns and of the rows, px."""
 
 
 def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None) -> _View:
@@ -156,34 +161,79 @@ def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int,
         raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
     behind = "rad (beyond pi the lamp is behind the sample)"
     lamp = checks.scalar("lamp_angle", checks.within("lamp_angle", lamp_angle, 0, np.pi, behind, open_high=True))
-    blur = blur_of(rig)
-    reach = max(group.scale.reach for group in groups_of(blur, rig.sample))
-    height, width = _shape(rig, shape, reach)
-    x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
-    return _View(rig.sample, blur, float(lamp), x, y)
+    imaging = imaging_of(rig)
+    reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample))
+    height, width = _picture_shape(rig, shape, reach)
+    return _View(imaging, float(lamp), np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height))
 
 
-def _shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
-    """What was asked for, the rig's crop, or a square that holds the sample and what its light reaches within 8 px."""
+def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
+    """Return the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px."""
     if shape is not None:
         return picture_shape("shape", shape)
     if rig.crop is not None:
         return rig.crop
-    side = 2 * int(np.ceil(float(rig.sample.radius) + min(reach, 8.0))) + 1  # type: ignore[attr-defined]
+    side = 2 * int(np.ceil(float(rig.sample.radius) + min(reach, _FARTHEST_REACH))) + 1  # type: ignore[attr-defined]
     return picture_shape("shape", (side, side))
 
 
-def _recorded(material: Material, view: _View) -> jax.Array:
+def _exact_record(material: Material, view: _View) -> jax.Array:
     x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(view.x, view.y))
-    targets = Targets(x, y, np.full(x.size, view.lamp_angle), np.zeros(x.size, dtype=np.int32))
-    plan = planned(view.sample, view.blur, np.array([view.lamp_angle]), targets)
-    return record(material, view.sample, view.blur, plan).reshape(view.y.size, view.x.size, -1)
+    return _record_pixels(material, view, x, y).reshape(view.y.size, view.x.size, -1)
 
 
-def _exposed(
+def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray) -> jax.Array:
+    """Record pixels centred on (x, y) px; shape (pixels, channels)."""
+    places = RecordPlaces(x, y, np.full(x.size, view.lamp_angle), np.zeros(x.size, dtype=np.int32))
+    return record(material, view.imaging, integration_plan(view.imaging, np.array([view.lamp_angle]), places))
+
+
+def _record_within(error: float, material: Material, view: _View) -> jax.Array:
+    """Record a picture within `error` of its largest value.
+
+    It must not be differentiated: which pixels are exact depends on the material.
+    """
+    sample, lamp_angle = view.imaging.sample, jnp.asarray(view.lamp_angle)
+    scales = [group.scale for group in groups_of(view.imaging.blur, sample)]
+    around = int(np.ceil(max(scale.reach for scale in scales)))
+    beyond = np.arange(1, around + 1)
+    wide = [
+        np.concatenate([a[0] - step * beyond[::-1], a, a[-1] + step * beyond])
+        for a, step in ((view.x, 1), (view.y, -1))
+    ]
+    centres = np.asarray(_at_centres(Scene(material, sample, lamp_angle), *np.meshgrid(*wide)))
+    neighbourhood = (2 * around + 1, 2 * around + 1, 1)
+    span = (maximum_filter(centres, neighbourhood) - minimum_filter(centres, neighbourhood)).max(axis=-1)
+    height, width = view.y.size, view.x.size
+    span, centres = (a[around : around + height, around : around + width] for a in (span, centres))
+    values, peak_x = centres.copy(), float(highlight_x(sample, lamp_angle))
+    x, y = np.meshgrid(view.x, view.y)
+
+    def record_exactly(where: np.ndarray) -> None:
+        index = pad_indices(np.flatnonzero(where))
+        if index.size:
+            pixels = _record_pixels(material, view, x.ravel()[index], y.ravel()[index])
+            values.reshape(-1, values.shape[-1])[index] = np.asarray(pixels)
+
+    side = max(scale.near for scale in scales)
+    near = (np.abs(x - peak_x) < side) & (np.abs(y) < side)
+    record_exactly(near)
+    peak = values[near].max(initial=0.0) or centres.max()
+    record_exactly((span > error * peak) & ~near)
+    return jnp.asarray(values)
+
+
+@jax.jit
+def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
+    element, visible = scene.sample.at(x, y)
+    lit = visible & (scene.seen(element).cos_i > 0)
+    return jnp.where(lit[..., None], scene.sent(element), 0.0)
+
+
+def _raw_conversion(
     sensor: Sensor | None, exposure: float | None, seed: Seed | None, time: float
 ) -> Callable[[jax.Array], jax.Array] | None:
-    """What makes a raw picture of radiances; None where these are wanted."""
+    """Return the function from radiance to a raw picture; None where radiance is wanted."""
     if exposure is None:
         return None
     if sensor is None:

@@ -1,13 +1,11 @@
-"""Where a rig's pictures show the cells of a table, and how their records become the table.
+"""The table that a rig records of a material: every cell of the MERL grid as its pixels see it (docs/model.md 3).
 
-A table of one rig after the other's materials asks the same of geometry every time: the last rig's answer is kept.
-
-The table that a rig records of a material: every cell of the MERL grid as its pixels see it (MODEL 3).
+A rig's pictures show each cell at two places. Their records, divided by the cosine of the light there, make the cell's value.
+Which places those are, and how to integrate them, depends on the rig alone: a workspace keeps the plan for the next material.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,13 +23,13 @@ from matcam.core.grid import (
     theta_h_edges,
 )
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.core.workspace import Keyed
-from matcam.forward.integral.blur import Blur, blur_of, kernel_error
-from matcam.forward.integral.plan import Plan, Targets, planned
+from matcam.core.workspace import Workspace, default_workspace
+from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
+from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
 from matcam.material.material import Material
 from matcam.rigs import CellValue, Rig, merl
-from matcam.sample.shape import Flat
+from matcam.sample.shape import Curved, Flat
 from matcam.sample.sphere import Sphere
 
 _POINTS: dict[CellValue, tuple[float, ...]] = {
@@ -39,60 +37,158 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
     "edge": (0.0,),
     "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
 }
-"""Where in a cell it is looked at, as shares of its sides."""
+"""Places in a cell at which it is looked at, as shares of its sides."""
 
 
-class Cells(NamedTuple):
-    """The cells as seen one way: arrays over (theta_d, theta_h, phi_d, point, point); phi_d + pi is seen where pi - phi_d
-    is, mirrored, so that reversing phi_d (and the points along it) gives the other way."""
+def measure(material: Material, rig: Rig, workspace: Workspace | None = None) -> xr.DataArray:
+    """Return the BRDF table that a rig records of a material.
 
-    targets: Targets
-    """Those that are seen."""
-    numbers: np.ndarray
-    """Their places in the flattened arrays."""
-    cos_i: np.ndarray
-    weight: np.ndarray
-    """How much of the cell's value each place makes; 0 where it is not seen."""
-    pixels: np.ndarray
-    """Of the cells, (theta_h, theta_d, phi_d)."""
+    Each cell is the pixel centred on the point of the cell that the rig's `cell_value` names; "mean" is the mean over the
+    pixels inside. The record is divided by the cosine of the light at the pixel's centre. It is averaged over the two
+    places that show the cell (reciprocity). A flat sample's light is the same all over: nothing is lost.
+
+    A whole table takes about 15 s on two cores. For derivatives see `table_values`.
+
+    Args:
+        material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
+        rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
+        workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
+
+    Returns:
+        BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where nothing is recorded. Coordinate `pixels`
+        (theta_h, theta_d, phi_d) counts the pixels behind a cell, both places together. Attribute `kernel_error` is the
+        largest error of the lens's MTF, which is taken as a sum of Gaussians; 0 for Gaussian lenses.
+
+    Raises:
+        ArgumentError: the sample is a cylinder, which shows normals of one plane only; or the call stands inside jax.jit.
+
+    Source:
+        docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
+
+    Example:
+        A perfect measurement, of a flat sample; a sphere's is `matcam.measure(material, matcam.rigs.merl())`.
+
+        >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
+        >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
+        >>> table.dims, table.shape
+        (('theta_h', 'theta_d', 'phi_d', 'channel'), (90, 90, 180, 3))
+        >>> print(np.round(table.values[0, 0, 0], 2))
+        [7.16 7.16 7.16]
+    """
+    recorded, pixels = table_values(material, rig, workspace)
+    if recorded.shape[-1] not in (1, len(CHANNELS)):
+        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}")
+    values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
+    attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
+    return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
 
 
-class Tabulation(NamedTuple):
-    """How a rig fills a table."""
+def table_values(material: Material, rig: Rig, workspace: Workspace | None = None) -> tuple[jax.Array, np.ndarray]:
+    """Return the values and pixel counts of `measure` as arrays.
 
-    cells: Cells
-    plan: Plan
+    The values are differentiable in the parameters of material and camera.
+
+    Args:
+        material: material to record, with any count of channels.
+        rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
+        workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
+
+    Returns:
+        BRDF, (90, 90, 180, channels), 1/sr, NaN where nothing is recorded; and the count of pixels behind each cell,
+        (90, 90, 180).
+
+    Raises:
+        ArgumentError: see `measure`.
+
+    Source:
+        docs/model.md 2 and 3.
+
+    Example:
+        >>> flat = matcam.Rig(matcam.rigs.merl().camera, matcam.Flat())
+        >>> values, pixels = matcam.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
+        >>> values.shape, pixels.shape
+        ((90, 90, 180, 1), (90, 90, 180))
+    """
+    if not isinstance(material, Material):
+        raise ArgumentError(
+            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
+        )
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    if isinstance(rig.sample, Flat):
+        return _flat_values(material, rig), np.zeros(GRID_SHAPE)
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(
+            f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
+        )
+    imaging = imaging_of(rig)
+    cells, plan = _table_plan(imaging, rig.cell_value, rig.crop, workspace or default_workspace())
+    return cell_means(record(material, imaging, plan), cells), cells.pixels
 
 
-def tabulation(sphere: Sphere, blur: Blur, cell_value: CellValue, crop: tuple[int, int] | None) -> Tabulation:
-    """The cells and the plan of their record. Needs numbers: ArgumentError inside jax.jit."""
-    rig = jax.lax.stop_gradient((sphere, blur))
-    numbers, tree = jax.tree.flatten(rig)
-    if not all(is_concrete(number) for number in numbers):
-        raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
-    key = tree, tuple(np.asarray(number).tobytes() for number in numbers)
-    return _tabulation(Keyed(key, rig), cell_value, crop)
+def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
+    """Return the table of a material itself, at each cell's centre or edge: any camera's, of a flat sample."""
+    return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 
 
-@lru_cache(maxsize=1)
-def _tabulation(rig: Keyed[tuple[Sphere, Blur]], cell_value: CellValue, crop: tuple[int, int] | None) -> Tabulation:
-    sphere, blur = rig.thing
-    cells = _cells(sphere, cell_value, crop)
-    theta_d = merl_grid(sampling_of(cell_value)).theta_d
-    return Tabulation(cells, planned(sphere, blur, np.asarray(sphere.lamp_angle(jnp.asarray(theta_d))), cells.targets))
-
-
-def sampling_of(cell_value: CellValue) -> Sampling:
-    """Where the cells of a table of this kind are sampled."""
+def cell_sampling(cell_value: CellValue) -> Sampling:
+    """Return the point of its cell at which a table of this kind is sampled."""
     return "edge" if cell_value == "edge" else "centre"
 
 
-def _cells(sample: Sphere, cell_value: CellValue, crop: tuple[int, int] | None) -> Cells:
+class TableCells(NamedTuple):
+    """The cells of a table as seen one way: arrays over (theta_d, theta_h, phi_d, point, point).
+
+    phi_d + pi is seen where pi - phi_d is, mirrored. So reversing phi_d, and the points along it, gives the other way.
+
+    Attributes:
+        places: places of those that are seen.
+        flat_index: their positions in the flattened arrays.
+        cos_i: cosine of the light at each cell.
+        weight: share of the cell's value that each point makes; 0 where it is not seen.
+        pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
+    """
+
+    places: RecordPlaces
+    flat_index: np.ndarray
+    cos_i: np.ndarray
+    weight: np.ndarray
+    pixels: np.ndarray
+
+
+class TablePlan(NamedTuple):
+    """The cells of a table, and the plan of their record."""
+
+    cells: TableCells
+    plan: IntegrationPlan
+
+
+def _table_plan(
+    imaging: Imaging, cell_value: CellValue, crop: tuple[int, int] | None, workspace: Workspace
+) -> TablePlan:
+    """Plan the table of a rig. Needs concrete values: ArgumentError inside jax.jit."""
+    imaging = jax.lax.stop_gradient(imaging)
+    leaves, tree = jax.tree.flatten(imaging)
+    if not all(is_concrete(leaf) for leaf in leaves):
+        raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
+
+    def plan() -> TablePlan:
+        cells = table_cells(imaging.sample, cell_value, crop)
+        theta_d = jnp.asarray(merl_grid(cell_sampling(cell_value)).theta_d)
+        return TablePlan(cells, integration_plan(imaging, np.asarray(imaging.sample.lamp_angle(theta_d)), cells.places))
+
+    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), cell_value, crop
+    return workspace.remember("table plan", key, plan, most=1)
+
+
+def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | None) -> TableCells:
+    """Find the cells of a table in the pictures of a sphere, of which the sensor shows `crop` (height, width), px."""
     n_h, n_d, n_p = GRID_SHAPE
     points = np.array(_POINTS[cell_value])
     share = (np.arange(n_h)[:, None] + points) / n_h
     theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
-    theta_d = merl_grid(sampling_of(cell_value)).theta_d[:, None, None, None, None]
+    theta_d = merl_grid(cell_sampling(cell_value)).theta_d[:, None, None, None, None]
     # where 0 is sampled, pi has to be, too: its mirror image
     columns = np.arange(n_p + 1 if cell_value == "edge" else n_p)
     phi_d = ((columns[:, None] + points) / n_p * np.pi)[None, None, :, None, :]
@@ -106,26 +202,22 @@ def _cells(sample: Sphere, cell_value: CellValue, crop: tuple[int, int] | None) 
         seen &= (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
     index = np.flatnonzero(seen)
     picture = np.broadcast_to(np.arange(n_d, dtype=np.int32)[:, None, None, None, None], seen.shape)
-    targets = Targets(*(a.ravel()[index] for a in (x, y, lamp_angle, picture)))
+    places = RecordPlaces(*(a.ravel()[index] for a in (x, y, lamp_angle, picture)))
 
-    # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (MODEL 8)
+    # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
     edges = theta_h_edges()
     solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
     content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
     pixels = (content + _other_way(content)).sum(axis=(3, 4))[:, :, :n_p].transpose(1, 0, 2)
     # equal shares of sqrt(theta_h) hold unequal numbers of pixels
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
-    return Cells(targets, index, cos_i, weight, pixels)
+    return TableCells(places, index, cos_i, weight, pixels)
 
 
-def _other_way(one_way):  # type: ignore[no-untyped-def]
-    return one_way[:, :, ::-1, :, ::-1]
-
-
-def folded(radiance: jax.Array, cells: Cells) -> jax.Array:
-    """Mean over the places of each cell, both ways; NaN where none is seen."""
+def cell_means(radiance: jax.Array, cells: TableCells) -> jax.Array:
+    """Average the radiance at the places of each cell, both ways, as a BRDF; NaN where none is seen."""
     channels = radiance.shape[-1]
-    spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.numbers].set(radiance)
+    spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.flat_index].set(radiance)
     spread = spread.reshape(*cells.cos_i.shape, channels)
     weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.cos_i, 1.0))[..., None]
     total = jnp.sum(weighted + _other_way(weighted), axis=(3, 4))
@@ -134,63 +226,16 @@ def folded(radiance: jax.Array, cells: Cells) -> jax.Array:
     return mean[:, :, : GRID_SHAPE[2]].transpose(1, 0, 2, 3)
 
 
-def measure(material: Material, rig: Rig) -> xr.DataArray:
-    """The BRDF table that `rig` records of `material`: 1/sr on the MERL grid, NaN where nothing is recorded.
-
-    Each cell is the pixel centred on the rig's `cell_value` point ("mean": the mean over the pixels inside), divided by
-    the cosine of the light at its centre, and averaged over the two places that show it (reciprocity). Coordinate
-    `pixels` (theta_h, theta_d, phi_d): how many pixels stand behind a cell, both places together; 0 where it is not seen.
-    A flat sample's light is the same all over: nothing is lost. ArgumentError for a cylinder, which shows normals of one
-    plane only, and inside jax.jit; for the differentiable values alone see `measured_values`.
-
-    Source: MODEL 2, 3; error below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests). Lenses that are no
-    Gaussians are sums of them: attribute `kernel_error` is the largest error of their MTF.
-    """
-    recorded, pixels = measured_values(material, rig)
-    if recorded.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}")
-    values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
-    attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
-    table = brdf_table(values, sampling_of(rig.cell_value), **attrs)
-    return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
+def _other_way(one_way):  # type: ignore[no-untyped-def]
+    return one_way[:, :, ::-1, :, ::-1]
 
 
-def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
-    """The table of a material itself, at each cell's centre or edge: what any camera measures of a flat sample."""
-    return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
-
-
-def measured_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:
-    """(values, pixels) of `measure` as arrays, (90, 90, 180, channels) and (90, 90, 180): differentiable in the numbers
-    of the material and the camera."""
-    sphere = _checked_sample(material, rig)
-    if not isinstance(sphere, Sphere):
-        return _of_flat(material, rig), np.zeros(GRID_SHAPE)
-    blur = blur_of(rig)
-    cells, plan = tabulation(sphere, blur, rig.cell_value, rig.crop)
-    return folded(record(material, sphere, blur, plan), cells), cells.pixels
-
-
-def _of_flat(material: Material, rig: Rig) -> jax.Array:
-    """A flat sample, tilted so that each cell is seen, both ways: no blur of even light changes it. Centre and edge only."""
+def _flat_values(material: Material, rig: Rig) -> jax.Array:
+    """Return the values of a flat sample, tilted so that each cell is seen, both ways: even light has no blur."""
     if rig.cell_value == "mean":
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
-    sampling = sampling_of(rig.cell_value)
+    sampling = cell_sampling(rig.cell_value)
     theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
     values = (material.brdf(theta_h, theta_d, phi_d) + material.brdf(theta_h, theta_d, phi_d + np.pi)) / 2
     values = values if values.ndim == 4 else values[..., None]
     return jnp.where(below_horizon(sampling)[..., None], jnp.nan, values)
-
-
-def _checked_sample(material: Material, rig: Rig) -> Sphere | Flat:
-    if not isinstance(material, Material):
-        raise ArgumentError(
-            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
-        )
-    if not isinstance(rig, Rig):
-        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
-    if not isinstance(rig.sample, Sphere | Flat):
-        raise ArgumentError(
-            f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
-        )
-    return rig.sample

@@ -2,13 +2,14 @@
 
 Lens and highlight add up to one Gaussian. Along the pixel grid its mean over a pixel is a product of two differences of
 erf, and neighbouring pixels share their edges. At any other orientation it is the Gaussian of y times that of x given y,
-whose mean is moved by y: the integral over x is again a difference of erf, the one over the pixel's height is smooth.
+whose mean moves with y. The integral over x is again a difference of erf; that over the pixel's height is smooth.
 """
 
 from __future__ import annotations
 
 from functools import partial, reduce
 from math import lgamma, log
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -22,9 +23,9 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 
 _ERROR = 1e-8
-"""Of the rule over a pixel's height, relative to the highlight's density."""
+"""Error of the rule over a pixel's height, relative to the highlight's density."""
 _NARROWEST = 0.2
-"""Total standard deviation, px, for which the rule is made where the numbers are not known, and the least it is made for."""
+"""Least total standard deviation, px, that the rule is made for, and the one where the values are traced."""
 _LARGEST = 4096
 
 
@@ -38,43 +39,101 @@ def highlight_stamps(
     std_across: ArrayLike,
     angle: ArrayLike | None = None,
 ) -> jax.Array:
-    """Pictures of Gaussian highlights, shape (..., size, size), in units of flux per px^2; row 0 on top.
+    """Draw pictures of Gaussian highlights.
 
-    flux: integral over the highlight, finite. x, y: its centre, px from the stamp's middle (pixel centres lie at integers
-    for an odd size, half way between them for an even one), y upwards. std_along, std_across: standard deviations, px,
-    of the highlight alone, >= 0: along a direction at `angle`, rad, from the x axis, and across it. angle None: along
-    the pixel grid, x and y, which is faster. All broadcast to the leading axes, one entry per stamp.
+    The parameters of the highlights broadcast to the leading axes, one entry per stamp. Row 0 is on top. Stamps along the pixel
+    grid are exact. At any angle they are within 5e-7 of the peak where lens and highlight together are nowhere narrower
+    than 0.2 px (tests).
 
-    The camera needs a Gaussian lens (a halo may surround it) and a box pixel. Exact along the grid; at any angle within
-    5e-7 of the peak where lens and highlight together are nowhere narrower than 0.2 px (tests).
-    Differentiable in all numbers, and usable inside jax.jit. ArgumentError for any other lens or pixel, and for numbers
-    that are not finite.
+    Args:
+        camera: camera with a Gaussian lens (a halo may surround it) and a box pixel.
+        size: side of a stamp, in [1, 4096], px.
+        flux: integral over each highlight, in the unit of radiance times px^2.
+        x: column of its centre from the stamp's middle, px. Pixel centres lie at integers for an odd size, half way between
+            them for an even one.
+        y: row of its centre from the stamp's middle, upwards, px.
+        std_along: standard deviation of the highlight alone along its direction, >= 0, px.
+        std_across: standard deviation across that direction, >= 0, px.
+        angle: direction, from the x axis, rad. Default: None, along the pixel grid, which is faster.
+
+    Returns:
+        Pictures, (..., size, size), in units of flux per px^2. Differentiable in all parameters, and usable inside jax.jit.
+
+    Raises:
+        ArgumentError: the lens or the pixel is another, a value is not finite, or shapes do not broadcast.
+
+    Source:
+        docs/model.md 2: the product of erf differences.
+
+    Example:
+        >>> camera = matcam.Camera(matcam.GaussianOptics(0.5))
+        >>> stamps = matcam.highlight_stamps(camera, 9, flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
+        >>> print(stamps.shape, np.round(stamps.sum((1, 2)), 3))
+        (2, 9, 9) [1. 1.]
     """
-    terms = _gaussians(camera)
+    lens = _gaussians(camera)
     if not isinstance(size, int) or not 1 <= size <= _LARGEST:
         raise ArgumentError(f"size must be a whole number of pixels in [1, {_LARGEST}], got {size!r:.60}")
-    numbers = [checks.number(name, value) for name, value in (("flux", flux), ("x", x), ("y", y))]
+    values = [checks.number(name, value) for name, value in (("flux", flux), ("x", x), ("y", y))]
     for name, value in (("std_along", std_along), ("std_across", std_across)):
-        numbers.append(checks.within(name, value, 0, np.inf, "px", open_high=True))
+        values.append(checks.within(name, value, 0, np.inf, "px", open_high=True))
     if angle is not None:
-        numbers.append(checks.number("angle", angle))
+        values.append(checks.number("angle", angle))
     try:
-        numbers = jnp.broadcast_arrays(*numbers)
+        values = jnp.broadcast_arrays(*values)
     except ValueError:
         raise ArgumentError(
-            f"shapes of the highlights' numbers do not broadcast: {[a.shape for a in numbers]}"
+            f"shapes of the highlights' numbers do not broadcast: {[a.shape for a in values]}"
         ) from None
+    highlights = _Highlights(*values, *([None] if angle is None else []))
     pixel: BoxPixel = camera.pixel  # type: ignore[assignment]
-    shared = is_concrete(pixel.half_width) and float(pixel.half_width) == 0.5
-    draw = _aligned if angle is None else partial(_rotated, _order(terms, numbers[3], numbers[4]))
-    flux, *others = numbers
+    edges = _PixelEdges(size, is_concrete(pixel.half_width) and float(pixel.half_width) == 0.5, pixel.half_width)
+    draw = _aligned if angle is None else partial(_rotated, _order(lens, highlights))
     return reduce(
-        jnp.add, (draw(size, shared, sigma, pixel.half_width, weight * flux, *others) for weight, sigma in terms)
+        jnp.add, (draw(edges, sigma, highlights._replace(flux=weight * highlights.flux)) for weight, sigma in lens)
     )
 
 
+class _Highlights(NamedTuple):
+    """Arrays of one shape; see `highlight_stamps`. An angle of None stands for the pixel grid's own direction."""
+
+    flux: jax.Array
+    x: jax.Array
+    y: jax.Array
+    std_along: jax.Array
+    std_across: jax.Array
+    angle: jax.Array | None
+
+
+class _PixelEdges(eqx.Module):
+    """Edges of a row of pixels.
+
+    Attributes:
+        size: count of pixels.
+        shared: True where neighbours share their edges, because the pixels are a px wide.
+        half_width: half the width of a pixel, px.
+    """
+
+    size: int = eqx.field(static=True)
+    shared: bool = eqx.field(static=True)
+    half_width: jax.Array
+
+    def positions(self) -> jax.Array:
+        """Return the edges, px from the middle: one row of shared ones, or all left ones before all right."""
+        if self.shared:
+            return jnp.arange(self.size + 1) - self.size / 2
+        centres = jnp.arange(self.size) - (self.size - 1) / 2
+        return jnp.concatenate([centres - self.half_width, centres + self.half_width])
+
+    def differences(self, at_edges: jax.Array) -> jax.Array:
+        """Return right less left of a function at the edges (last axis)."""
+        if self.shared:
+            return at_edges[..., 1:] - at_edges[..., :-1]
+        return at_edges[..., self.size :] - at_edges[..., : self.size]
+
+
 def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
-    """(weight, standard deviation) of the lens's parts."""
+    """Return (weight, standard deviation) of the lens's parts."""
     if not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
     if not isinstance(camera.pixel, BoxPixel):
@@ -87,11 +146,11 @@ def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
     return parts
 
 
-def _order(terms: list[tuple[jax.Array, jax.Array]], std_along: jax.Array, std_across: jax.Array) -> int:
-    """How many Gauss-Legendre nodes a pixel's height needs for the narrowest Gaussian among all."""
-    numbers = [std_along, std_across, *(sigma for _, sigma in terms)]
-    if all(is_concrete(jax.lax.stop_gradient(a)) for a in numbers) and std_along.size:
-        along, across, *sigmas = (np.min(np.asarray(jax.lax.stop_gradient(a))) for a in numbers)
+def _order(lens: list[tuple[jax.Array, jax.Array]], highlights: _Highlights) -> int:
+    """Return the count of Gauss-Legendre nodes that a pixel's height needs for the narrowest Gaussian of all."""
+    lengths = [jax.lax.stop_gradient(a) for a in (highlights.std_along, highlights.std_across, *(s for _, s in lens))]
+    if all(is_concrete(a) for a in lengths) and highlights.std_along.size:
+        along, across, *sigmas = (np.min(np.asarray(a)) for a in lengths)
         narrowest = max(float(np.hypot(min(along, across), min(sigmas))), _NARROWEST)
     else:
         narrowest = _NARROWEST
@@ -102,54 +161,44 @@ def _order(terms: list[tuple[jax.Array, jax.Array]], std_along: jax.Array, std_a
 
 
 def _log_error(order: int, length: float) -> float:
-    """Logarithm of the Gauss-Legendre rule's error for exp(-t^2 / 2) over an interval of `length`, by the bound
-    length^(2n+1) n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!, relative to the length."""
+    """Return the logarithm of the Gauss-Legendre rule's error for exp(-t^2 / 2) over `length`, relative to the length.
+
+    The bound is length^(2n+1) n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.
+    """
     n = order
     derivative = lgamma(2 * n + 1) - n * log(2) - lgamma(n + 1)
     return 2 * n * log(length) + 4 * lgamma(n + 1) - log(2 * n + 1) - 3 * lgamma(2 * n + 1) + derivative
 
 
-def _differences(at_edges: jax.Array, size: int, shared: bool) -> jax.Array:
-    """Of a function at the pixels' edges (last axis): right less left."""
-    return at_edges[..., 1:] - at_edges[..., :-1] if shared else at_edges[..., size:] - at_edges[..., :size]
-
-
-def _edges(size: int, shared: bool, half_width: jax.Array) -> jax.Array:
-    """Pixel edges, px from the middle: one row of them if neighbours share theirs, else all left ones before all right."""
-    if shared:
-        return jnp.arange(size + 1) - size / 2
-    centres = jnp.arange(size) - (size - 1) / 2
-    return jnp.concatenate([centres - half_width, centres + half_width])
-
-
 @eqx.filter_jit
-def _aligned(size, shared, sigma, half_width, flux, x, y, std_x, std_y):  # type: ignore[no-untyped-def]
-    edges = _edges(size, shared, half_width)
+def _aligned(edges: _PixelEdges, sigma: jax.Array, lights: _Highlights) -> jax.Array:
+    positions = edges.positions()
 
     def mean(centre: jax.Array, std: jax.Array) -> jax.Array:
         unit = jnp.sqrt(2 * (std**2 + sigma**2))[..., None]
-        steps = jax.scipy.special.erf((edges - centre[..., None]) / unit)
-        return _differences(steps, size, shared) / (4 * half_width)
+        steps = jax.scipy.special.erf((positions - centre[..., None]) / unit)
+        return edges.differences(steps) / (4 * edges.half_width)
 
-    rows = mean(-y, std_y)  # row 0 is on top
-    return (flux[..., None] * rows)[..., :, None] * mean(x, std_x)[..., None, :]
+    rows = mean(-lights.y, lights.std_across)  # row 0 is on top
+    return (lights.flux[..., None] * rows)[..., :, None] * mean(lights.x, lights.std_along)[..., None, :]
 
 
 @eqx.filter_jit
-def _rotated(order, size, shared, sigma, half_width, flux, x, y, std_along, std_across, angle):  # type: ignore[no-untyped-def]
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    along, across = std_along**2, std_across**2
+def _rotated(order: int, edges: _PixelEdges, sigma: jax.Array, lights: _Highlights) -> jax.Array:
+    assert lights.angle is not None
+    cos, sin = jnp.cos(lights.angle), jnp.sin(lights.angle)
+    along, across = lights.std_along**2, lights.std_across**2
     yy = sigma**2 + along * sin**2 + across * cos**2
     xy = (along - across) * sin * cos
     determinant = (sigma**2 + along) * (sigma**2 + across)
     nodes, weights = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(order))
-    centres = (size - 1) / 2 - jnp.arange(size)
-    down = (centres[:, None] + half_width * nodes) - y[..., None, None]  # (..., rows, nodes)
+    centres = (edges.size - 1) / 2 - jnp.arange(edges.size)
+    down = (centres[:, None] + edges.half_width * nodes) - lights.y[..., None, None]  # (..., rows, nodes)
     yy, slope = yy[..., None, None], (xy / yy)[..., None, None]
-    share = flux[..., None, None] * weights * jnp.exp(-(down**2) / (2 * yy)) / jnp.sqrt(2 * jnp.pi * yy)
+    share = lights.flux[..., None, None] * weights * jnp.exp(-(down**2) / (2 * yy)) / jnp.sqrt(2 * jnp.pi * yy)
     unit = jnp.sqrt(2 * determinant / yy[..., 0, 0])[..., None, None]
-    middle = (x[..., None, None] + slope * down) / unit
-    edges = _edges(size, shared, half_width) / unit
-    steps = jax.scipy.special.erf(edges[..., None, :] - middle[..., None])  # (..., rows, nodes, edges)
+    middle = (lights.x[..., None, None] + slope * down) / unit
+    positions = edges.positions() / unit
+    steps = jax.scipy.special.erf(positions[..., None, :] - middle[..., None])  # (..., rows, nodes, edges)
     at_edges = jnp.sum(share[..., None] * steps, axis=-2)
-    return _differences(at_edges, size, shared) / (8 * half_width)
+    return edges.differences(at_edges) / (8 * edges.half_width)

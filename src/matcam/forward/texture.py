@@ -1,13 +1,14 @@
-"""Texture on a flat sample: the contrast that survives tilt and camera (paper (4)), and the picture that is left of it.
+"""Texture on a flat sample: the contrast that survives tilt and camera (paper (4)), and the picture of it.
 
-A texture is periodic, so its picture is a sum of waves: each arrives at its own frequency, stretched by the tilt along
-x, and keeps the camera's total transfer function there. Pixels are read at their centres; nothing is resampled.
+A texture is periodic, so its picture is a sum of waves. Each arrives at its own frequency, stretched by the tilt along x, and
+keeps the camera's total transfer function there. Pixels are read at their centres; nothing is resampled.
 """
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
+import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -22,10 +23,29 @@ _MOST_WAVES = 1 << 23  # in the quarter plane: half a GB per channel
 
 
 def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
-    """Recorded / true contrast of a sinusoidal texture that varies along the tilt, signed; arguments broadcast.
+    """Return the recorded over the true contrast of a sinusoidal texture.
 
-    frequency: cycles/px as seen head-on. theta_o: viewing angle, rad, [0, pi/2). A frequency nu arrives at
-    nu / cos(theta_o), and keeps the camera's MTF there; negative means that bright and dark have changed places.
+    The texture varies along the tilt. A frequency nu arrives at nu / cos(theta_o), and keeps the camera's MTF there. A
+    negative contrast means that bright and dark have changed places.
+
+    Args:
+        rig: a rig with a `Flat` sample.
+        frequency: frequency as seen head-on, cycles/px, any shape.
+        theta_o: viewing angle, in [0, pi/2), rad; broadcasts with the frequency.
+
+    Returns:
+        Relative contrast, signed, of the broadcast shape, no unit.
+
+    Raises:
+        ArgumentError: the sample is not flat, or an argument is out of its range.
+
+    Source:
+        Holzschuch and Pacanowski (2017), equation (4); docs/model.md 3.
+
+    Example:
+        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Flat())
+        >>> print(np.round(matcam.texture_contrast(rig, 0.2, np.radians([0, 60])), 3))
+        [0.768 0.344]
     """
     return rig.camera.mtf(_flat_sample(rig).frequency_on_sensor(frequency, theta_o))
 
@@ -38,70 +58,110 @@ def textured_picture(
     texture_pitch: float = 1.0,
     texels: Texels = "band-limited",
 ) -> jax.Array:
-    """What the camera of `rig` records of a textured Flat sample that is tilted by theta_o along x, seen from far away.
+    """Return the picture of a textured flat sample, tilted along x.
 
-    texture: albedo (or anything else that light is proportional to), shape (H, W) or (H, W, channels), row 0 on top,
-    finite and >= 0; it repeats itself. texture_pitch: px of the sensor from texel to texel head-on. theta_o: rad,
-    [0, pi/2). shape: rows and columns of the picture; None: the texture's. The texture's centre is the picture's.
+    The camera is far away. The texture repeats itself, and its centre is the picture's. The result is exact to rounding, as far
+    as the lens's MTF has died out at its `band()`.
 
-    texels: what lies between the texels' centres. "band-limited": the smoothest periodic signal through their values (a
-    sampled sine is that sine; beside an edge it overshoots, and may leave the picture below 0 there). "squares": each
-    texel is a square of constant albedo (a chart, a print); the picture of a positive kernel stays >= 0.
+    Args:
+        texture: albedo, or anything that light is proportional to, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
+        rig: a rig with a `Flat` sample.
+        theta_o: angle of the tilt, in [0, pi/2), rad.
+        shape: (rows, columns) of the picture, px. Default: the texture's.
+        texture_pitch: distance of neighbouring texels on the sensor, head-on, px. Default: 1.
+        texels: signal between the texels' centres. Default: "band-limited", the smoothest periodic signal through their values:
+            a sampled sine is that sine, and beside an edge it overshoots, even below 0. "squares" makes each texel a square
+            of constant albedo (a chart, a print): the picture of a positive kernel stays >= 0.
 
-    Returns the picture in the texture's unit, shape + (channels,); a uniform one is read as it is. Exact to rounding for
-    both signals, as far as the lens's MTF has died out at its `band()`; differentiable in texture, angle and camera.
+    Returns:
+        Picture in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture is read as it is.
+        Differentiable in texture, angle and camera.
+
+    Raises:
+        ArgumentError: the sample is not flat, an argument is out of its range, or the texture makes too many waves.
+
+    Source:
+        Holzschuch and Pacanowski (2017), equations (3) and (4); docs/model.md 3.
+
+    Example:
+        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Flat())
+        >>> stripes = np.tile([0.0, 0.0, 1.0, 1.0], (4, 2))
+        >>> image = matcam.textured_picture(stripes, rig, theta_o=0.5, texels="squares")
+        >>> image.shape, round(float(image.mean()), 2)
+        ((4, 8), 0.5)
     """
     flat = _flat_sample(rig)
     checks.choice("texels", texels, get_args(Texels))
-    texture = _checked_texture(texture)
+    texture = _check_texture(texture)
     theta_o = checks.scalar("theta_o", checks.viewing_angle("theta_o", theta_o))
     checks.scalar("texture_pitch", checks.positive("texture_pitch", texture_pitch, "px"))
     pitch = float(texture_pitch)  # decides how many waves there are: not to be traced
-    rows, columns = _checked_shape(texture.shape[:2] if shape is None else shape)
+    rows, columns = _check_shape(texture.shape[:2] if shape is None else shape)
     height, width = texture.shape[:2]
     band = rig.camera.optics.band() if texels == "squares" else None
-    (k_y, weight_y), (k_x, weight_x) = (_harmonics(n, pitch, band) for n in (height, width))
-    if (k_x.size // 2 + 1) * (k_y.size // 2 + 1) > _MOST_WAVES:
+    across = _axis_waves(height, rows, 1.0, pitch, band)
+    along = _axis_waves(width, columns, jnp.cos(theta_o), pitch, band)
+    if (along.k.size // 2 + 1) * (across.k.size // 2 + 1) > _MOST_WAVES:
         raise ArgumentError(
-            f"texture of {height} x {width} texels of {pitch:g} px makes {k_y.size} x {k_x.size} waves that this lens may "
-            f"pass: more than {4 * _MOST_WAVES}; give a smaller texture"
+            f"texture of {height} x {width} texels of {pitch:g} px makes {across.k.size} x {along.k.size} waves that this lens "
+            f"may pass: more than {4 * _MOST_WAVES}; give a smaller texture"
         )
-
     # the transfer function is even in both frequencies: a quarter of the plane will do
-    along = flat.frequency_on_sensor(np.arange(k_x.size // 2 + 1) / (width * pitch), theta_o)
-    across = jnp.arange(k_y.size // 2 + 1)[:, None] / (height * pitch)
-    transfer = rig.camera.transfer(along, across)[np.abs(k_y)[:, None], np.abs(k_x)]
-    planes = texture if texture.ndim == 3 else texture[..., None]
-    spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")[(k_y % height)[:, None], k_x % width]
-    spectrum = spectrum * (transfer * weight_y[:, None] * weight_x)[..., None]
-    # where the pixels lie on the texture, in texels
-    at_x = (width - 1) / 2 + (jnp.arange(columns) - (columns - 1) / 2) / (pitch * jnp.cos(theta_o))
-    at_y = (height - 1) / 2 + (jnp.arange(rows) - (rows - 1) / 2) / pitch
-    waves_x, waves_y = _waves(k_x, at_x, width), _waves(k_y, at_y, height)
-    picture = jnp.einsum("rc,cwk->rwk", waves_y, jnp.einsum("cdk,wd->cwk", spectrum, waves_x)).real
+    frequency_x = flat.frequency_on_sensor(np.arange(along.k.size // 2 + 1) / (width * pitch), theta_o)
+    frequency_y = jnp.arange(across.k.size // 2 + 1)[:, None] / (height * pitch)
+    picture = _sum_of_waves(
+        texture if texture.ndim == 3 else texture[..., None],
+        rig.camera.transfer(frequency_x, frequency_y),
+        across,
+        along,
+    )
     return picture if texture.ndim == 3 else picture[..., 0]
 
 
-def _harmonics(texels: int, pitch: float, band: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers k of the waves exp(2 pi i k u / texels), symmetric about 0, and how strong the texture's are in the signal.
+class _AxisWaves(NamedTuple):
+    """The waves exp(2 pi i k u / texels) of a texture along one axis, symmetric about 0.
 
-    band: up to where squares reach into the camera, cycles/px; None: a band-limited signal.
+    Attributes:
+        texels: count of texels.
+        k: wave numbers.
+        weight: share of each wave in the signal between the texels' centres.
+        at: places of the pixels on the texture, in texels.
     """
+
+    texels: int
+    k: np.ndarray
+    weight: np.ndarray
+    at: jax.Array
+
+
+def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: float, band: float | None) -> _AxisWaves:
+    """Return the waves along an axis, up to `band` (cycles/px) for squares; None stands for a band-limited signal."""
+    at = (texels - 1) / 2 + (jnp.arange(pixels) - (pixels - 1) / 2) / (pitch * foreshortening)
     if band is None:
         k = np.arange(-(texels // 2), texels // 2 + 1)
         # the wave that changes sign from texel to texel is its own mirror image
-        return k, np.where(2 * np.abs(k) == texels, 0.5, 1.0)
+        return _AxisWaves(texels, k, np.where(2 * np.abs(k) == texels, 0.5, 1.0), at)
     reach = int(np.ceil(band * texels * pitch))
     k = np.arange(-reach, reach + 1)
-    return k, np.sinc(k / texels)
+    return _AxisWaves(texels, k, np.sinc(k / texels), at)
 
 
-def _waves(k: np.ndarray, at: jax.Array, texels: int) -> jax.Array:
-    turns = at[:, None] / texels * k
+@eqx.filter_jit
+def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
+    """Sum the waves that the camera leaves of a texture (H, W, channels); transfer: at the wave numbers from 0 on."""
+    transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
+    spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")
+    spectrum = spectrum[(across.k % across.texels)[:, None], along.k % along.texels]
+    spectrum = spectrum * (transfer * across.weight[:, None] * along.weight)[..., None]
+    return jnp.einsum("rc,cwk->rwk", _waves(across), jnp.einsum("cdk,wd->cwk", spectrum, _waves(along))).real
+
+
+def _waves(axis: _AxisWaves) -> jax.Array:
+    turns = axis.at[:, None] / axis.texels * axis.k
     return jnp.exp(2j * jnp.pi * (turns - jnp.round(turns)))
 
 
-def _checked_texture(texture: ArrayLike) -> jax.Array:
+def _check_texture(texture: ArrayLike) -> jax.Array:
     array = texture if not is_concrete(texture) else checks.within("texture", texture, 0, np.inf, open_high=True)
     array = jnp.asarray(array, dtype=jnp.float64)
     if array.ndim not in (2, 3) or 0 in array.shape:
@@ -109,7 +169,7 @@ def _checked_texture(texture: ArrayLike) -> jax.Array:
     return array
 
 
-def _checked_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+def _check_shape(shape: tuple[int, ...]) -> tuple[int, int]:
     whole = isinstance(shape, tuple) and all(isinstance(n, int | np.integer) and 1 <= n <= 1 << 15 for n in shape)
     if not whole or len(shape) != 2:
         raise ArgumentError(f"shape must be two whole numbers (rows, columns) in [1, {1 << 15}], got {shape!r:.60}")

@@ -12,6 +12,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.material.registry import MASKING_MODELS
+from matcam.numerics.interpolate import lagrange_basis
 
 Masking = str | None
 """Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""
@@ -93,14 +94,9 @@ def interpolated_lambda(
 def _cubic(table: jax.Array, place: jax.Array) -> jax.Array:
     """Interpolate by Lagrange's cubic through the four entries around `place`."""
     left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 1, table.size - 3))
-    x = place - left
-    i = left.astype(int)
-    return (
-        table[i - 1] * (-x * (x - 1) * (x - 2) / 6)
-        + table[i] * ((x + 1) * (x - 1) * (x - 2) / 2)
-        + table[i + 1] * (-x * (x + 1) * (x - 2) / 2)
-        + table[i + 2] * (x * (x + 1) * (x - 1) / 6)
-    )
+    first = left.astype(int) - 1
+    weights = lagrange_basis(np.arange(-1.0, 3.0), place - left)
+    return sum((table[first + k] * weight for k, weight in enumerate(weights)), jnp.zeros(()))
 
 
 def cot_of(cos: jax.Array) -> jax.Array:

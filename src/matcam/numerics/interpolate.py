@@ -1,37 +1,39 @@
-"""Values between the points of a regular grid, for functions that hold nothing finer than the grid.
-
-Cubic B-splines that bend a function smoothly, and what keeps them smooth.
-"""
+"""Interpolation: Lagrange's polynomials through a few points, and cubic B-splines that bend a function smoothly."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from matcam.core.jax import jax, jnp
 
 POINTS = 8
-"""Points per axis that a value is made of; half of them must lie on either side."""
-
-_SCALE = np.array([np.prod([float(k - m) for m in range(POINTS) if m != k]) for k in range(POINTS)])
+"""Points per axis from which `interpolated` makes a value; half of them must lie on either side."""
 
 
-def lagrange(position: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, in grid steps."""
-    first = jnp.floor(position).astype(int) - (POINTS // 2 - 1)
-    t = (position - first)[..., None] - np.arange(POINTS)
+def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
+    """Return Lagrange's polynomials through `points` (n,) at the places `at`: n arrays of its shape and kind.
+
+    The polynomial through values v_k is `sum_k v_k basis_k`. Derivatives are finite at the points, too.
+    """
+    differences = points[:, None] - points + np.eye(points.size)
+    factors = [at - point for point in points]
     # products of all but one factor, from the left and from the right
-    left = jnp.cumprod(t, axis=-1)
-    right = jnp.cumprod(t[..., ::-1], axis=-1)[..., ::-1]
-    one = jnp.ones_like(t[..., :1])
-    others = jnp.concatenate([one, left[..., :-1]], axis=-1) * jnp.concatenate([right[..., 1:], one], axis=-1)
-    return first, others / _SCALE
+    left, right = [1.0], [1.0]
+    for k in range(points.size - 1):
+        left.append(left[-1] * factors[k])
+        right.append(right[-1] * factors[-1 - k])
+    return [below * above / np.prod(row) for below, above, row in zip(left, right[::-1], differences, strict=True)]
 
 
 def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
-    """Values at fractional (row, column) of the grids numbered `which`; grids: (n, rows, columns, channels), the rest
-    (targets,). Shape (targets, channels)."""
-    first_row, row_weight = lagrange(row)
-    first_column, column_weight = lagrange(column)
+    """Return values at fractional (row, column) of the grids numbered `which`.
+
+    grids: (n, rows, columns, channels), the others (targets,). Shape (targets, channels).
+    """
+    first_row, row_weight = _on_steps(row)
+    first_column, column_weight = _on_steps(column)
     steps = np.arange(POINTS)
     patch = grids[
         which[:, None, None], (first_row[:, None] + steps)[:, :, None], (first_column[:, None] + steps)[:, None, :]
@@ -39,28 +41,38 @@ def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax
     return jnp.einsum("trkc,tr,tk->tc", patch, row_weight, column_weight)
 
 
+def _on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return (index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, in grid steps."""
+    first = jnp.floor(position).astype(int) - (POINTS // 2 - 1)
+    return first, jnp.stack(lagrange_basis(np.arange(float(POINTS)), position - first), axis=-1)
+
+
 def cubic_basis(place: jax.Array, count: int) -> list[jax.Array]:
-    """`count` functions at `place` in [0, count - 1]: local, smooth to the second derivative, sum 1; mirrored at 0, constant
-    at the end."""
+    """Return `count` cubic B-splines at `place` in [0, count - 1].
+
+    They are local, smooth to the second derivative, and add up to 1. They are mirrored at 0 and constant at the end.
+    """
     basis = [_cubic(place - k) for k in range(count)]
     basis[1] += _cubic(place + 1)
     basis[-1] += _cubic(place - count)
     return basis
 
 
-def combined(numbers: jax.Array, basis: list[jax.Array]) -> jax.Array:
-    """sum_k numbers_k B_k."""
-    return sum((number * own for number, own in zip(numbers, basis, strict=True)), jnp.zeros(()))
+def combined(coefficients: jax.Array, basis: list[jax.Array]) -> jax.Array:
+    """Return sum_k coefficient_k basis_k."""
+    return sum((factor * own for factor, own in zip(coefficients, basis, strict=True)), jnp.zeros(()))
 
 
 def smoothness(count: int) -> np.ndarray:
-    """(rows, count): what is kept small of the numbers: their second differences, a third of the first ones, a little of
-    their mean, which something else takes away."""
-    numbers = np.eye(count)
-    return np.concatenate([np.diff(numbers, 2, axis=0), np.diff(numbers, axis=0) / 3, np.full((1, count), 0.1 / count)])
+    """Return the rows (rows, count) whose products with coefficients a smooth spline keeps small.
+
+    These are second differences, a third of the first ones, and a little of their mean, which something else takes away.
+    """
+    unit = np.eye(count)
+    return np.concatenate([np.diff(unit, 2, axis=0), np.diff(unit, axis=0) / 3, np.full((1, count), 0.1 / count)])
 
 
 def _cubic(x: jax.Array) -> jax.Array:
-    """Cardinal cubic B-spline."""
+    """Return the cardinal cubic B-spline."""
     x = jnp.abs(x)
     return jnp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * jnp.maximum(1 - x, 0.0) ** 3 / 6

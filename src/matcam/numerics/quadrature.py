@@ -1,29 +1,36 @@
-"""Gauss-Legendre panels for integrals with a narrow peak at one end of the range."""
+"""Gauss-Legendre quadrature on intervals, on panels, and on panels that are graded towards a narrow peak."""
 
 from __future__ import annotations
+
+from typing import TypeVar
 
 import numpy as np
 
 from matcam.core.jax import jax, jnp
 
+AnyValues = TypeVar("AnyValues", np.ndarray, jax.Array)
 
-def nodes_between(low: jax.Array, high: jax.Array, order: int) -> tuple[jax.Array, jax.Array]:
-    """Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis."""
-    unit, weight = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(order))
+
+def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
+    """Return Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis; arrays of NumPy give arrays of NumPy."""
+    unit, weight = np.polynomial.legendre.leggauss(order)
     half = (high - low)[..., None] / 2
     return (high + low)[..., None] / 2 + half * unit, half * weight
 
 
-def nodes_in_panels(cuts: jax.Array, order: int) -> tuple[jax.Array, jax.Array]:
-    """The same in every panel between neighbouring cuts (last axis), one panel after the other."""
+def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
+    """Return (nodes, weights) of every panel between neighbouring cuts (last axis), one panel after the other."""
     nodes, weights = nodes_between(cuts[..., :-1], cuts[..., 1:], order)
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
 def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) -> tuple[jax.Array, jax.Array]:
-    """(nodes, weights) between the first and the last of `borders` (which run one way on the last axis) for a function
-    that peaks at the first on the scale `scale`: the panels between the borders, cut further by `graded` that grow by one
-    factor from scale / 2; on a trailing axis. Signed: borders that fall have negative weights."""
+    """Return (nodes, weights) for a function that peaks at the first of `borders` on the scale `scale`.
+
+    The range runs from the first to the last border, which run one way on the last axis. The panels between borders are cut
+    further by `graded` cuts, which grow by one factor from scale / 2. Borders that fall have negative weights. Nodes and
+    weights stand on a trailing axis.
+    """
     start, length = borders[..., :1], borders[..., -1:] - borders[..., :1]
     first = jax.lax.stop_gradient(scale)[..., None] / 2
     size = jnp.abs(length)

@@ -1,0 +1,39 @@
+"""Executors: who does the jobs of a run. Each takes jobs and yields their outcomes as they come."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Sequence
+
+from matcam.batch.job import Job, Outcome
+
+_ONE_CORE = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "NPROC": "1",  # the size of XLA's pool of threads
+}
+"""Read by NumPy's BLAS and by XLA when a process loads them."""
+_PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
+_XLA = "--xla_cpu_multi_thread_eigen=false"
+
+
+class Executor(ABC):
+    """Do the jobs of a run."""
+
+    @abstractmethod
+    def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
+        """Do jobs and yield their outcomes as they come.
+
+        A job that fails, or takes its worker with it, costs no other job. Closing the generator ends all work.
+        """
+
+
+def one_core_environment() -> dict[str, str]:
+    """Return variables that keep a new process to one core, and keep what the user has set for XLA.
+
+    Workers side by side must not each start a thread for every core.
+    """
+    shared = os.environ.get(_PREALLOCATE, "false")  # a GPU that workers share must not be taken whole by the first
+    return {**_ONE_CORE, _PREALLOCATE: shared, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()}

@@ -1,8 +1,8 @@
-"""The same jobs on a Dask cluster: workers that it starts here, or a scheduler that runs somewhere. Needs `matcam[scale]`.
+"""A Dask cluster: workers that it starts here, or a scheduler that runs somewhere. Needs the extra `matcam[scale]`.
 
-What a worker does is `attempted(job)`, as everywhere. A task whose worker is lost is given to another one; where three workers
-are lost over the same file, it is that file that failed. Workers must see the run's folder and the inputs under the same
-names, and hold the same versions of what computes; both are asked before any work.
+A task whose worker is lost is given to another one; if three workers are lost over the same file, that file has failed.
+Workers must see the run's folder and the inputs under the same names, and have the same versions of what computes; both
+are asked before any work.
 """
 
 from __future__ import annotations
@@ -12,74 +12,121 @@ import re
 from collections.abc import Generator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from matcam.batch.executors.processes import environment
-from matcam.batch.inputs import SETTINGS
-from matcam.batch.job import Job, Outcome, attempted
+from matcam.batch.executors import Executor, one_core_environment
+from matcam.batch.folder import SETTINGS
+from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.workspace import keep_rules
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
-"""Packages whose versions change numbers, or how jobs travel."""
+"""Packages whose versions change results, or how jobs travel."""
 _PATIENCE = 10.0  # seconds for a scheduler to answer
-_AHEAD = 3  # tasks given out for each worker: enough that none waits for the next, and few to hold
+_AHEAD = 3  # tasks given out for each worker: enough that none waits for the next, and few to hold in memory
 _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
 class ClusterError(MatcamError):
-    """A cluster cannot be reached, or not be used as it is."""
+    """Report that a cluster cannot be reached, or must not be used as it is."""
 
 
-def check_address(cluster: str) -> None:
-    """ArgumentError for what is neither local:N nor an address, and where dask is not installed."""
-    if not _LOCAL.fullmatch(cluster) and not re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", cluster):
-        raise ArgumentError(
-            f"cluster must be local:N or a scheduler's address such as tcp://host:8786, got {cluster!r:.60}"
-        )
-    try:
-        import distributed  # noqa: F401
-    except ImportError:
-        raise ArgumentError("a cluster needs an extra: pip install 'matcam[scale]'") from None
+@dataclass(frozen=True)
+class ClusterExecutor(Executor):
+    """Do jobs on a Dask cluster.
+
+    ArgumentError for what is neither local:N nor an address, and if Dask is not installed.
+
+    Attributes:
+        address: "local:N" for N workers on this machine, or a scheduler's address.
+    """
+
+    address: str
+
+    def __post_init__(self) -> None:
+        if not _LOCAL.fullmatch(self.address) and not re.fullmatch(r"[a-z]+://[^\s/]+:[0-9]{1,5}", self.address):
+            raise ArgumentError(
+                f"cluster must be local:N or a scheduler's address such as tcp://host:8786, got {self.address!r:.60}"
+            )
+        try:
+            import distributed  # noqa: F401
+        except ImportError:
+            raise ArgumentError("a cluster needs an extra: pip install 'matcam[scale]'") from None
+
+    def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
+        """Do jobs and yield their outcomes as they come.
+
+        ClusterError if the cluster cannot be reached, or must not be used: the scheduler is silent, there is no worker, a
+        version or the files that it sees are not the same.
+        """
+        from distributed import as_completed
+
+        if not jobs:
+            return
+        with ExitStack() as stack:
+            client = self._client(stack)
+            count = _check_workers(client, jobs[0].output.parent)
+            waiting = iter(jobs)
+            job_of: dict[Any, Job] = {}
+
+            def submit_next() -> Any:
+                job = next(waiting, None)
+                if job is None:
+                    return None
+                future = client.submit(_attempt_on_worker, _with_absolute_paths(job), pure=False)
+                job_of[future] = job
+                return future
+
+            first = [submit_next() for _ in range(min(len(jobs), _AHEAD * count))]
+            coming = as_completed([future for future in first if future is not None])
+            for future in coming:
+                job = job_of.pop(future)
+                following = submit_next()
+                if following is not None:
+                    coming.add(following)
+                yield _task_outcome(future, job)
+                future.release()
+
+    def _client(self, stack: ExitStack) -> Any:
+        """Connect to the cluster, which ends with the stack if it was started here."""
+        from distributed import Client, LocalCluster
+
+        local = _LOCAL.fullmatch(self.address)
+        scheduler: Any = self.address
+        if local:
+            scheduler = stack.enter_context(
+                LocalCluster(
+                    n_workers=int(local[1]),
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    env=one_core_environment(),
+                    silence_logs="ERROR",
+                    memory_limit=0,
+                )
+            )
+        try:
+            return stack.enter_context(Client(scheduler, timeout=_PATIENCE))
+        except (OSError, TimeoutError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise ClusterError(
+                f"scheduler {self.address} cannot be reached within {_PATIENCE:.0f} s: {reason:.120}"
+            ) from None
 
 
-def outcomes(jobs: Sequence[Job], cluster: str) -> Generator[Outcome]:
-    """Do jobs on a cluster; their outcomes as they come. ClusterError where it cannot be reached, or must not be used: the
-    scheduler is silent, no worker is there, a version or the files that it sees are not the same."""
-    from distributed import as_completed
-
-    if not jobs:
-        return
-    with ExitStack() as stack:
-        client = _client(cluster, stack)
-        count = _check_workers(client, jobs[0].output.parent)
-        waiting = iter(jobs)
-        held: dict[Any, Job] = {}
-
-        def give() -> Any:
-            job = next(waiting, None)
-            if job is None:
-                return None
-            future = client.submit(_attempted_there, _anywhere(job), pure=False)
-            held[future] = job
-            return future
-
-        given = [future for future in (give() for _ in range(min(len(jobs), _AHEAD * count))) if future is not None]
-        coming = as_completed(given)
-        for future in coming:
-            job = held.pop(future)
-            following = give()
-            if following is not None:
-                coming.add(following)
-            yield _outcome(future, job)
-            future.release()
+def versions() -> dict[str, str]:
+    """Return the versions that must be the same everywhere."""
+    found = {"python": platform.python_version().rpartition(".")[0]}
+    for name in _COMPARED:
+        found[name] = metadata.version(name)
+    return found
 
 
-def _outcome(future: Any, job: Job) -> Outcome:
-    """What became of a task."""
+def _task_outcome(future: Any, job: Job) -> Outcome:
+    """Return the outcome of a task that has ended, however it did."""
     from distributed import KilledWorker
 
     try:
@@ -93,49 +140,25 @@ def _outcome(future: Any, job: Job) -> Outcome:
         return Outcome(job.source, 0.0, f"{job.source}: the cluster failed: {reason}")
 
 
-def _client(cluster: str, stack: ExitStack) -> Any:
-    from distributed import Client, LocalCluster
-
-    local = _LOCAL.fullmatch(cluster)
-    address: Any = cluster
-    if local:
-        address = stack.enter_context(
-            LocalCluster(
-                n_workers=int(local[1]),
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-                env=environment(),
-                silence_logs="ERROR",
-                memory_limit=0,
-            )
-        )
-    try:
-        return stack.enter_context(Client(address, timeout=_PATIENCE))
-    except (OSError, TimeoutError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise ClusterError(f"scheduler {cluster} cannot be reached within {_PATIENCE:.0f} s: {reason:.120}") from None
-
-
 def _check_workers(client: Any, folder: Path) -> int:
-    """How many workers there are, once it is known that they can do the work."""
+    """Return the number of workers, or refuse them if they cannot do the work."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except TimeoutError:
         raise ClusterError("the cluster has no worker: start some (dask worker ADDRESS --nthreads 1)") from None
     ours = versions()
     try:
-        told_by = client.run(_told, str((folder / SETTINGS).absolute()))
+        reports = client.run(_worker_report, str((folder / SETTINGS).absolute()))
     except Exception as error:  # where a worker cannot even import what it is asked
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ClusterError(f"the cluster's workers cannot run matcam: {reason:.120}") from None
-    for address, told in told_by.items():
+    for address, report in reports.items():
         for name, version in ours.items():
-            if told["versions"].get(name) != version:
+            if report["versions"].get(name) != version:
                 raise ClusterError(
-                    f"worker {address} has {name} {told['versions'].get(name)}, this client {version}: install the same"
+                    f"worker {address} has {name} {report['versions'].get(name)}, this client {version}: install the same"
                 )
-        if not told["sees"]:
+        if not report["sees"]:
             raise ClusterError(
                 f"worker {address} does not see {folder}: workers need the run's folder under the same name"
             )
@@ -149,26 +172,18 @@ def _check_workers(client: Any, folder: Path) -> int:
     return len(threads)
 
 
-def versions() -> dict[str, str]:
-    """Of what must be the same everywhere."""
-    found = {"python": platform.python_version().rpartition(".")[0]}
-    for name in _COMPARED:
-        found[name] = metadata.version(name)
-    return found
-
-
-def _told(path: str) -> dict[str, Any]:
-    """A worker's versions, and whether it sees a file."""
+def _worker_report(path: str) -> dict[str, Any]:
+    """Return a worker's versions, and whether it sees a file."""
     return {"versions": versions(), "sees": Path(path).is_file()}
 
 
-def _anywhere(job: Job) -> Job:
-    """The same, whatever folder a worker stands in."""
-    store = job.store and job.store.absolute()
-    return replace(job, source=job.source.absolute(), output=job.output.absolute(), store=store)
+def _with_absolute_paths(job: Job) -> Job:
+    """Return the job with paths that hold in whatever folder a worker stands."""
+    row = job.row and job.row._replace(store=job.row.store.absolute())
+    return replace(job, source=job.source.absolute(), output=job.output.absolute(), row=row)
 
 
-def _attempted_there(job: Job) -> Outcome:
-    """Done by a worker, which may have come up since it was last asked."""
+def _attempt_on_worker(job: Job) -> Outcome:
+    """Do a job on a worker, which may have started after the others were asked."""
     keep_rules()
-    return attempted(job)
+    return attempt(job)

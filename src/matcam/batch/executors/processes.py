@@ -1,6 +1,7 @@
-"""Keeping a process to one core: workers side by side must not each start a thread for every core.
+"""Workers on this machine: processes of one core each, one job at a time. If one dies, the job that it had is known.
 
-Workers on this machine: processes of one core each, one job at a time. Where one dies, the file that it held is known.
+Each worker has a pipe of its own, so that a worker that is killed in the middle of a message harms no other. That is why
+this is no `pebble.ProcessPool`: its workers share a pipe, and some kills break or block the whole pool.
 """
 
 from __future__ import annotations
@@ -11,37 +12,152 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Any
 
+from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.job import Job, Outcome
 from matcam.core.errors import MatcamError
 
-ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NPROC": "1",  # the size of XLA's pool of threads
-}
-"""Read by NumPy's BLAS and by XLA when a process loads them."""
-_PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
-_XLA = "--xla_cpu_multi_thread_eigen=false"
+# not fork: JAX has threads, and a fork would copy their locks without them
+_SPAWN = multiprocessing.get_context("spawn")
+_READY = "ready"
+_STARTS = 4  # workers that may die one after the other before they are ready
+_PATIENCE = 10.0  # seconds for a worker to remove its temporary files
 
 
-def environment() -> dict[str, str]:
-    """Variables of a process that is to use one core, what the user has told XLA kept."""
-    shared = os.environ.get(_PREALLOCATE, "false")  # a GPU that workers share must not be taken whole by the first
-    return {**ENVIRONMENT, _PREALLOCATE: shared, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()}
+class WorkerError(MatcamError):
+    """Report that workers cannot be started at all."""
+
+
+@dataclass(frozen=True)
+class ProcessExecutor(Executor):
+    """Do jobs in processes of one core each.
+
+    Attributes:
+        count: number of processes.
+        time_limit: time after which a job's worker is killed and the job has failed, s; None for no limit.
+    """
+
+    count: int
+    time_limit: float | None = None
+
+    def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
+        """Do jobs and yield their outcomes as they come. WorkerError if no worker can be started."""
+        waiting = deque(jobs)
+        workers: list[_Worker] = []
+        failed_starts = _STARTS - 1  # the very first start must succeed
+        try:
+            workers += [_Worker() for _ in range(min(self.count, len(waiting)))]
+            while workers:
+                for worker in self._next_events(workers):
+                    message, job = worker.receive(), worker.job
+                    if message is not None:
+                        if not worker.ready and message != _READY:
+                            raise WorkerError(f"a worker could not be started: {message}")
+                        if not worker.ready:
+                            worker.ready, failed_starts = True, 0
+                        worker.send(waiting.popleft() if waiting else None)
+                        if job is not None:
+                            yield message
+                        continue
+                    workers.remove(worker)
+                    worker.end()
+                    failed_starts += not worker.ready
+                    if failed_starts >= _STARTS:
+                        raise WorkerError(
+                            f"a worker could not be started: {worker.death()} (in a script of your own, call under "
+                            '`if __name__ == "__main__":`, because workers read the script too)'
+                        )
+                    if waiting:
+                        workers.append(_Worker())
+                    if job is not None:
+                        yield Outcome(job.source, 0.0, f"{job.source}: the worker that held it died ({worker.death()})")
+        finally:
+            for worker in workers:
+                worker.end()
+
+    def _next_events(self, workers: list[_Worker]) -> list[_Worker]:
+        """Wait for workers that have sent something or died; kill those whose job exceeds the time limit."""
+        busy = [worker for worker in workers if worker.job is not None]
+        wait = None
+        if self.time_limit is not None and busy:
+            wait = max(0.0, min(worker.started for worker in busy) + self.time_limit - time.monotonic())
+        ready = connection.wait([worker.pipe for worker in workers], wait)
+        if self.time_limit is not None:
+            for worker in busy:
+                if worker.pipe not in ready and time.monotonic() - worker.started >= self.time_limit:
+                    worker.kill(f"no result after {self.time_limit:g} s")
+        return [worker for worker in workers if worker.pipe in ready]
+
+
+class _Worker:
+    """Run one process, with the pipe to it and the job that it has."""
+
+    def __init__(self) -> None:
+        self.pipe, theirs = _SPAWN.Pipe()
+        self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
+        with _environment(one_core_environment()):
+            self.process.start()
+        theirs.close()
+        self.job: Job | None = None
+        self.started = 0.0
+        self.ready = False
+        self._why_killed = ""
+
+    def send(self, job: Job | None) -> None:
+        """Give the worker a job; None lets it go home."""
+        self.job, self.started = job, time.monotonic()
+        with contextlib.suppress(OSError):  # it has died: its end of the pipe will tell
+            self.pipe.send(job)
+
+    def receive(self) -> Any:
+        """Return what the worker has sent; None if it is gone."""
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self.process.join(_PATIENCE)
+            return None
+
+    def kill(self, reason: str) -> None:
+        """Kill the process; its pipe will tell that it is gone."""
+        self._why_killed = reason
+        self.process.kill()
+
+    def end(self) -> None:
+        """Let the process remove its temporary files, then make sure that it is gone."""
+        self.process.terminate()
+        self.process.join(_PATIENCE)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self.pipe.close()
+
+    def death(self) -> str:
+        """Describe how the process ended."""
+        code = self.process.exitcode
+        if self._why_killed:
+            return self._why_killed
+        if code is not None and code < 0:  # POSIX only: on Windows a killed process has an ordinary exit code
+            name = signal.Signals(-code).name
+            return f"killed by {name}" + (": out of memory?" if name == "SIGKILL" else "")
+        return f"exit code {code}"
+
+
+def available_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextlib.contextmanager
-def inherited() -> Iterator[None]:
-    """Processes started inside use one core each."""
-    changed = environment()
-    before = {name: os.environ.get(name) for name in changed}
-    os.environ.update(changed)
+def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for the processes that are started inside."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         yield
     finally:
@@ -52,107 +168,15 @@ def inherited() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-# not fork: JAX has threads, and a fork would copy their locks without them
-_SPAWN = multiprocessing.get_context("spawn")
-_READY = "ready"
-_PATIENCE = 10.0  # seconds for a worker to put its things away
-
-
-class WorkerError(MatcamError):
-    """Workers cannot be started at all."""
-
-
-class _Worker:
-    """A process, the pipe to it, and the job that it holds."""
-
-    def __init__(self) -> None:
-        self.pipe, theirs = _SPAWN.Pipe()
-        self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
-        with inherited():
-            self.process.start()
-        theirs.close()
-        self.job: Job | None = None
-        self.ready = False
-
-    def give(self, job: Job | None) -> None:
-        self.job = job
-        with contextlib.suppress(OSError):  # it has died: its end of the pipe will say so
-            self.pipe.send(job)
-
-    def end(self) -> None:
-        """Let it put its things away, then see to it that it is gone."""
-        self.process.terminate()
-        self.process.join(_PATIENCE)
-        if self.process.is_alive():
-            self.process.kill()
-            self.process.join()
-        self.pipe.close()
-
-
-def outcomes(jobs: Iterable[Job], count: int) -> Generator[Outcome]:
-    """Do jobs in `count` processes; their outcomes as they come. A worker that dies costs the job that it held, no other.
-    WorkerError where none could be started."""
-    waiting = deque(jobs)
-    alive: list[_Worker] = []
-    try:
-        alive += [_Worker() for _ in range(min(count, len(waiting)))]
-        while alive:
-            for pipe in connection.wait([worker.pipe for worker in alive]):
-                worker = next(worker for worker in alive if worker.pipe is pipe)
-                said, done = _heard(worker), worker.job
-                if said is not None:
-                    if not worker.ready and said != _READY:
-                        raise WorkerError(f"a worker could not be started: {said}")
-                    worker.ready = True
-                    worker.give(waiting.popleft() if waiting else None)
-                    if done is not None:
-                        yield said
-                    continue
-                alive.remove(worker)
-                worker.end()
-                if not worker.ready:
-                    raise WorkerError(
-                        f"a worker could not be started: {_death(worker.process.exitcode)} (in a script of your own, call "
-                        'under `if __name__ == "__main__":`, because workers read the script too)'
-                    )
-                if waiting:
-                    alive.append(_Worker())
-                if done is not None:
-                    reason = f"{done.source}: the worker that held it died ({_death(worker.process.exitcode)})"
-                    yield Outcome(done.source, 0.0, reason)
-    finally:
-        for worker in alive:
-            worker.end()
-
-
-def _heard(worker: _Worker) -> Any:
-    """What a worker says; None where it has gone."""
-    try:
-        return worker.pipe.recv()
-    except (EOFError, OSError):
-        worker.process.join(_PATIENCE)
-        return None
-
-
-def _death(code: int | None) -> str:
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name
-        return f"killed by {name}" + (": out of memory?" if name == "SIGKILL" else "")
-    return f"exit code {code}"
-
-
 def _serve(pipe: connection.Connection) -> None:
-    """A worker's life: jobs until there are no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent is interrupted too, and says what becomes of us
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that temporary files are put away
-    threading.Thread(target=_outlive_nobody, daemon=True).start()
+    """Do jobs in a worker until there are no more."""
+    # Ctrl-C reaches the parent too, which then ends its workers. Windows knows both signals, but ends a process
+    # without sending it any: there a worker that is ended leaves its temporary files to the next run's sweep.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that temporary files are removed
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        from matcam.batch.job import attempted
+        from matcam.batch.job import attempt
         from matcam.core.jax import jnp
         from matcam.core.workspace import keep_rules
 
@@ -169,11 +193,11 @@ def _serve(pipe: connection.Connection) -> None:
             return
         if job is None:
             return
-        pipe.send(attempted(job))
+        pipe.send(attempt(job))
 
 
-def _outlive_nobody() -> None:
-    """A worker whose parent was killed ends at once: nobody will hear what it finds, and the next run may do the same file."""
+def _end_with_parent() -> None:
+    """End this worker when its parent dies: nobody would hear its result, and the next run may do the same file."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

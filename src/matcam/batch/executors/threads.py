@@ -1,42 +1,52 @@
-"""Materials side by side in this process, their lobes recorded in one program: what a GPU is used for where one is at hand.
+"""Materials side by side in this process, their lobes recorded in one program: for a GPU.
 
-The same jobs as everywhere. A fit's search stays on the processor, one thread for each material; what it asks of the operator
-is computed together with what the others ask.
+A fit's search stays on the processor, in one thread for each material; what the searches ask of the operator within a
+millisecond is computed together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
 
-from matcam.batch.job import Job, Outcome, attempted
+from matcam.batch.executors import Executor
+from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.jax import jax
 from matcam.inverse.fit.lobe_slopes import RecordBatch
 
-SEATS = 16
-"""Materials at a time: a record of this many fills a GPU, and their tables some GiB of memory."""
+
+@dataclass(frozen=True)
+class ThreadExecutor(Executor):
+    """Do jobs in threads of this process.
+
+    Attributes:
+        seats: materials at a time. Sixteen records fill a GPU, and their tables take some GiB of memory.
+    """
+
+    seats: int = 16
+
+    def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
+        """Do jobs and yield their outcomes as they come."""
+        if not jobs:
+            return
+        seats = min(self.seats, len(jobs))
+        with RecordBatch(seats) as batch:
+
+            def attempt_in_batch(job: Job) -> Outcome:
+                with batch.serving():
+                    return attempt(job)
+
+            # what depends on the rig alone is computed by the first, and found by the others
+            yield attempt_in_batch(jobs[0])
+            pool = ThreadPoolExecutor(seats)
+            try:
+                for future in as_completed([pool.submit(attempt_in_batch, job) for job in jobs[1:]]):
+                    yield future.result()
+            finally:
+                pool.shutdown(cancel_futures=True)
 
 
-def gpu_at_hand() -> bool:
-    """Whether JAX computes on a GPU."""
+def has_gpu() -> bool:
+    """Tell whether JAX computes on a GPU."""
     return jax.default_backend() == "gpu"
-
-
-def outcomes(jobs: Sequence[Job], seats: int = SEATS) -> Generator[Outcome]:
-    """Do jobs in threads, up to `seats` at a time; their outcomes as they come."""
-    if not jobs:
-        return
-    with RecordBatch(min(seats, len(jobs))) as batch:
-
-        def done(job: Job) -> Outcome:
-            with batch.joined():
-                return attempted(job)
-
-        # what depends on the rig alone is made by the first, and found by the others
-        yield done(jobs[0])
-        pool = ThreadPoolExecutor(min(seats, len(jobs)))
-        try:
-            for future in as_completed([pool.submit(done, job) for job in jobs[1:]]):
-                yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)

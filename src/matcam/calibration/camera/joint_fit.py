@@ -1,8 +1,9 @@
-"""One camera for many measurements: edges by their own samples, everything else by its MTF values and their covariance.
+"""The joint fit: one camera for many measurements, and whether they agree with one another.
 
-Every edge keeps its own levels, light and place; they are eliminated edge by edge (Schur's complement), so that the fit is
-one of the few numbers that all share. Fisher scoring: what an edge adds is its information and its score, which also say
-whether the measurements agree with one another. The variance of a pixel is its model's (MODEL 8).
+Edges enter with their own samples, everything else with its MTF values and their covariance. Every edge keeps its own levels,
+light and place. They are eliminated edge by edge (Schur's complement), so that the fit is one of the few parameters that all
+share. It goes by Fisher scoring: an edge adds its information and its score, which also say whether the measurements agree. The
+variance of a pixel is its model's (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -15,153 +16,303 @@ import numpy as np
 
 from matcam.calibration.edge.edge_result import EdgeMTF
 from matcam.calibration.edge.geometry import Cells
-from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model, scaled_inverse
+from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.region import padded
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
 _ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05  # steps at most; standard deviations; of chi2, that a step may cost
 _AT_ONCE = 16  # edges side by side
 
 
-class Edges(NamedTuple):
-    """n edges as they enter the fit: arrays with a leading axis of n."""
+_CLEAR, _LARGE = 5.0, 0.1  # standard deviations; relative: blurs that differ by more contradict each other
+_DOUBT = 1e-3  # probability below which noise alone does not explain the scatter
+
+
+class EdgeMeasurements(NamedTuple):
+    """Hold n edges as they enter the fit.
+
+    All arrays have a leading axis of n.
+
+    Attributes:
+        cells: samples.
+        angle: rad, of the normal.
+        noise: of the pixels.
+        excess: by how much an edge's own fit found its variance above the noise's (no unit).
+        linear: (n, 5) levels, light and shift: `State.linear`.
+        lens: family of lenses; its arrays have leading axes, too.
+    """
 
     cells: Cells
     angle: AnyArray
     noise: Noise
     excess: AnyArray
     linear: AnyArray
-    """(n, 5) levels, light, shift: `State.linear`."""
     lens: LensModel
-    """Its arrays have leading axes, too."""
 
 
-class Values(NamedTuple):
-    """n sets of MTF values, filled up to m each with values of no weight."""
+class ValueMeasurements(NamedTuple):
+    """Hold n sets of m MTF values.
+
+    Shorter sets are filled up with values of no weight.
+
+    Attributes:
+        frequency: (n, m) cycles/px.
+        direction: (n, m) rad.
+        mtf: (n, m).
+        weight: (n, m, m) inverse covariances.
+        lens: family of lenses; its arrays have leading axes, too.
+    """
 
     frequency: AnyArray
     direction: AnyArray
     mtf: AnyArray
     weight: AnyArray
-    """(n, m, m) inverse of their covariances."""
     lens: LensModel
 
 
-class Share(NamedTuple):
-    """What each measurement adds."""
+class Measurements(NamedTuple):
+    """Hold all measurements of one colour.
+
+    Attributes:
+        edges: None where there are none.
+        values: None where there are none.
+        groups: picture and kind of every measurement, edges first.
+    """
+
+    edges: EdgeMeasurements | None
+    values: ValueMeasurements | None
+    groups: tuple[str, ...]
+
+
+class Unknowns(NamedTuple):
+    """Hold what the fit starts from, and what limits it.
+
+    Attributes:
+        start: (k,) parameters.
+        longest: (k,) steps that are not exceeded.
+        precision: (k,) of a prior about 0; 0 where nothing is known.
+    """
+
+    start: np.ndarray
+    longest: Sequence[float]
+    precision: np.ndarray
+
+
+class Shares(NamedTuple):
+    """Hold the share of each of n measurements in the fit.
+
+    Attributes:
+        information: (n, k, k).
+        score: (n, k).
+        chi2: (n,).
+        degrees: (n,) degrees of freedom.
+    """
 
     information: AnyArray
-    """(n, k, k)"""
     score: AnyArray
-    """(n, k)"""
     chi2: AnyArray
     degrees: AnyArray
 
 
 class JointFit(NamedTuple):
-    """The fitted numbers of k parameters, and every measurement's share in them."""
+    """Hold the most likely parameters, and judge the measurements' agreement.
+
+    The first parameter is the logarithm of the blur's scale: contradictions are looked for in it.
+
+    Attributes:
+        parameters: (k,).
+        covariance: (k, k) from the measurements' own noise, and the prior.
+        shares: one for every measurement, edges first.
+        precision: (k,) of the prior.
+    """
 
     parameters: np.ndarray
     covariance: np.ndarray
-    """(k, k) from the measurements' own noise, and the priors."""
-    shares: Share
-    """Edges first, in the order in which they were given."""
+    shares: Shares
+    precision: np.ndarray
+
+    def excess(self) -> tuple[float, float]:
+        """Return the scatter of the blur's scale between measurements.
+
+        It is chi2 per degree of freedom, and the probability that noise makes as much.
+        """
+        from scipy.special import chdtrc
+
+        information, score = self.shares.information[:, 0, 0], self.shares.score[:, 0]
+        known = information > 0
+        degrees = max(int(known.sum()) - 1, 1)
+        chi2 = float((score[known] ** 2 / information[known]).sum())
+        return chi2 / degrees, float(chdtrc(degrees, chi2))
+
+    def observed_covariance(self) -> np.ndarray:
+        """Return the parameters' covariance (k, k), as the measurements scatter.
+
+        It is the noise's where noise explains the scatter.
+        The sandwich estimator takes each measurement for one draw.
+        """
+        _, probability = self.excess()
+        count = len(self.shares.score)
+        if probability > _DOUBT or count < 4:
+            return self.covariance
+        score = self.shares.score - self.shares.score.mean(0)
+        spread = score.T @ score * count / (count - 1)
+        wide = self.covariance @ (spread + np.diag(self.precision)) @ self.covariance
+        # never below the noise's
+        ratio = np.sqrt(np.maximum(np.diag(wide) / np.diag(self.covariance), 1.0))
+        grown = wide if (ratio > 1).all() else self.covariance * np.outer(ratio, ratio)
+        return (grown + grown.T) / 2
+
+    def contradiction(self, groups: Sequence[str]) -> str:
+        """Say which group of measurements contradicts the others, if any does.
+
+        groups: picture and kind of every measurement.
+        """
+        names = list(dict.fromkeys(groups))
+        if len(names) < 2:
+            return ""
+        members = [np.array([group == name for group in groups]) for name in names]
+        information = np.array([self.shares.information[own, 0, 0].sum() for own in members])
+        information = np.maximum(information, 1e-300)
+        shift = np.array([self.shares.score[own, 0].sum() for own in members]) / information
+        # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
+        within = np.array([self._excess_within(own, s) for own, s in zip(members, shift, strict=True)])
+        error = np.sqrt(within / information)
+        found = np.array([_difference(shift, error, i) for i in range(len(names))])
+        worst = int(np.argmax(np.abs(found[:, 0])))
+        difference, clear = found[worst]
+        if abs(difference) < _LARGE or abs(difference) < _CLEAR * clear:
+            return ""
+        rest = [name for i, name in enumerate(names) if i != worst]
+        others = ", ".join(rest[:2]) + (f" and {len(rest) - 2} others" if len(rest) > 2 else "")
+        return f"{names[worst]} sees a blur {difference:+.0%} against that of {others}"
+
+    def _excess_within(self, members: np.ndarray, shift: float) -> float:
+        """Return chi2 per degree of freedom inside one group, at least 1."""
+        information = self.shares.information[members, 0, 0]
+        residual = self.shares.score[members, 0] - shift * information
+        return max((residual**2 / np.maximum(information, 1e-300)).sum() / max(members.sum() - 1, 1), 1.0)
 
 
-def edges_of(result: EdgeMTF, lenses: Sequence[LensModel]) -> tuple[Edges, np.ndarray]:
-    """The edges of a stack that could be measured, and which those are. lenses: one for each edge of the stack."""
-    good = np.flatnonzero([not problem for problem in result.problems])
-    found = jax.tree.map(lambda a: np.asarray(a)[good], result._found)
-    some = [lenses[int(i)] for i in good]
-    return Edges(found.cells, found.angle, found.noise, found.excess, found.state.linear, _stacked(some)), good
+def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: float) -> JointFit:
+    """Return the most likely parameters for all measurements.
 
-
-def joined(parts: Sequence[Edges]) -> Edges:
-    """Several sets of edges as one; sets with fewer cells to an edge get empty ones."""
-    most = max(part.cells.pixels.shape[1] for part in parts)
-
-    def widened(part: Edges) -> Edges:
-        more = ((0, 0), (0, most - part.cells.pixels.shape[1]))
-        return part._replace(cells=jax.tree.map(lambda column: np.pad(column, more), part.cells))
-
-    return jax.tree.map(lambda *a: np.concatenate(a), *map(widened, parts))
-
-
-def values_of(samples: Sequence[MTFSamples], lenses: Sequence[LensModel]) -> Values:
-    """MTF values as the fit takes them."""
-    most = padded(max(s.frequency.size for s in samples))
-    fill = lambda values: np.pad(values, (0, most - values.size))  # noqa: E731
-    weights = []
-    for one in samples:
-        std = one.mtf_std
-        # a covariance of fewer independent errors than values has no inverse: directions that have none are left out
-        inverse = np.linalg.pinv(one.covariance / np.outer(std, std), rcond=1e-6, hermitian=True) / np.outer(std, std)
-        weights.append(np.pad(inverse, (0, most - std.size)))
-    frequency, direction, mtf = (
-        np.stack([fill(getattr(s, name)) for s in samples]) for name in ("frequency", "direction", "mtf")
-    )
-    return Values(frequency, direction, mtf, np.stack(weights), _stacked(lenses))
-
-
-def fit(
-    edges: Edges | None, values: Values | None, start: np.ndarray, longest: Sequence[float], half_width: float,
-    prior: np.ndarray,
-) -> JointFit:  # fmt: skip
-    """Most likely parameters (k,) for everything. prior: (k,) precision of parameters about 0. FitError where the measurements
-    do not determine them, or no end is found."""
-    theta = np.asarray(start, dtype=np.float64)
+    half_width: px, of the pixel where it is not among the parameters. FitError if the measurements do not determine the
+    parameters, or no end is found.
+    """
+    theta = np.asarray(unknowns.start, dtype=np.float64)
+    prior, longest = unknowns.precision, np.array(unknowns.longest)
+    edges, values = measurements.edges, measurements.values
     count = 0 if edges is None else len(edges.angle)
-    edges = None if edges is None else _filled(edges)
+    edges = None if edges is None else _with_empty_edges(edges)
     half = np.float64(half_width)
-    best, short = np.inf, np.zeros_like(theta)
-    held, back, held_back = (theta, edges), None, None
+    lowest, step = np.inf, np.zeros_like(theta)
+    best, response, best_response = (theta, edges), None, None
     for _ in range(_ROUNDS):
         parts = []
         if edges is not None:
-            of_edges, back = jax.tree.map(np.asarray, _edge_shares(edges, theta, half))
+            of_edges, response = jax.tree.map(np.asarray, _edge_shares(edges, theta, half))
             parts.append(jax.tree.map(lambda a: a[:count], of_edges))
         if values is not None:
             parts.append(jax.tree.map(np.asarray, _value_shares(values, theta, half)))
         shares = jax.tree.map(lambda *a: np.concatenate(a), *parts)
         misfit = shares.chi2.sum() + prior @ theta**2
-        if not misfit <= _WORSE * best:  # too far: half of the last step
-            short = short / 2
-            theta, edges = _moved(*held, short, held_back)
+        if not misfit <= _WORSE * lowest:  # too far: half of the last step
+            step = step / 2
+            theta, edges = _after_step(*best, step, best_response)
             continue
-        best, held, held_back = misfit, (theta, edges), back
+        lowest, best, best_response = misfit, (theta, edges), response
         covariance = _inverse(shares.information.sum(0) + np.diag(prior))
-        step = covariance @ (shares.score.sum(0) - prior * theta)
-        short = np.clip(step, -np.array(longest), longest)
-        theta, edges = _moved(theta, edges, short, back)
-        if (np.abs(step) <= _DONE * np.sqrt(np.diag(covariance))).all():
-            return JointFit(theta, covariance, shares)
+        wanted = covariance @ (shares.score.sum(0) - prior * theta)
+        step = np.clip(wanted, -longest, longest)
+        theta, edges = _after_step(theta, edges, step, response)
+        if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
+            return JointFit(theta, covariance, shares, prior)
     raise FitError("the measurements do not determine the camera: no best fit was found")
 
 
-def in_units(lens: LensModel, parameters: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The lens's numbers, in the units of its names, and their covariance."""
+def edge_measurements(stacks: Sequence[tuple[EdgeMTF, LensModel]]) -> EdgeMeasurements | None:
+    """Return the edges of several stacks, each with its lens.
+
+    Edges with problems are left out. None if there are no stacks.
+    """
+    parts = []
+    for result, lens in stacks:
+        good = np.flatnonzero([not problem for problem in result.problems])
+        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result._found)
+        lenses = _stack_lenses([lens] * good.size)
+        parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, found.state.linear, lenses))
+    if not parts:
+        return None
+    most = max(part.cells.pixels.shape[1] for part in parts)
+
+    def widened(part: EdgeMeasurements) -> EdgeMeasurements:
+        more = ((0, 0), (0, most - part.cells.pixels.shape[1]))  # cells without pixels
+        return part._replace(cells=jax.tree.map(lambda column: np.pad(column, more), part.cells))
+
+    return jax.tree.map(lambda *a: np.concatenate(a), *map(widened, parts))
+
+
+def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMeasurements | None:
+    """Return sets of MTF values, each with its lens.
+
+    None if there are none.
+    """
+    if not sets:
+        return None
+    most = padded(max(samples.frequency.size for samples, _ in sets))
+    weights = []
+    for samples, _ in sets:
+        std = samples.mtf_std
+        # a covariance of fewer independent errors than values has no inverse: directions that have none are left out
+        inverse = np.linalg.pinv(samples.covariance / np.outer(std, std), rcond=1e-6, hermitian=True)
+        weights.append(np.pad(inverse / np.outer(std, std), (0, most - std.size)))
+    frequency, direction, mtf = (
+        np.stack([np.pad(getattr(samples, name), (0, most - samples.mtf.size)) for samples, _ in sets])
+        for name in ("frequency", "direction", "mtf")
+    )
+    return ValueMeasurements(frequency, direction, mtf, np.stack(weights), _stack_lenses([lens for _, lens in sets]))
+
+
+def in_profile_units(lens: LensModel, parameters: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a lens's parameters in a profile's units, and their covariance."""
     at = jnp.asarray(parameters)
     by = np.asarray(jax.jacfwd(lens.numbers)(at))
     return np.asarray(lens.numbers(at)), by @ covariance @ by.T
 
 
-def _moved(
-    theta: np.ndarray, edges: Edges | None, step: np.ndarray, back: tuple[np.ndarray, np.ndarray] | None
-) -> tuple[np.ndarray, Edges | None]:
-    """Parameters after a step, and every edge's own numbers as they follow."""
-    if edges is not None and back is not None:
-        edges = edges._replace(linear=edges.linear + back[0] - np.einsum("eij,j->ei", back[1], step))
+def _difference(shift: np.ndarray, error: np.ndarray, one: int) -> tuple[float, float]:
+    """Return a group's difference from all others, and its standard deviation."""
+    rest = np.arange(shift.size) != one
+    weight = error[rest] ** -2 / (error[rest] ** -2).sum()
+    return float(shift[one] - weight @ shift[rest]), float(np.hypot(error[one], (error[rest] ** -2).sum() ** -0.5))
+
+
+def _after_step(
+    theta: np.ndarray, edges: EdgeMeasurements | None, step: np.ndarray, response: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[np.ndarray, EdgeMeasurements | None]:
+    """Return the parameters and the edges after a step.
+
+    The edges' own parameters respond to it.
+    """
+    if edges is not None and response is not None:
+        edges = edges._replace(linear=edges.linear + response[0] - np.einsum("eij,j->ei", response[1], step))
     return theta + step, edges
 
 
 @jax.jit
-def _edge_shares(edges: Edges, theta: jax.Array, half_width: jax.Array) -> tuple[Share, tuple[jax.Array, jax.Array]]:
-    """Shares, and how each edge's own five numbers move: by themselves, and with the parameters."""
+def _edge_shares(
+    edges: EdgeMeasurements, theta: jax.Array, half_width: jax.Array
+) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
+    """Return shares, and how each edge's own five parameters respond.
 
-    def one(edge: Edges) -> Any:
+    They move by themselves, and with the shared parameters.
+    """
+
+    def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
         at = model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
         weight = edge.cells.pixels / (edge.noise.variance(at.value) * edge.excess)
@@ -169,7 +320,7 @@ def _edge_shares(edges: Edges, theta: jax.Array, half_width: jax.Array) -> tuple
         normal, score = (at.design * weight) @ at.design.T, at.design @ (weight * residual)
         inverse = scaled_inverse(normal[:LINEAR, :LINEAR])
         alone, shared = inverse @ score[:LINEAR], inverse @ normal[:LINEAR, LINEAR:]
-        share = Share(
+        share = Shares(
             normal[LINEAR:, LINEAR:] - normal[LINEAR:, :LINEAR] @ shared,
             score[LINEAR:] - normal[LINEAR:, :LINEAR] @ alone,
             (weight * residual**2).sum(),
@@ -181,14 +332,16 @@ def _edge_shares(edges: Edges, theta: jax.Array, half_width: jax.Array) -> tuple
 
 
 @jax.jit
-def _value_shares(values: Values, theta: jax.Array, half_width: jax.Array) -> Share:
-    def one(some: Values) -> Share:
+def _value_shares(values: ValueMeasurements, theta: jax.Array, half_width: jax.Array) -> Shares:
+    """Return the shares of MTF values."""
+
+    def one(some: ValueMeasurements) -> Shares:
         f, direction = jnp.asarray(some.frequency), jnp.asarray(some.direction)
         mtf = partial(some.lens.mtf, f=f, angle=direction, half_width=half_width)
         by = jax.jacfwd(mtf)(theta)
         residual = some.mtf - mtf(theta)
         weighted = some.weight @ by
-        return Share(
+        return Shares(
             by.T @ weighted,
             residual @ weighted,
             residual @ some.weight @ residual,
@@ -199,21 +352,24 @@ def _value_shares(values: Values, theta: jax.Array, half_width: jax.Array) -> Sh
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(information), 0))
-    if not np.isfinite(information).all() or (scale == 0).any():
+    """Return the inverse of an information matrix; FitError if it has none."""
+    if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
         raise FitError("the measurements do not determine the camera: they say nothing of one of its numbers")
-    unit = information / np.outer(scale, scale)
-    if np.linalg.eigvalsh(unit)[0] < 1e-12:
+    if least_eigenvalue(information) < FLOOR:
         raise FitError("the measurements do not determine the camera: two of its numbers do the same to them")
-    return np.linalg.inv(unit) / np.outer(scale, scale)
+    return scaled_inverse(information)
 
 
-def _stacked(lenses: Sequence[LensModel]) -> LensModel:
+def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
+    """Return lenses of one family as one with a leading axis."""
     return jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *lenses)
 
 
-def _filled(edges: Edges) -> Edges:
-    """With empty edges, up to a number that other calls have, too: one compiled program serves them all."""
+def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
+    """Return edges filled up with empty ones.
+
+    Their number is then one that other calls have, too, so that one compiled program serves them all.
+    """
     more = padded(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:

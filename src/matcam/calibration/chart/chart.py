@@ -1,6 +1,7 @@
-"""Charts to photograph: what is printed where, in mm on the page, x right and y down from its upper left corner.
+"""Charts to photograph: what is printed where on the page, and how bright.
 
-Levels are linear reflectances relative to the bare paper, which is 1. A phase's cosine is 1 where a pattern is brightest.
+Places and lengths are in mm on the page, x right and y down from its upper left corner. Levels are linear reflectances relative
+to the bare paper, which is 1. The cosine of a pattern's phase is 1 where the pattern is brightest.
 """
 
 from __future__ import annotations
@@ -18,75 +19,167 @@ PROFILES = ("sine", "bars", "lines")
 
 
 @dataclass(frozen=True)
+class Chart:
+    """Describe a page and everything that is printed on it.
+
+    Attributes:
+        page: width and height of the page, mm.
+        fiducials: marks by which the chart is found in a photograph: none, or at least four, one of them with two rings.
+        elements: targets, from upper left to lower right.
+        ink: linear level of the fiducials, relative to the paper (no unit).
+
+    Raises:
+        ArgumentError: if an element's values contradict one another, or the fiducials cannot be found.
+
+    Example:
+        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart.page, len(chart.fiducials)
+        ((297.0, 210.0), 8)
+    """
+
+    page: Point
+    fiducials: tuple[Fiducial, ...]
+    elements: tuple[Element, ...]
+    ink: float
+
+    def __post_init__(self) -> None:
+        for i, element in enumerate(self.elements):
+            for problem in _problems(element):
+                raise ArgumentError(f"element {i} ({type(element).__name__.lower()}): {problem}")
+        marks = sum(fiducial.rings == 2 for fiducial in self.fiducials)
+        if self.fiducials and (len(self.fiducials) < 4 or marks != 1):
+            raise ArgumentError(
+                f"fiducials: at least 4 are needed, one of them with 2 rings; there are {len(self.fiducials)}, "
+                f"{marks} of them so"
+            )
+
+
+@dataclass(frozen=True)
 class Square:
-    """A slanted square: four edges."""
+    """Describe a slanted square on paper, whose sides are four edges.
+
+    Attributes:
+        corners: mm, one after the other round the square.
+        level: linear level of the square, relative to the paper (no unit).
+    """
 
     corners: tuple[Point, Point, Point, Point]
-    """mm, one after the other round the square."""
     level: float
-    """Of the square; around it there is paper."""
 
 
 @dataclass(frozen=True)
 class Grating:
-    """A rectangle filled with parallel bars or with a sine."""
+    """Describe a rectangle filled with parallel bars or with a sine.
+
+    Attributes:
+        profile: "sine"; "bars": a square wave; "lines": bright lines, `duty` of a period wide.
+        centre: mm.
+        size: mm, across the bars and along them.
+        angle: direction across the bars, which is that of the frequency, to the page's x axis, rad.
+        period: mm.
+        phase: phase at the centre, rad.
+        dark: lowest linear level (no unit).
+        bright: highest linear level (no unit).
+        duty: bright share of a period (no unit). Default: 0.5, which only lines may change.
+    """
 
     profile: str
-    """"sine"; "bars": a square wave; "lines": bright lines, `duty` of a period wide."""
     centre: Point
     size: Point
-    """mm: across the bars, and along them."""
     angle: float
-    """rad, direction across the bars: that of the frequency, to the page's x axis."""
     period: float
-    """mm."""
     phase: float
-    """rad at the centre."""
     dark: float
     bright: float
     duty: float = 0.5
-    """Bright share of a period; 0.5 but for lines."""
 
     @property
     def corners(self) -> np.ndarray:
-        """(4, 2) mm."""
+        """Return the rectangle's corners, (4, 2) mm."""
         across = np.array([np.cos(self.angle), np.sin(self.angle)]) * self.size[0] / 2
         along = np.array([-np.sin(self.angle), np.cos(self.angle)]) * self.size[1] / 2
         return np.array(self.centre) + np.array(
             [-across - along, across - along, across + along, along - across]
         )  # fmt: skip
 
+    @property
+    def contrast(self) -> float:
+        """Return (bright - dark) / (bright + dark)."""
+        return (self.bright - self.dark) / (self.bright + self.dark)
+
+    def harmonic(self, order: int) -> float:
+        """Return the signed amplitude of a harmonic, over the print's mean.
+
+        A perfect camera records it. A square wave has (4 / pi) contrast / order, alternating in sign, and no even orders.
+
+        Args:
+            order: 1 for the grating's own frequency.
+
+        Returns:
+            The amplitude (no unit).
+        """
+        if self.profile == "sine":
+            return self.contrast if order == 1 else 0.0
+        step = self.bright - self.dark
+        mean = self.dark + step * self.duty
+        return 2 * step * float(np.sin(np.pi * order * self.duty)) / (np.pi * order * mean)
+
 
 @dataclass(frozen=True)
 class Star:
-    """A sinusoidal Siemens star: level = mean + amplitude cos(cycles * azimuth + phase) between two radii."""
+    """Describe a sinusoidal Siemens star.
+
+    Between two radii its level is mean + amplitude cos(cycles * azimuth + phase).
+
+    Attributes:
+        centre: mm.
+        inner: inner radius, mm.
+        outer: outer radius, mm.
+        cycles: periods in a full turn.
+        phase: phase at azimuth 0, rad.
+        dark: lowest linear level (no unit).
+        bright: highest linear level (no unit).
+    """
 
     centre: Point
     inner: float
     outer: float
-    """mm, radii."""
     cycles: int
     phase: float
     dark: float
     bright: float
 
+    @property
+    def contrast(self) -> float:
+        """Return (bright - dark) / (bright + dark)."""
+        return (self.bright - self.dark) / (self.bright + self.dark)
+
 
 @dataclass(frozen=True)
 class Dots:
-    """Round dots on a square lattice."""
+    """Describe round dots on a square lattice.
+
+    Attributes:
+        centres: mm.
+        radius: mm.
+        pitch: distance between neighbours, mm.
+        level: linear level of the dots, relative to the paper around them (no unit).
+    """
 
     centres: tuple[Point, ...]
     radius: float
-    """mm."""
     pitch: float
-    """mm between neighbours."""
     level: float
-    """Of the dots; around them there is paper."""
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A rectangle of one level: a step of the tone curve."""
+    """Describe a rectangle of one level: a step of the tone curve.
+
+    Attributes:
+        corners: mm, one after the other round the rectangle.
+        level: linear level, relative to the paper (no unit).
+    """
 
     corners: tuple[Point, Point, Point, Point]
     level: float
@@ -94,70 +187,27 @@ class Patch:
 
 @dataclass(frozen=True)
 class Fiducial:
-    """A mark to find the chart by: a dark disc, and dark rings around it as wide as their gaps and as its radius."""
+    """Describe a mark to find the chart by.
+
+    It is a dark disc inside dark rings.
+    Rings and the gaps between them are as wide as the disc's radius.
+
+    Attributes:
+        centre: mm.
+        radius: radius of the disc, mm: ring n lies between 2n and 2n + 1 radii.
+        rings: 1, or 2 for the mark that tells which way is up.
+    """
 
     centre: Point
     radius: float
-    """mm, of the inner disc: ring n lies between 2n and 2n + 1 radii."""
     rings: int
-    """1; 2 for the one that tells which way is up."""
 
 
 Element = Square | Grating | Star | Dots | Patch
 
 
-@dataclass(frozen=True)
-class Chart:
-    """A page and what is printed on it."""
-
-    page: Point
-    """mm, width and height."""
-    fiducials: tuple[Fiducial, ...]
-    elements: tuple[Element, ...]
-    ink: float
-    """Level of the fiducials."""
-
-    def of_kind(self, kind: type) -> list[Element]:
-        """The elements of one kind, in the order of the description."""
-        return [element for element in self.elements if isinstance(element, kind)]
-
-
-def contrast(element: Grating | Star) -> float:
-    """(bright - dark) / (bright + dark) of a pattern."""
-    return (element.bright - element.dark) / (element.bright + element.dark)
-
-
-def fundamental(element: Grating | Star) -> float:
-    """Amplitude of a pattern's first harmonic, relative to the pattern's mean."""
-    return harmonic(element, 1)
-
-
-def harmonic(element: Grating | Star, order: int) -> float:
-    """Amplitude, signed, of cos(order * phase) in a pattern, relative to the pattern's mean: what a perfect camera sees.
-
-    A square wave's are (4 / pi) contrast / order, alternating, none even.
-    """
-    if isinstance(element, Star) or element.profile == "sine":
-        return contrast(element) if order == 1 else 0.0
-    mean = element.dark + (element.bright - element.dark) * element.duty
-    return 2 * (element.bright - element.dark) * float(np.sin(np.pi * order * element.duty)) / (np.pi * order * mean)
-
-
-def check(chart: Chart) -> Chart:
-    """`chart`, if it can be: ArgumentError naming the first element whose numbers contradict one another."""
-    for i, element in enumerate(chart.elements):
-        where = f"element {i} ({type(element).__name__.lower()})"
-        for problem in _problems(element):
-            raise ArgumentError(f"{where}: {problem}")
-    marks = sum(fiducial.rings == 2 for fiducial in chart.fiducials)
-    if chart.fiducials and (len(chart.fiducials) < 4 or marks != 1):
-        raise ArgumentError(
-            f"fiducials: at least 4 are needed, one of them with 2 rings; there are {len(chart.fiducials)}, {marks} of them so"
-        )
-    return chart
-
-
 def _problems(element: Element) -> Iterator[str]:
+    """Name what in an element contradicts itself."""
     levels = [getattr(element, f.name) for f in fields(element) if f.name in ("level", "dark", "bright")]
     if not all(0 <= level <= 1 for level in levels):
         yield f"levels must lie in [0, 1], got {', '.join(f'{level:g}' for level in levels)}"

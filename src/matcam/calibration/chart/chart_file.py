@@ -1,4 +1,4 @@
-"""The description of a chart: a JSON file beside the page that says what is printed where.
+"""The description of a chart: a JSON file beside the page, which says what is printed where.
 
     {
       "format": "matcam chart",  "version": 1,  "software": "matcam 0.1.0",
@@ -15,7 +15,7 @@
       ]
     }
 
-mm on the page, x right and y down from the upper left corner; levels are linear, relative to the bare paper.
+Places are in mm on the page, x right and y down from the upper left corner. Levels are linear, relative to the bare paper.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from matcam.calibration.chart import chart as chart_
 from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Square, Star
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.json import checked_version, first_problem, read_json, write_json
@@ -34,10 +33,96 @@ from matcam.core.json import checked_version, first_problem, read_json, write_js
 FORMAT, VERSION = "matcam chart", 1
 _WHAT = "the description of a chart"
 
+
+def read_chart(path: str | Path) -> Chart:
+    """Read the description of a chart.
+
+    Args:
+        path: JSON file that `write_chart` or `matcam chart` wrote.
+
+    Returns:
+        The chart: its page, fiducials and elements.
+
+    Raises:
+        FileFormatError: if the file is not a chart's description; the message names the file and the field.
+
+    Source:
+        docs/targets.md; the format is at the head of this module, its schema in docs/chart-v1.schema.json.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "chart.json"
+        >>> matcam.write_chart(path, matcam.design_chart(["dots"], pixels_across=1000))
+        >>> matcam.read_chart(path).page
+        (297.0, 210.0)
+    """
+    path = Path(path)
+    document = read_json(path, _WHAT)
+    checked_version(document, path, _WHAT, FORMAT, (VERSION,))
+    try:
+        found = _Document.model_validate(document)
+        return Chart(
+            (found.page_mm[0], found.page_mm[1]),
+            tuple(Fiducial(**_without_units(f.model_dump())) for f in found.fiducials),
+            tuple(_CLASSES[e.kind](**_without_units(e.model_dump(exclude={"kind"}))) for e in found.elements),
+            found.ink_level,
+        )
+    except ValidationError as error:
+        raise FileFormatError(f"{path}: {first_problem(error)}") from None
+    except ArgumentError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+
+
+def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
+    """Write the description of a chart as JSON.
+
+    Args:
+        path: file to write.
+        chart: the page and what is printed on it.
+        force: replace an existing file. Default: False.
+
+    Raises:
+        OutputError: if the file exists and `force` is not set, or it cannot be written.
+
+    Source:
+        docs/targets.md; the format is at the head of this module, its schema in docs/chart-v1.schema.json.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "chart.json"
+        >>> matcam.write_chart(path, matcam.design_chart(["star"], pixels_across=1500))
+        >>> path.exists()
+        True
+    """
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "software": f"matcam {metadata.version('matcam')}",
+        "page_mm": list(chart.page),
+        "ink_level": chart.ink,
+        "fiducials": [_with_units(fiducial) for fiducial in chart.fiducials],
+        "elements": [{"kind": type(element).__name__.lower(), **_with_units(element)} for element in chart.elements],
+    }
+    write_json(path, document, force=force)
+
+
+def description_path(page: str | Path) -> Path:
+    """Return where the description of a printed page lies: "chart.pdf" -> "chart.json"."""
+    return Path(page).with_suffix(".json")
+
+
+def chart_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a chart's description."""
+    return _Document.model_json_schema()
+
+
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _Level = Annotated[FiniteFloat, Field(ge=0, le=1)]
 _Point = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 _Corners = Annotated[list[_Point], Field(min_length=4, max_length=4)]
+
+
+# Models have no docstrings: pydantic would put them into the published schema.
 
 
 class _Strict(BaseModel):
@@ -113,57 +198,14 @@ _UNITS = {
 }
 
 
-def description_path(page: str | Path) -> Path:
-    """Where the description of a printed page lies: "chart.pdf" -> "chart.json"."""
-    return Path(page).with_suffix(".json")
-
-
-def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
-    """Write a chart's description. ArgumentError where the chart cannot be, OutputError where the file cannot go."""
-    chart_.check(chart)
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "software": f"matcam {metadata.version('matcam')}",
-        "page_mm": list(chart.page),
-        "ink_level": chart.ink,
-        "fiducials": [_with_units(fiducial) for fiducial in chart.fiducials],
-        "elements": [{"kind": type(element).__name__.lower(), **_with_units(element)} for element in chart.elements],
-    }
-    write_json(path, document, force=force)
-
-
-def read_chart(path: str | Path) -> Chart:
-    """Read a chart's description. FileFormatError naming the file and the field where it is not one."""
-    path = Path(path)
-    document = read_json(path, _WHAT)
-    checked_version(document, path, _WHAT, FORMAT, (VERSION,))
-    try:
-        found = _Document.model_validate(document)
-        return chart_.check(
-            Chart(
-                (found.page_mm[0], found.page_mm[1]),
-                tuple(Fiducial(**_without_units(f.model_dump())) for f in found.fiducials),
-                tuple(_CLASSES[e.kind](**_without_units(e.model_dump(exclude={"kind"}))) for e in found.elements),
-                found.ink_level,
-            )
-        )
-    except ValidationError as error:
-        raise FileFormatError(f"{path}: {first_problem(error)}") from None
-    except ArgumentError as error:
-        raise FileFormatError(f"{path}: {error}") from None
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of the description."""
-    return _Document.model_json_schema()
-
-
 def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
+    """Return an element's fields, with units in their names."""
     return {f"{name}{_UNITS.get(name, '')}": value for name, value in vars(thing).items()}
 
 
 def _without_units(document: dict[str, Any]) -> dict[str, Any]:
+    """Return a document's fields under their names in Python, lists as tuples."""
+
     def plain(name: str) -> str:
         return name.removesuffix("_mm").removesuffix("_rad")
 

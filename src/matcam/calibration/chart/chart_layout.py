@@ -1,4 +1,4 @@
-"""Where things go on a chart: panels on a page, sized by what one pixel of the camera will see of it."""
+"""The layout of a chart: panels on a page, sized by what one pixel of the camera will see of it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Point, Square, Star, check
+from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Point, Square, Star
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 KINDS = ("squares", "bars", "sines", "lines", "star", "dots")
-PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
-"""mm, landscape."""
+PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}  # mm, landscape
 
-INK = 0.05
-DARK, BRIGHT, SINE_BRIGHT = 0.25, 1.0, 0.95
-SLANT = math.radians(5)
-_SLANTED = np.array([[np.cos(SLANT), -np.sin(SLANT)], [np.sin(SLANT), np.cos(SLANT)]])
-FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
-"""cycles per pixel of the camera that the chart was made for."""
+_INK = 0.05  # linear levels
+_DARK, _BRIGHT, _SINE_BRIGHT = 0.25, 1.0, 0.95
+_SLANT = math.radians(5)
+_SLANTED = np.array([[np.cos(_SLANT), -np.sin(_SLANT)], [np.sin(_SLANT), np.cos(_SLANT)]])
+_FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)  # cycles per pixel of the intended camera
 _TILT = math.radians(7)  # of gratings: their pixels see all phases, and no harmonic falls on the grid's own
-_SQUARE, _PATCH, _GAP = 80.0, 76.0, 1.4  # px, px, of a patch and the paper around it relative to the patch
+_SQUARE, _PATCH, _GAP = (
+    80.0,
+    76.0,
+    1.4,
+)  # px: side of a square and of a grating; a grating with its paper over the grating
 _DOT, _PITCH = 1.3, 14.0  # px: radius and distance of dots; nothing of a neighbour's blur is left half way
-_LINES = 0.25  # bright share
+_LINES = 0.25  # bright share of a period
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
 _CYCLES = (144, 108, 72, 48, 36, 24)
 _LARGEST = 200_000  # elements of a page: more is a mistake
@@ -36,12 +38,32 @@ def design_chart(
     page: Point | str = "a4",
     pixels_across: float = 3000.0,
 ) -> Chart:
-    """A chart with one panel for each of `kinds`, side by side.
+    """Design a chart with one panel for each kind of target.
 
-    kinds: of "squares" (slanted by 5 degrees), "bars", "sines" and "lines" (gratings of 0.05 to 0.45 cycles/px in two
-    directions), "star" (a sinusoidal Siemens star), "dots". page: (width, height) mm, or "a4", "a3", "letter", lying.
-    pixels_across: how many of the camera's pixels the page's width will fill: bars and dots are made as fine as these
-    pixels need them, squares as large. ArgumentError where something does not fit.
+    Eleven tone patches and eight fiducials are added. Sizes follow from the camera's pixels: bars, lines and dots are as fine,
+    squares as large, as these need them.
+
+    Args:
+        kinds: panels, each named once: "squares" (slanted by 5 degrees), "bars", "sines" and "lines" (gratings of 0.05 to 0.45
+            cycles/px in two directions), "star" (a sinusoidal Siemens star), "dots".
+            Default: squares, bars, star and dots.
+        page: width and height, mm, or "a4", "a3", "letter" (landscape). Default: "a4". Larger pages hold more cells.
+        pixels_across: how many of the camera's pixels the page's width will fill, px. Default: 3000. Give what your camera
+            will see, or targets are too fine or too coarse for it.
+
+    Returns:
+        The chart, to be printed with `matcam chart` and written with `write_chart`.
+
+    Raises:
+        ArgumentError: if a kind or a page is unknown, or something does not fit on the page.
+
+    Source:
+        docs/targets.md; ISO 12233 for slanted edges and the Siemens star.
+
+    Example:
+        >>> chart = matcam.design_chart(["squares", "star"], pixels_across=2000)
+        >>> sorted({type(element).__name__ for element in chart.elements})
+        ['Patch', 'Square', 'Star']
     """
     for kind in kinds:
         checks.choice("kinds", kind, KINDS)
@@ -71,18 +93,21 @@ def design_chart(
                 f"fewer kinds, or more pixels_across than {pixels_across:g}"
             )
         elements += found
-    return check(Chart((width, height), fiducials, tuple(elements), INK))
+    return Chart((width, height), fiducials, tuple(elements), _INK)
 
 
 def _shorter_side(columns: int, count: int, room: Point) -> float:
-    """Of each of `count` panels in so many columns."""
+    """Return the shorter side of a panel in so many columns, mm."""
     rows = math.ceil(count / columns)
     return min(room[0] / columns, room[1] / rows)
 
 
 def _fiducials(width: float, height: float, margin: float, radius: float) -> Iterator[Fiducial]:
-    """All round the page; the one with two rings in the upper left corner, those between the corners so that neither a mirror
-    image nor any turn looks like the page seen from aside."""
+    """Yield the fiducials, all round the page.
+
+    The one with two rings stands in the upper left corner.
+    Those between the corners stand where neither a mirror image nor any turn looks like the page seen from aside.
+    """
     near, far = (margin, margin), (width - margin, height - margin)
     places = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
     for place in [*places, (near[0], far[1]), (near[0], 0.5 * height)]:
@@ -90,6 +115,7 @@ def _fiducials(width: float, height: float, margin: float, radius: float) -> Ite
 
 
 def _patches(left: float, top: float, width: float, height: float) -> Iterator[Patch]:
+    """Yield the steps of the tone curve, side by side."""
     step = width / len(_STEPS)
     for i, level in enumerate(_STEPS):
         x, gap = left + i * step, 0.05 * step
@@ -99,7 +125,10 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 
 
 def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
-    """Row, column and centre of as many cells of one pitch as fit, centred in the panel."""
+    """Yield row, column and centre of as many cells as fit.
+
+    All are of one pitch and centred in the panel.
+    """
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     if columns * rows > _LARGEST:
         raise ArgumentError(f"{columns * rows} elements on one page are too many: fewer pixels_across")
@@ -110,50 +139,54 @@ def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int
 
 
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
+    """Fill a panel with slanted squares."""
     side = _SQUARE * pixel
     for _, _, x, y in _places(corner, size, 1.6 * side):
         points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
         a, b, c, d = ((float(px), float(py)) for px, py in points)
-        yield Square((a, b, c, d), DARK)
+        yield Square((a, b, c, d), _DARK)
 
 
 def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]]:
-    duty, bright = (_LINES if profile == "lines" else 0.5), (SINE_BRIGHT if profile == "sine" else BRIGHT)
+    """Return the function that fills a panel with gratings of a profile."""
+    duty, bright = (_LINES if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else _BRIGHT)
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
         side = _PATCH * pixel
         places = list(_places(corner, size, _GAP * side))
-        count = min(len(places) // 2, len(FREQUENCIES))
-        chosen = [FREQUENCIES[i] for i in np.linspace(0, len(FREQUENCIES) - 1, count).round().astype(int)]
+        count = min(len(places) // 2, len(_FREQUENCIES))
+        chosen = [_FREQUENCIES[i] for i in np.linspace(0, len(_FREQUENCIES) - 1, count).round().astype(int)]
         wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
         for (_, _, x, y), (frequency, angle) in zip(places, wanted, strict=False):
             period = pixel / frequency
             across = max(1, round(side / period)) * period  # whole ones: the mean is that of one
-            yield Grating(profile, (x, y), (across, side), angle, period, 0.0, DARK, bright, duty)
+            yield Grating(profile, (x, y), (across, side), angle, period, 0.0, _DARK, bright, duty)
 
     return panel
 
 
 def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
+    """Put one star into a panel, if there is room."""
     outer = min(size) / 2
     # as many cycles as still are wide at the rim: the more, the more nearly a ring is a plane wave
     for cycles in _CYCLES:
         if cycles / (2 * math.pi * outer / pixel) < 0.07 or (cycles == _CYCLES[-1] and outer > 40 * pixel):
             centre = (corner[0] + size[0] / 2, corner[1] + size[1] / 2)
-            yield Star(centre, cycles * pixel / (2 * math.pi) / 0.9, outer, cycles, 0.0, DARK, SINE_BRIGHT)
+            yield Star(centre, cycles * pixel / (2 * math.pi) / 0.9, outer, cycles, 0.0, _DARK, _SINE_BRIGHT)
             return
 
 
 def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
+    """Fill a panel with dots, if at least nine fit."""
     # turned a little, so that its dots fall differently on the pixels
     middle = np.array(corner) + np.array(size) / 2
-    inner = tuple(s / (np.cos(SLANT) + np.sin(SLANT) * max(size) / min(size)) for s in size)
+    inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)
     points = [
         tuple(float(v) for v in _SLANTED @ (x, y) + middle)
         for _, _, x, y in _places((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
     ]
     if len(points) >= 9:
-        yield Dots(tuple((x, y) for x, y in points), _DOT * pixel, _PITCH * pixel, INK)
+        yield Dots(tuple((x, y) for x, y in points), _DOT * pixel, _PITCH * pixel, _INK)
 
 
 _PANELS: dict[str, Callable[[Point, Point, float], Iterator[Element]]] = {

@@ -1,9 +1,8 @@
-"""Where a chart's page lies in a photograph: its fiducials found, and a pinhole with a distorting lens fitted to them.
+"""The registration of a photograph: where the page of a chart lies in it.
 
-A fiducial is a dark disc in dark rings that share its centre: nothing else in a photograph is. The one with two rings tells
-which way is up. The fit only has to lead each target's own estimator to its place: those find their geometry to 0.01 px.
-
-Where a chart's page lies in a picture, as the estimators of its targets take it: a `Registration`, or anything like it.
+Fiducials are found first: a dark disc in dark rings that share its centre is nothing else in a photograph. The one with two
+rings tells which way is up. A pinhole camera with a distorting lens is then fitted to their places. The fit only has to lead
+each target's own estimator to its place: estimators find their geometry to 0.01 px themselves.
 """
 
 from __future__ import annotations
@@ -14,13 +13,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
 from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
+
+Projection = Callable[[FloatArray], FloatArray]
+"""A map from places on the page (n, 2), mm, to places in the picture (n, 2), px: a `Registration`, or anything like it."""
 
 _SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
 _DARK = 0.6  # of the paper around
@@ -34,65 +38,153 @@ _WORST = 3.0  # px: root mean square of what the fit may leave
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A page in a picture. Callable: mm on the page (n, 2) -> px in the picture (n, 2)."""
+    """Map points of a chart's page to places in a photograph.
+
+    Calling it with points (n, 2) on the page returns their places (n, 2), with pixel centres on whole numbers.
+
+    Attributes:
+        homography: (3, 3) matrix from mm to px from the picture's middle, before distortion.
+        distortion: a and b of the distorted radius r (1 + a r^2 + b r^4), r in half diagonals of the picture (no unit).
+        shape: height and width of the picture, px.
+        residual: root mean square distance that the fit leaves at the fiducials, px.
+        found: number of fiducials found.
+    """
 
     homography: FloatArray
-    """(3, 3): mm to px from the picture's middle, before distortion."""
     distortion: tuple[float, float]
-    """Of the radius in half diagonals: r -> r (1 + a r^2 + b r^4)."""
     shape: tuple[int, int]
     residual: float
-    """px, root mean square at the fiducials."""
     found: int
-    """How many of the fiducials were found."""
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """px, pixel centres on whole numbers, of points on the page, mm."""
+        """Return the places of points on the page.
+
+        Args:
+            points: (n, 2) places on the page, mm.
+
+        Returns:
+            (n, 2) places in the picture, px.
+        """
         return _project(np.append(self.homography.ravel()[:8], self.distortion), np.asarray(points, float), self.shape)
 
     def scale(self, point: tuple[float, float]) -> float:
-        """px per mm at a point of the page."""
+        """Return the scale of the picture at a point of the page.
+
+        Args:
+            point: place on the page, mm.
+
+        Returns:
+            The scale, px per mm.
+        """
         step = 1e-3
         around = self(np.array(point) + step * np.array([[0, 0], [1, 0], [0, 1]]))
         (a, b), (c, d) = (around[1:] - around[0]) / step
         return float(np.sqrt(abs(a * d - b * c)))
 
 
-class _Mark(NamedTuple):
-    x: float
-    y: float
-    rings: int
+def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool = False) -> Registration:
+    """Find a chart in a photograph.
 
+    Args:
+        image: a `LinearImage`, or an array (height, width) of linear values, any unit; NaN where there are no data.
+        chart: what the photograph shows.
+        mosaic: make the four colours of every 2 x 2 px equally bright first. Default: False. Set it for raw mosaics.
 
-def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -> Registration:
-    """Find a chart in a photograph (height, width), linear, NaN where there are no data.
+    Returns:
+        The map from the page to the picture.
 
-    mosaic: its 2 x 2 px have colours of their own, which are made equally bright before anything is looked for.
+    Raises:
+        FitError: if too few fiducials are found, or they do not lie as on the chart.
+        ArgumentError: if the chart has no fiducials.
 
-    Raises FitError where too few fiducials are found, or they do not lie as on the chart; ArgumentError for a chart without.
+    Source:
+        docs/targets.md; R. Hartley and A. Zisserman, Multiple View Geometry, 2nd ed., section 4.1 (direct linear transform).
+
+    Example:
+        >>> chart = matcam.design_chart(["star"], pixels_across=400)
+        >>> y, x = np.mgrid[:300, :420]
+        >>> page = np.ones((300, 420))
+        >>> for mark in chart.fiducials:
+        ...     column, row = 1.35 * np.array(mark.centre) + 8
+        ...     radius = np.hypot(x - column, y - row) / (1.35 * mark.radius)
+        ...     page[(radius < 1) | ((radius > 2) & (radius < 3)) | ((mark.rings == 2) & (radius > 4) & (radius < 5))] = 0.1
+        >>> where = matcam.register_chart(page, chart)
+        >>> where.found, [round(float(v)) for v in where(np.array([[100.0, 50.0]]))[0]]
+        (8, [143, 75])
     """
     if len(chart.fiducials) < 4:
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
-    picture = _evened(np.asarray(picture, dtype=np.float64)) if mosaic else np.asarray(picture, dtype=np.float64)
-    marks = _marks(picture)
+    picture = LinearImage.of(image).values
+    picture = _balanced(picture) if mosaic else picture
+    marks = _find_marks(picture)
     tops = [mark for mark in marks if mark.rings == 2]
     if len(marks) < 4 or not tops:
         raise FitError(
             f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found, "
             f"{len(tops) or 'none'} of them with two rings; 4, and that one, are needed"
         )
-    best: tuple[int, float, list[tuple[int, int]]] = (0, np.inf, [])
-    for top in tops:
-        best = max(best, _matched(chart, marks, top, picture.shape), key=lambda b: (b[0], -b[1]))
+    best = max((_best_match(chart, marks, top, picture.shape) for top in tops), key=lambda match: match.rank)
     # four marks fit any four places: a fifth must agree
-    if best[0] < min(5, len(chart.fiducials)):
+    if len(best.pairs) < min(5, len(chart.fiducials)):
         raise FitError(
             f"no chart of this description in the picture: {len(marks)} fiducials found, but not where it has them"
         )
-    places = np.array([chart.fiducials[i].centre for i, _ in best[2]])
-    seen = np.array([marks[j][:2] for _, j in best[2]])
+    places = np.array([chart.fiducials[i].centre for i, _ in best.pairs])
+    seen = np.array([marks[j][:2] for _, j in best.pairs])
+    return _registration_through(places, seen, picture.shape)
+
+
+def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:
+    """Raise ArgumentError if only one of element and projection is given.
+
+    name: the argument for the element.
+    """
+    if (element is None) != (projection is None):
+        raise ArgumentError(f"{name} and projection must be given together, or neither")
+
+
+def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
+    """Return the region (x, y, width, height) that holds points, px.
+
+    points: (n, 2) px. shape: (height, width) of the picture. margin: px around the points.
+    """
+    low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
+    high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
+    return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
+
+
+class _Mark(NamedTuple):
+    """Hold the place of a fiducial, px, and its rings."""
+
+    x: float
+    y: float
+    rings: int
+
+
+class _Match(NamedTuple):
+    """Pair fiducials of the chart with marks of the picture.
+
+    Attributes:
+        pairs: indices of fiducial and mark.
+        distance: total distance between marks and where the pinhole through four of them puts the fiducials, px.
+    """
+
+    pairs: list[tuple[int, int]]
+    distance: float
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Return what is larger for the better match."""
+        return len(self.pairs), -self.distance
+
+
+def _registration_through(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> Registration:
+    """Return the camera that puts places, mm, where they were seen, px.
+
+    FitError if none does.
+    """
     free = 10 if len(places) >= 7 else 9 if len(places) >= 6 else 8
-    start = np.append(_homography(places, _centred(seen, picture.shape)).ravel()[:8], [0.0, 0.0])
+    start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], [0.0, 0.0])
     size = np.maximum(np.abs(start), 1e-6)
     size[8:] = 0.1
 
@@ -100,7 +192,7 @@ def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -
         return np.append(p, np.zeros(10 - p.size)) * size
 
     def residual(p: FloatArray) -> FloatArray:
-        return np.asarray((_project(full(p), places, picture.shape) - seen).ravel())
+        return np.asarray((_project(full(p), places, shape) - seen).ravel())
 
     fit = least_squares(residual, (start / size)[:free], x_scale="jac")
     rms = float(np.sqrt((fit.fun**2).mean() * 2))
@@ -108,12 +200,16 @@ def register_chart(picture: FloatArray, chart: Chart, *, mosaic: bool = False) -
         raise FitError(f"the fiducials do not lie as on the chart: {rms:.1f} px off; is this the right description?")
     parameters = full(fit.x)
     return Registration(
-        np.append(parameters[:8], 1.0).reshape(3, 3), (float(parameters[8]), float(parameters[9])), picture.shape[:2], rms,
-        len(places),
+        np.append(parameters[:8], 1.0).reshape(3, 3), (float(parameters[8]), float(parameters[9])),
+        (shape[0], shape[1]), rms, len(places),
     )  # fmt: skip
 
 
 def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return px of points on the page, mm.
+
+    parameters: eight of the homography, two of the distortion.
+    """
     h = np.append(parameters[:8], 1.0).reshape(3, 3)
     u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
     u, v = u / w, v / w
@@ -122,20 +218,21 @@ def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...])
     return np.stack([u * bent + (shape[1] - 1) / 2, v * bent + (shape[0] - 1) / 2], axis=-1)
 
 
-def _centred(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return px counted from the picture's middle."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
 
-def _evened(mosaic: FloatArray) -> FloatArray:
-    """A mosaic whose four planes have the same bright level."""
+def _balanced(mosaic: FloatArray) -> FloatArray:
+    """Return a mosaic with its four planes at the same bright level."""
     even = mosaic.copy()
     for row, column in itertools.product((0, 1), repeat=2):
         even[row::2, column::2] /= max(float(np.nanquantile(mosaic[row::2, column::2], 0.9)), 1e-300)
     return even
 
 
-def _marks(picture: FloatArray) -> list[_Mark]:
-    """All concentric dark discs and rings of a picture."""
+def _find_marks(picture: FloatArray) -> list[_Mark]:
+    """Find all concentric dark discs and rings of a picture."""
     smooth = smoothed(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
@@ -171,19 +268,20 @@ def _marks(picture: FloatArray) -> list[_Mark]:
     return found
 
 
-def _matched(
-    chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, ...]
-) -> tuple[int, float, list[tuple[int, int]]]:  # fmt: skip
-    """How many marks lie where the chart has them if `top` is the one with two rings; how far off; and the pairs."""
+def _best_match(chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, ...]) -> _Match:
+    """Return the match of most marks, and of the closest.
+
+    top: the mark that is taken for the fiducial with two rings.
+    """
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     places = np.array([fiducial.centre for fiducial in chart.fiducials])
-    seen = _centred(np.array([mark[:2] for mark in marks]), shape)
+    seen = _from_middle(np.array([mark[:2] for mark in marks]), shape)
     start = marks.index(top)
-    others = _round(places, first)
+    others = _in_turn(places, first)
     settled = False
-    best: tuple[int, float, list[tuple[int, int]]] = (0, np.inf, [])
+    best = _Match([], np.inf)
     # three others, met in the same turn on the page and in the picture, fix a pinhole's view
-    for three in itertools.combinations(_round(seen, start), 3):
+    for three in itertools.combinations(_in_turn(seen, start), 3):
         for where in itertools.combinations(others, 3):
             chosen, at = [first, *where], [start, *three]
             try:
@@ -200,24 +298,28 @@ def _matched(
             pairs = [(i, int(j)) for i, j in enumerate(nearest) if off[i, j] < reach]
             if len({j for _, j in pairs}) != len(pairs):
                 continue
-            total = float(sum(off[i, j] for i, j in pairs))
-            if (len(pairs), -total) > (best[0], -best[1]):
-                best = (len(pairs), total, pairs)
-                settled = len(pairs) == len(places) and total < _SETTLED * reach * len(places)
+            match = _Match(pairs, float(sum(off[i, j] for i, j in pairs)))
+            if match.rank > best.rank:
+                best = match
+                settled = len(pairs) == len(places) and match.distance < _SETTLED * reach * len(places)
         if settled:
             break
     return best
 
 
-def _round(points: FloatArray, start: int) -> list[int]:
-    """The other points as they are met turning round the middle, from `start` on."""
+def _in_turn(points: FloatArray, start: int) -> list[int]:
+    """Return the other points' indices in a turn from `start` on."""
     turn = np.arctan2(*(points - points.mean(0)).T[::-1])
     after = np.mod(turn - turn[start], 2 * np.pi)
     return [int(i) for i in np.argsort(after) if i != start]
 
 
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """(3, 3), last entry 1, that takes points (n >= 4, 2) to points, least squares. LinAlgError if they do not fix it."""
+    """Return the homography (3, 3) from points (n >= 4, 2) to points.
+
+    It is that of least squares, with 1 as its last entry.
+    LinAlgError if they do not determine it.
+    """
     scale = np.abs(source).max()
     rows = []
     for (x, y), (u, v) in zip(source / scale, target, strict=True):
@@ -229,13 +331,3 @@ def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
     else:
         solution = np.linalg.lstsq(design, target.ravel(), rcond=None)[0]
     return np.append(solution, 1.0).reshape(3, 3) @ np.diag([1 / scale, 1 / scale, 1])
-
-
-Projection = Callable[[FloatArray], FloatArray]
-"""mm on the page (n, 2) -> px in the picture (n, 2)."""
-
-
-def check_given(name: str, element: Element | None, projection: Projection | None) -> None:
-    """ArgumentError where a chart's element, the argument `name`, comes without a projection, or a projection without it."""
-    if (element is None) != (projection is None):
-        raise ArgumentError(f"{name} and projection must be given together, or neither")

@@ -16,11 +16,13 @@ from matcam.calibration.edge.measurement import fit_lens, measure, measure_stack
 from matcam.calibration.edge.profiles import MODELS, LensModel, lens_model
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph import region as verdict
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
 from matcam.calibration.photograph.region import Frame, Region
 from matcam.calibration.photograph.tone import Tone
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax
+from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
 """Edges that run side by side: they fit into the processor's cache."""
@@ -63,7 +65,7 @@ _UNKNOWN = Noise(np.float64(np.nan), np.float64(np.nan))
 
 
 def edge_mtf(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     roi: Sequence[int] | None = None,
     *,
     model: str = "gaussian",
@@ -72,7 +74,7 @@ def edge_mtf(
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: Tone = None,
+    tone: Tone = "linear",
     gain: float | None = None,
     read_noise: float | None = None,
     accept_sharpened: bool = False,
@@ -89,7 +91,7 @@ def edge_mtf(
     cfa: colours of the picture's first 2 x 2 px, row by row ("RGGB", ...): the image is a mosaic, and the sites of
     `channel` ("R", "G", "B") are samples as they are; nothing is demosaiced. channel with a colour image: "R", "G", "B"
     or "Y", their luminance (default).
-    tone: None: the image is linear; "srgb": undone; a gamma; or a table of linear values by code, one or three columns.
+    tone: "linear"; "srgb": undone; a gamma; a table of linear values by code, one or three columns; or "auto".
     gain, read_noise: a pixel's variance is gain * value + read_noise^2, in the linear image's units (counts of
     photo-electrons have gain 1); None: estimated.
     accept_sharpened: measure a sharpened picture all the same: lens and sharpening together.
@@ -98,17 +100,18 @@ def edge_mtf(
     measured; each says why. Method, accuracy and their tests: docs/edge.md.
     """
     lens, noise, half = _checked(model, wavelength, pixel_pitch, half_width, gain, read_noise)
-    values = region.cut(image, roi, cfa, channel, tone)[None]
+    picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+    values = picture.values[None]
     if problem := region.flaws(values)[0]:
         raise FitError(problem)
-    rows = region.rows_of(values, mosaic=cfa is not None)
+    rows = region.rows_of(values, mosaic=picture.cfa is not None)
     found = measure(rows.value[0], rows.y, rows.start, noise, half, step=rows.step, turns=rows.turns)
     if model != "gaussian":
         found = found._replace(parametric=fit_lens(found, half, lens))
     found = jax.tree.map(np.asarray, found)
     if problem := verdict.refusals(jax.tree.map(lambda a: a[None], found), rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem)
-    corner = region.corner_of(roi)
+    corner = picture.corner
     frame = rows.frame._replace(x=rows.frame.x + corner[0], y=rows.frame.y + corner[1])
     return result_of(found, frame, model, lens, half_width, ())
 
@@ -132,9 +135,9 @@ def edge_mtf_stack(
     """
     lens, noise, _ = _checked(model, wavelength, pixel_pitch, half_width, gain, read_noise)
     values = np.asarray(images)
-    if values.dtype.kind not in "uif" or values.ndim != 3 or min(values.shape[1:]) < region.SMALLEST or not len(values):
+    if values.dtype.kind not in "uif" or values.ndim != 3 or min(values.shape[1:]) < SMALLEST or not len(values):
         raise ArgumentError(
-            f"images must be numbers of shape (n, height, width), n >= 1, sides >= {region.SMALLEST}, got {values.dtype} "
+            f"images must be numbers of shape (n, height, width), n >= 1, sides >= {SMALLEST}, got {values.dtype} "
             f"{values.shape}"
         )
     regions = []

@@ -33,8 +33,9 @@ from matcam.calibration.edge.free_basis import (
     transfer_basis,
 )
 from matcam.calibration.edge.geometry import Cells
-from matcam.calibration.edge.maximum_likelihood import Model, Noise, State, scaled_inverse
+from matcam.calibration.edge.maximum_likelihood import Model, Noise, State
 from matcam.core.jax import jax, jnp
+from matcam.numerics.linalg import scaled_inverse
 
 _PRIOR, _REACH = 0.1, 1.6  # of the step, on strengths of the core; falls off as a Gaussian of 1.6 s
 _PRIOR_ODD = 0.03  # of the step, at most

@@ -20,6 +20,7 @@ import numpy as np
 
 from matcam.calibration.edge.geometry import Aligned, Cells, Phases, columns
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.numerics.linalg import scaled_inverse
 
 LINEAR = 5
 """Parameters that every profile has: dark, bright, gx, gy, shift."""
@@ -84,18 +85,6 @@ def scoring_step(cells: Cells, state: State, profile: Profile, noise: Noise, lon
     )
 
 
-def scaled_inverse(matrix: jax.Array) -> jax.Array:
-    """Inverse of a positive semidefinite matrix whose rows have different units; what is not determined gets 0.
-
-    By Cholesky: the scaled matrix is lifted by 1e-12, which a determined direction does not feel.
-    """
-    diagonal = jnp.diagonal(matrix)
-    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    unit = matrix * scale[:, None] * scale
-    unit = unit + jnp.diag(jnp.where(scale > 0, 1e-12, 1.0))
-    return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(unit), True), jnp.eye(len(scale))) * scale[:, None] * scale
-
-
 class CurveStep(NamedTuple):
     """What the pixels near the edge say of its curve."""
 
@@ -132,9 +121,8 @@ def curve_step(
     length = jnp.max(jnp.abs(aligned.y))
     powers = (aligned.y / length) ** jnp.arange(3)[:, None]
     normal = (powers * information) @ powers.T
-    normal = normal + 1e-9 * jnp.trace(normal) * jnp.eye(3) + 1e-300 * jnp.eye(3)
     units = length ** -jnp.arange(3.0)
-    covariance = jnp.linalg.inv(normal)
+    covariance = scaled_inverse(normal, undetermined=1e300)
     change = jnp.clip(covariance @ (powers @ score), -1.0, 1.0)
     rms = jnp.sqrt((residual**2).sum() / jnp.maximum(aligned.valid[:, near].sum(), 1.0))
     return CurveStep(curve + change * units, covariance * units[:, None] * units, rms)

@@ -22,11 +22,11 @@ from matcam.calibration.edge.maximum_likelihood import (
     State,
     curve_step,
     model,
-    scaled_inverse,
     scoring_step,
 )
 from matcam.calibration.edge.profiles import Gaussian, LensModel
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.numerics.linalg import scaled_inverse
 
 _START = -0.5  # ln px: sigma 0.6
 _STEPS, _MODEL_STEPS = 3, 12

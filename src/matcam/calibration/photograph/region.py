@@ -5,24 +5,15 @@ Whether a region can be measured, in one line that says why not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from matcam.calibration.photograph.tone import Tone, linearised
-from matcam.core.errors import ArgumentError, FitError
+from matcam.calibration.photograph.linear_image import SMALLEST
 
-SMALLEST = 16
-"""px: both sides of a region must have as many."""
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Of linear R, G, B (IEC 61966-2-1)."""
-_CLIPPED = 0.02  # share of samples at the brightest value of an integer type
 _FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
 FEW_TURNS, MANY_TURNS = 2, 8
 _ENOUGH_CYCLES = 4.0
-_MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
 class Region(NamedTuple):
@@ -56,42 +47,6 @@ class Frame(NamedTuple):
         """A vector in the turned region, as it lies in the picture."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
-
-
-def cut(image: ArrayLike, roi: Sequence[int] | None, cfa: str | None, channel: str | None, tone: Tone) -> np.ndarray:
-    """The region's linear values, (height, width), NaN where this colour has no site. ArgumentError for what cannot be."""
-    picture = np.asarray(image)
-    if (
-        picture.ndim not in (2, 3)
-        or (picture.ndim == 3 and picture.shape[2] not in (3, 4))
-        or picture.dtype.kind not in "uif"
-    ):
-        raise ArgumentError(
-            f"image must be numbers of shape (height, width) or (height, width, 3), got {picture.dtype} {picture.shape}"
-        )
-    x, y, width, height = _checked_roi(roi, picture.shape)
-    part = picture[y : y + height, x : x + width]
-    _refuse_clipped(part)
-    linear = linearised(part, tone)
-    if linear.ndim == 3:
-        if cfa is not None:
-            raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {picture.shape}")
-        return _of_colours(linear, channel)
-    if cfa is None:
-        if channel is not None:
-            raise ArgumentError(f"channel {channel!r} asks for a colour of a grey image: give cfa if it is a mosaic")
-        return linear
-    return np.where(_sites(cfa, channel, x, y, linear.shape), linear, np.nan)
-
-
-def corner_of(roi: Sequence[int] | None) -> tuple[int, int]:
-    """x and y, px of the picture, of a region's first pixel."""
-    return (0, 0) if roi is None else (int(roi[0]), int(roi[1]))
-
-
-def measured_channel(picture: np.ndarray, channel: str | None) -> str:
-    """The name of what `cut` takes from a picture: "R", "G", "B", "Y" (luminance) or "grey"."""
-    return channel or ("Y" if picture.ndim == 3 else "grey")
 
 
 def rows_of(values: np.ndarray, *, mosaic: bool = False) -> Region:
@@ -170,51 +125,6 @@ def padded(size: int) -> int:
             if eighths * power >= size:
                 return eighths * power
         power *= 2
-
-
-def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    height, width = shape[:2]
-    if roi is None:
-        x, y, w, h = 0, 0, width, height
-    else:
-        try:
-            x, y, w, h = (int(v) for v in roi)
-            whole = all(float(v) == int(v) for v in roi)
-        except (TypeError, ValueError, OverflowError):
-            raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}") from None
-        if not whole:
-            raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}")
-        if x < 0 or y < 0 or x + w > width or y + h > height:
-            raise ArgumentError(f"roi must lie inside the picture of {width} x {height} px, got {(x, y, w, h)}")
-    if w < SMALLEST or h < SMALLEST:
-        raise ArgumentError(f"roi must be at least {SMALLEST} x {SMALLEST} px, got {w} x {h}")
-    return x, y, w, h
-
-
-def _refuse_clipped(part: np.ndarray) -> None:
-    if part.dtype.kind in "ui":
-        full = np.iinfo(part.dtype).max
-        share = (part == full).mean()
-        if share > _CLIPPED:
-            raise FitError(f"region is saturated: {share:.0%} of its samples are at {full}, the end of their range")
-
-
-def _of_colours(linear: np.ndarray, channel: str | None) -> np.ndarray:
-    if channel in (None, "Y"):
-        return linear[..., :3] @ np.array(LUMINANCE)
-    if channel not in ("R", "G", "B"):
-        raise ArgumentError(f"channel must be one of 'R', 'G', 'B', 'Y', got {channel!r}")
-    return linear[..., "RGB".index(channel)]
-
-
-def _sites(cfa: str, channel: str | None, x: int, y: int, shape: tuple[int, int]) -> np.ndarray:
-    """Where the mosaic has this colour. cfa: colours of the picture's first 2 x 2 px, row by row."""
-    if cfa not in _MOSAICS:
-        raise ArgumentError(f"cfa must be one of {', '.join(map(repr, _MOSAICS))}, got {cfa!r}")
-    if channel not in ("R", "G", "B"):
-        raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
-    rows, columns = (np.arange(n) + offset for n, offset in zip(shape, (y, x), strict=True))
-    return np.array(list(cfa)).reshape(2, 2)[np.ix_(rows % 2, columns % 2)] == channel
 
 
 _LEAST_ROWS = 10

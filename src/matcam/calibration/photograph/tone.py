@@ -2,42 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.remark import Remark
 from matcam.files import tone_curve as srgb
-from matcam.files.photographs import read_photograph
+from matcam.files.photographs import Photograph, read_photograph
 from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
 
-Tone = str | float | ArrayLike | None
-"""None or "linear"; "srgb" (IEC 61966-2-1); a gamma: light = (code / full) ** gamma; or linear values by code, (codes,) or
-(codes, 3)."""
+Tone = str | float | ArrayLike
+"""What a picture's codes are: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma; linear values by
+code, (codes,) or (codes, 3); "auto": what the file says, see `assumed_tone`."""
 
 _GAMMAS = (0.2, 5.0)
 
 
-def linearised(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
-    """Linear float64 values of codes, (..., 3) or one plane. Full scale is the largest whole number of the codes' type, or 1.
+def is_linear(tone: Tone) -> bool:
+    """Return whether a tone curve leaves codes as they are."""
+    return isinstance(tone, str) and tone == "linear"
 
-    channel: which column of a table of three is this plane's. ArgumentError for a tone curve that does not fit.
+
+def assumed_tone(photograph: Photograph) -> tuple[str, tuple[Remark, ...]]:
+    """Return the tone curve of a photograph for which none is stated ("auto"), and what had to be assumed."""
+    if photograph.linear:
+        return "linear", ()
+    bits = 8 * photograph.values.dtype.itemsize
+    tone, name = ("srgb", "sRGB") if bits == 8 else ("linear", "linear")
+    return tone, (Remark("tone-assumed", f"{bits} bits and no tone curve stated: {name} assumed (--tone)"),)
+
+
+def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
+    """Return linear float64 values of codes, (..., 3) or one plane; ArgumentError for a tone curve that does not fit.
+
+    Full scale is the largest whole number of the codes' type, or 1. channel: which column of a table of three is this plane's.
     """
-    if tone is None or (isinstance(tone, str) and tone == "linear"):
+    if is_linear(tone):
         return codes.astype(np.float64)
-    if isinstance(tone, str):
+    if isinstance(tone, str) or tone is None:
         if tone != "srgb":
             raise ArgumentError(
-                f"tone must be None, 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
+                f"tone must be 'auto', 'linear', 'srgb', a gamma or a table of linear values by code, got {tone!r}"
             )
-        return srgb.decoded(_share(codes))
+        return _by_code(codes, srgb.decoded)
     if np.ndim(tone) == 0:
         gamma = float(np.asarray(tone, dtype=np.float64))
         if not _GAMMAS[0] <= gamma <= _GAMMAS[1]:
             raise ArgumentError(f"tone as a gamma must lie in [{_GAMMAS[0]:g}, {_GAMMAS[1]:g}], got {gamma:g}")
-        return np.maximum(_share(codes), 0) ** gamma
+        return _by_code(codes, lambda share: np.maximum(share, 0) ** gamma)
     table = checked_curve(np.asarray(tone, dtype=np.float64))
     if codes.dtype.kind not in "ui":
         raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
@@ -52,8 +67,14 @@ def linearised(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.
     return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
 
 
-def _share(codes: np.ndarray) -> np.ndarray:
-    return codes / (np.iinfo(codes.dtype).max if codes.dtype.kind in "ui" else 1.0)
+def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return a curve of the share of full scale; large pictures of whole numbers through a table."""
+    if codes.dtype.kind not in "ui":
+        return curve(codes / 1.0)
+    full = np.iinfo(codes.dtype).max
+    if codes.dtype.kind == "u" and codes.size > full:
+        return curve(np.arange(full + 1) / full)[codes]
+    return curve(codes / full)
 
 
 def tone_from_patches(

@@ -20,10 +20,11 @@ from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.profiles import Gaussian
 from matcam.calibration.photograph import region
 from matcam.calibration.photograph.light import evened
-from matcam.calibration.photograph.planes import Plane
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.calibration.photograph.region import Frame, Region, turns_for
 from matcam.calibration.search.edge_search import FoundEdges
 from matcam.core.errors import FitError
+from matcam.core.remark import Remark
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -142,10 +143,10 @@ _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # of the blur's variance; standard devia
 _FEW = 6  # edges, below which nothing is said of directions
 
 
-def measured_edges(plane: Plane, edges: FoundEdges, half_width: float, *, accept_sharpened: bool) -> EdgeMTF:
+def measured_edges(plane: LinearImage, edges: FoundEdges, half_width: float, *, accept_sharpened: bool) -> EdgeMTF:
     """The edges of one plane as a stack; long ones in pieces. FitError where there is none that could be measured, with the
     commonest reason."""
-    strips = strips_along(edges, plane.photograph.values.shape[:2])
+    strips = strips_along(edges, plane.shape)
     if not strips.u.size:
         raise FitError(
             f"no slanted edge was found ({edges.x.size} edges without room round them): photograph a chart of slanted squares "
@@ -156,9 +157,8 @@ def measured_edges(plane: Plane, edges: FoundEdges, half_width: float, *, accept
     full: list[np.ndarray] = []
 
     def read(y: np.ndarray, x: np.ndarray) -> np.ndarray:
-        value, saturated = plane.values(y, x)
-        full.append(saturated.mean((1, 2)))
-        return value
+        full.append(np.zeros(len(y)) if plane.saturated is None else plane.saturated[y, x].mean((1, 2)))
+        return plane.values[y, x]
 
     regions = list(regions_of(strips, read, plane.sites, stack.AT_ONCE))
     looked_at = []
@@ -178,24 +178,29 @@ def measured_edges(plane: Plane, edges: FoundEdges, half_width: float, *, accept
     return result
 
 
-def remarks_on(result: EdgeMTF, channel: str) -> list[str]:
-    """What a photographer should know of a picture, from its edges in one channel."""
+def edge_remarks(result: EdgeMTF, channel: str) -> list[Remark]:
+    """Return what a photographer should know of a picture, from its edges in one channel."""
     good = np.array([not problem for problem in result.problems])
-    said = []
+    remarks = []
+
+    def add(code: str, text: str) -> None:
+        remarks.append(Remark(code, f"{channel}: {text}"))
+
     saturated = sum("saturated" in problem for problem in result.problems)
     sharpened = sum("sharpened" in problem for problem in result.problems)
     if saturated:
-        said.append(f"{channel}: {saturated} of {len(result)} edges are saturated, and left out: expose less")
+        add("saturated-edges", f"{saturated} of {len(result)} edges are saturated, and left out: expose less")
     if sharpened:
-        said.append(f"{channel}: {sharpened} of {len(result)} edges overshoot as sharpened ones do, and are left out")
+        add("sharpened-edges", f"{sharpened} of {len(result)} edges overshoot as sharpened ones do, and are left out")
     contrast = float(np.median(((result.bright - result.dark) / (np.abs(result.bright) + np.abs(result.dark)))[good]))
     if contrast < _CONTRAST:
-        said.append(
-            f"{channel}: contrast is only {contrast:.0%}: errors are large; use a darker print or less stray light"
+        add(
+            "low-contrast",
+            f"contrast is only {contrast:.0%}: errors are large; use a darker print or less stray light",
         )
     if directional := _direction(result, good):
-        said.append(f"{channel}: {directional}")
-    return said
+        add("directional-blur", directional)
+    return remarks
 
 
 def _direction(result: EdgeMTF, good: np.ndarray) -> str:

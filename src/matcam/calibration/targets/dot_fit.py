@@ -1,25 +1,41 @@
-"""What pixels read of a round dot: disc, Gaussian and square pixel, by quadrature over the disc; and its derivatives.
+"""The dots of a grid: found in a region, put on the lattice that they form, and fitted one by one, side by side.
 
-A Gaussian and a square are separable, so a node of the disc is a product of two erf differences. Derivatives by the place are
-those of the Gaussian; by the variance, half the second ones. All of them come from one table of the derivatives along x and y.
-
-The fit of single dots: disc x Gaussian x square pixel, all dots of a picture side by side.
+A dot is disc x Gaussian x square pixel. Its size comes from the lattice. What pixels read of it is a quadrature over the disc:
+a Gaussian and a square are separable, so a node of the disc is a product of two erf differences. Derivatives by the place are
+those of the Gaussian, by the variance half the second ones. All of them come from one table of the derivatives along x and y.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from matcam.calibration.targets import dot_lattice
-from matcam.calibration.targets.dot_lattice import FEWEST, Lattice
-from matcam.calibration.targets.wave_fit import noise_of
+from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
+from matcam.numerics.linalg import scaled_inverse
 
+FEWEST = 9
+SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
+"""Derivatives by (x, y) in which the dots of a zone may differ from disc x Gaussian x square, all in the same way."""
+
+_CLEAR = 6.0  # standard deviations of the smoothed background
+_ALIKE = (0.3, 3.0)  # of the usual flux: dots are all of one kind
+_OFF = 0.25  # of the pitch: how far a dot may lie from where its neighbour expects it
+_OWN = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)]
+_START = 0.6  # px
+_RANGE = (0.15, 6.0)  # px of sigma
+_STEPS, _WEIGHTED = 16, 4  # Gauss-Newton; from where on weights are those of the noise
+_SETTLED = 0.01  # standard deviations
+_REACH = 7  # px of a stamp at most
+_CLOSEST = 6.0  # px between dots
+_OUTLIER, _SAME = 5.0, 0.02  # standard deviations; of sigma^2: by less no dot is another
 _RADIAL, _ROUND = 5, 14
 _AT_ONCE = 512  # dots: their tables fit into memory, whatever the grid
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_RADIAL)
@@ -29,17 +45,269 @@ _DISC = np.stack([(_RADIUS * np.cos(_TURN)).ravel(), (_RADIUS * np.sin(_TURN)).r
 _SHARE = np.repeat(_WEIGHTS / 2 / _ROUND, _ROUND)
 
 
-def derivatives(
+class DotLattice(NamedTuple):
+    """Hold the places of n dots, in a picture and printed.
+
+    Attributes:
+        x: (n,) px.
+        y: (n,) px.
+        u: (n,) place on the page, in pitches, or in mm if a chart says so.
+        v: (n,).
+    """
+
+    x: FloatArray
+    y: FloatArray
+    u: FloatArray
+    v: FloatArray
+
+    def subset(self, mask: np.ndarray) -> DotLattice:
+        """Return some of the dots."""
+        return DotLattice(*(column[mask] for column in self))
+
+    @property
+    def pitch(self) -> float:
+        """Return the median distance to the nearest neighbour, px."""
+        points = np.stack([self.x, self.y], axis=-1)
+        return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+
+    @property
+    def shapes(self) -> FloatArray:
+        """Return px per page unit at every dot, (n, 2, 2).
+
+        They are derivatives of a smooth map through all dots.
+        """
+        size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
+        u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
+        degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
+        orders = [(n - j, j) for n in range(degree + 1) for j in range(n + 1)]
+        zero = np.zeros_like(u)
+        powers = np.stack([u**i * v**j for i, j in orders], axis=-1)
+        by_u = np.stack([i * u ** (i - 1) * v**j / size if i else zero for i, j in orders], axis=-1)
+        by_v = np.stack([j * u**i * v ** (j - 1) / size if j else zero for i, j in orders], axis=-1)
+        maps = np.linalg.lstsq(powers, np.stack([self.x, self.y], axis=-1), rcond=None)[0]
+        return np.stack([by_u @ maps, by_v @ maps], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class DotFit:
+    """Hold the fits of n dots, and their last derivatives.
+
+    Attributes:
+        lattice: where the dots were thought to be.
+        parameters: (n, 7) ground, its slopes, content, x, y, sigma^2.
+        std: (n, 7) standard deviations of `parameters`.
+        design: (n, pixels, 7) derivatives by `parameters`.
+        shared: (n, pixels, 5) derivatives times contents, in what the dots of a zone have in common.
+        residual: (n, pixels).
+        weight: (n, pixels) inverse variances.
+        radius: mean of the dots' radii as they should be in the picture, px.
+        gain: variance of a pixel over its value.
+        read_variance: variance of a dark pixel.
+    """
+
+    lattice: DotLattice
+    parameters: FloatArray
+    std: FloatArray
+    design: FloatArray
+    shared: FloatArray
+    residual: FloatArray
+    weight: FloatArray
+    radius: float
+    gain: float
+    read_variance: float
+
+    def subset(self, mask: np.ndarray) -> DotFit:
+        """Return some of the dots."""
+        arrays = {
+            name: getattr(self, name)[mask] for name in ("parameters", "std", "design", "shared", "residual", "weight")
+        }
+        return replace(self, lattice=self.lattice.subset(mask), **arrays)
+
+
+def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: float) -> DotFit:
+    """Fit every dot of a lattice in a region.
+
+    values: (height, width), NaN where there are no data.
+    size: radius of the dots in the lattice's own units. half_width: of the pixel, px. FitError if there are too few dots that
+    can be measured.
+    """
+    shape, pitch = size * lattice.shapes, lattice.pitch
+    reach = int(min(_REACH, max(3, np.floor(pitch / 2 - 0.5))))
+    if pitch < _CLOSEST:
+        raise FitError(
+            f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to tell them from one another"
+        )
+    whole, stamps = _stamps(values, lattice, reach)
+    lattice, shape = lattice.subset(whole), shape[whole]
+    if len(stamps.value) < FEWEST:
+        raise FitError(f"{len(stamps.value)} whole dots are too few: {FEWEST} are needed")
+    columns, rows, du, dv, value, known = stamps
+    ground = np.nanmedian(value, axis=1)
+    value = np.where(known, value, 0.0)
+    # mosaics see a part of a dot's content
+    content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
+    state = np.column_stack(
+        [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
+    )
+    mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
+    fit: DotFit | None = None
+    gain, read, weight = 0.0, 1.0, known.astype(float)
+    bow = np.zeros_like(du)
+    for step in range(_STEPS):
+        if step == _WEIGHTED:
+            bow = _bow(lattice, state[:, 0], du, dv)
+            # fitted places know the lattice, and with it the dots' sizes, better than those that were found
+            shape = size * lattice._replace(x=state[:, 4], y=state[:, 5]).shapes
+        u, v = columns - state[:, 4:5], rows - state[:, 5:6]
+        table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, [*_OWN, *SHARED[2:]])
+        flat = table.reshape(len(table), len(state), -1)
+        c = state[:, 3, None]
+        model = state[:, :1] + state[:, 1:2] * du + state[:, 2:3] * dv + bow + c * flat[0]
+        design = np.stack(
+            [np.ones_like(du), du, dv, flat[0], -c * flat[1], -c * flat[2], c * (flat[3] + flat[4]) / 2], axis=-1
+        )
+        residual = np.where(known, value - model, 0.0)
+        if step > _WEIGHTED:
+            # fitted parameters have taken their share of the noise
+            found = noise_from_residuals(residual[known], model[known])
+            gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
+            weight = known / (gain * np.maximum(model, 0) + read)
+        normal = np.einsum("npi,np,npj->nij", design, weight, design)
+        inverse = scaled_inverse(normal)
+        change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
+        change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
+        change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
+        shared = c[..., None] * np.stack([flat[3], flat[4], *flat[5:]], axis=-1)
+        std = np.sqrt(np.einsum("nii->ni", inverse))
+        fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
+        state = state + change
+        state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
+        if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
+            break
+    if fit is None or not np.isfinite(fit.parameters).all():
+        raise FitError("the dots' pixels do not determine their blur")
+    return _without_outliers(fit)
+
+
+def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return x and y (n,) of the dots in a region, px.
+
+    values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
+    """
+    smooth = smoothed(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
+    # most pixels are background, which changes slowly
+    ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
+    ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
+    ground = np.pad(ground, [(0, n - m) for n, m in zip(values.shape, ground.shape, strict=True)], mode="edge")
+    off = smooth - ground
+    spread = 1.4826 * np.median(np.abs(off - np.median(off)))
+    sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
+    label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
+    if count < FEWEST:
+        raise FitError(f"region holds no grid of dots: {count} spots in it, {FEWEST} are needed")
+    every = np.arange(1, count + 1)
+    flux = ndimage.sum_labels(sign * off, label, every)
+    y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T
+    usual = np.median(flux)
+    whole = (flux > _ALIKE[0] * usual) & (flux < _ALIKE[1] * usual)
+    if whole.sum() < FEWEST:
+        raise FitError("region holds no grid of dots: its spots are not alike")
+    return x[whole], y[whole]
+
+
+def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
+    """Return the dots that lie on a lattice, counted in pitches.
+
+    The lattice is square, and seen in perspective. FitError if there is none.
+    """
+    points = np.stack([x, y], axis=-1)
+    tree = cKDTree(points)
+    neighbour = tree.query(points, k=min(5, len(points)))[1]
+    # in the middle a dot has four neighbours at right angles, nearly
+    central = int(np.argmin(np.hypot(*(points - np.median(points, axis=0)).T)))
+    first = points[neighbour[central, 1]] - points[central]
+    steps = points[neighbour[central, 1:]] - points[central]
+    across = np.abs(steps @ np.array([-first[1], first[0]])) / (np.hypot(*steps.T) * np.hypot(*first))
+    second = steps[int(np.argmax(across))]
+    if np.abs(across).max() < 0.7 or not 0.5 < np.hypot(*second) / np.hypot(*first) < 2:
+        raise FitError("the spots in the region do not form a square grid")
+    place: dict[int, tuple[int, int]] = {central: (0, 0)}
+    basis: dict[int, FloatArray] = {central: np.stack([first, second])}
+    queue = [central]
+    while queue:
+        at = queue.pop(0)
+        for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            step = sign * basis[at][axis]
+            off, other = tree.query(points[at] + step)
+            if off > _OFF * np.hypot(*step) or int(other) in place:
+                continue
+            where = list(place[at])
+            where[axis] += sign
+            place[int(other)] = (where[0], where[1])
+            # a pinhole's lattice changes slowly: each dot hands its own basis on
+            moved = basis[at].copy()
+            moved[axis] = 0.7 * moved[axis] + 0.3 * sign * (points[other] - points[at])
+            basis[int(other)] = moved
+            queue.append(int(other))
+    index = np.array(sorted(place))
+    where_all = np.array([place[i] for i in index], dtype=float)
+    if len(index) < FEWEST or len({tuple(w) for w in where_all}) != len(index):
+        raise FitError(f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit into one")
+    return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])
+
+
+class _Stamps(NamedTuple):
+    """Hold the pixels round n dots.
+
+    Attributes:
+        columns: (n, width) px.
+        rows: (n, height) px.
+        du: (n, pixels) from the dot's place in the lattice, px.
+        dv: (n, pixels) px.
+        value: (n, pixels) linear light.
+        known: (n, pixels) whether there are data.
+    """
+
+    columns: np.ndarray
+    rows: np.ndarray
+    du: FloatArray
+    dv: FloatArray
+    value: FloatArray
+    known: np.ndarray
+
+
+def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.ndarray, _Stamps]:
+    """Return which dots lie well inside a region, and their pixels.
+
+    reach: px, from a dot to the last of its pixels.
+    """
+    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
+    whole = (
+        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
+    )
+    columns, rows, lattice = columns[whole], rows[whole], lattice.subset(whole)
+    value = values[rows[:, :, None], columns[:, None, :]]
+    du = np.broadcast_to(columns[:, None, :] - lattice.x[:, None, None], value.shape)
+    dv = np.broadcast_to(rows[:, :, None] - lattice.y[:, None, None], value.shape)
+    flat = (len(value), (2 * reach + 1) ** 2)
+    du, dv, value = du.reshape(flat), dv.reshape(flat), value.reshape(flat)
+    return whole, _Stamps(columns, rows, du, dv, value, np.isfinite(value))
+
+
+def dot_derivatives(
     x: FloatArray, y: FloatArray, shape: FloatArray, sigma: FloatArray, half_width: float, orders: list[tuple[int, int]]
 ) -> FloatArray:
-    """(orders, n, height, width): derivatives by (x, y), of the given orders, of what pixels read of dots of unit content.
+    """Return derivatives by (x, y) of what pixels read of dots.
 
-    x, y: (n, width), (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px: takes the unit disc to the
-    dot. sigma: (n,) px.
+    There are n dots of unit content; the result is (orders, n, height, width).
+    x, y: (n, width) and (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px, from the unit disc to the
+    dot. sigma: (n,) px. half_width: px. orders: of the derivatives.
     """
     if len(x) > _AT_ONCE:
         parts = [slice(i, i + _AT_ONCE) for i in range(0, len(x), _AT_ONCE)]
-        return np.concatenate([derivatives(x[p], y[p], shape[p], sigma[p], half_width, orders) for p in parts], axis=1)
+        return np.concatenate(
+            [dot_derivatives(x[p], y[p], shape[p], sigma[p], half_width, orders) for p in parts], axis=1
+        )
     offset = np.einsum("nij,jk->nik", shape, _DISC)
     along = [_axis(g[:, :, None] - o[:, None, :], sigma, half_width, max(w)) for g, o, w in (
         (x, offset[:, 0], [i for i, _ in orders]), (y, offset[:, 1], [j for _, j in orders]),
@@ -48,7 +316,10 @@ def derivatives(
 
 
 def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> list[FloatArray]:
-    """The one-dimensional kernel, Gaussian times box, at t px (n, pixels, nodes), and its derivatives."""
+    """Return the one-dimensional kernel, Gaussian times box, and its derivatives.
+
+    t: (n, pixels, nodes) px.
+    """
     s = sigma[:, None, None]
     ends = [(t + half_width) / s, (t - half_width) / s]
     table = [(ndtr(ends[0]) - ndtr(ends[1])) / (2 * half_width)]
@@ -63,124 +334,11 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
     return table
 
 
-SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
-"""Derivatives by (x, y) in which the dots of a zone may differ from disc x Gaussian x square, all in the same way."""
-_OWN = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)]
-_START = 0.6  # px
-_RANGE = (0.15, 6.0)  # px of sigma
-_STEPS, _WEIGHTED = 16, 4  # Gauss-Newton; from where on weights are those of the noise
-_SETTLED = 0.01  # standard deviations
-_REACH = 7  # px of a stamp at most
-_CLOSEST = 6.0  # px between dots
-_OUTLIER, _SAME = 5.0, 0.02  # standard deviations; of sigma^2: by less no dot is another
+def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
+    """Return how far every dot's ground is off its tangent plane.
 
-
-@dataclass(frozen=True, eq=False)
-class DotFit:
-    """State of all dots' fits, and what the last step saw."""
-
-    lattice: Lattice
-    parameters: FloatArray
-    """(n, 7): ground, its slopes, content, x, y, sigma^2."""
-    std: FloatArray
-    design: FloatArray
-    """(n, pixels, 7)"""
-    shared: FloatArray
-    """(n, pixels, 5) derivatives times contents, of what zones have in common."""
-    residual: FloatArray
-    weight: FloatArray
-    radius: float
-    gain: float
-    read: float
-
-
-def fit_dots(values: FloatArray, lattice: Lattice, size: float, half_width: float) -> DotFit:
-    """Fit every dot of a lattice in a region (height, width), NaN where there are no data. size: radius of the dots in the
-    lattice's own units. FitError where there are too few dots that can be measured."""
-    shape = size * dot_lattice.shapes_of(lattice)
-    pitch = float(np.median(_nearest(lattice)))
-    reach = int(min(_REACH, max(3, np.floor(pitch / 2 - 0.5))))
-    if pitch < _CLOSEST:
-        raise FitError(
-            f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to tell them from one another"
-        )
-    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
-    whole = (
-        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
-    )
-    lattice, shape = Lattice(*(a[whole] for a in lattice)), shape[whole]
-    columns, rows = columns[whole], rows[whole]
-    if len(columns) < FEWEST:
-        raise FitError(f"{len(columns)} whole dots are too few: {FEWEST} are needed")
-    stamp = values[rows[:, :, None], columns[:, None, :]]
-    there = np.isfinite(stamp)
-    area = (len(rows), rows.shape[1], columns.shape[1])
-    du, dv = (np.broadcast_to(a, area).reshape(len(rows), -1) for a in (
-        columns[:, None, :] - lattice.x[:, None, None], rows[:, :, None] - lattice.y[:, None, None],
-    ))  # fmt: skip
-    stamp, there = stamp.reshape(du.shape), there.reshape(du.shape)
-    ground = np.nanmedian(stamp, axis=1)
-    stamp = np.where(there, stamp, 0.0)
-    # mosaics see a part of a dot's content
-    content = (there * (stamp - ground[:, None])).sum(1) / np.maximum(there.mean(1), 0.05)
-    state = np.column_stack(
-        [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
-    )
-    mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
-    fit: DotFit | None = None
-    gain, read, weight = 0.0, 1.0, there.astype(float)
-    bow = np.zeros_like(du)
-    for step in range(_STEPS):
-        if step == _WEIGHTED:
-            bow = _bow(lattice, state[:, 0], du, dv)
-            # fitted places know the lattice, and with it the dots' sizes, better than those that were found
-            shape = size * dot_lattice.shapes_of(Lattice(state[:, 4], state[:, 5], lattice.u, lattice.v))
-        u, v = columns - state[:, 4:5], rows - state[:, 5:6]
-        table = derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, [*_OWN, *SHARED[2:]])
-        flat = table.reshape(len(table), len(state), -1)
-        c = state[:, 3, None]
-        model = state[:, :1] + state[:, 1:2] * du + state[:, 2:3] * dv + bow + c * flat[0]
-        design = np.stack(
-            [np.ones_like(du), du, dv, flat[0], -c * flat[1], -c * flat[2], c * (flat[3] + flat[4]) / 2], axis=-1
-        )
-        residual = np.where(there, stamp - model, 0.0)
-        if step > _WEIGHTED:
-            # numbers that were fitted have taken their share of the noise
-            gain, read = (k * there.sum() / (there.sum() - state.size) for k in noise_of(residual[there], model[there]))
-            weight = there / (gain * np.maximum(model, 0) + read)
-        normal = np.einsum("npi,np,npj->nij", design, weight, design)
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-300))
-        inverse = np.linalg.inv(normal / (scale[:, :, None] * scale[:, None, :]) + 1e-10 * np.eye(7))
-        inverse /= scale[:, :, None] * scale[:, None, :]
-        change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
-        change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
-        change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
-        shared = c[..., None] * np.stack([flat[3], flat[4], *flat[5:]], axis=-1)
-        fit = DotFit(
-            lattice,
-            state,
-            np.sqrt(np.einsum("nii->ni", inverse)),
-            design,
-            shared,
-            residual,
-            weight,
-            mean_radius,
-            gain,
-            read,
-        )
-        state = state + change
-        state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
-        if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
-            break
-    if fit is None or not np.isfinite(fit.parameters).all():
-        raise FitError("the dots' pixels do not determine their blur")
-    return _without_outliers(fit)
-
-
-def _bow(lattice: Lattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """How far the ground of every dot's pixels is off its tangent plane: vignetting, seen by all dots together.
-
-    A dot's own ground cannot tell: its curvature would be taken for the blur's wings.
+    All dots together see this vignetting.
+    A dot's own ground does not know: its curvature would be taken for the blur's wings.
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
     x, y = (lattice.x - lattice.x.mean()) / scale, (lattice.y - lattice.y.mean()) / scale
@@ -196,7 +354,7 @@ def _bow(lattice: Lattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -
 
 
 def _without_outliers(fit: DotFit) -> DotFit:
-    """Dots that are there, and like the others."""
+    """Return the dots that are there, and like the others."""
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)
@@ -208,12 +366,4 @@ def _without_outliers(fit: DotFit) -> DotFit:
     good &= np.isfinite(std) & (square > 1.01 * _RANGE[0] ** 2) & (np.abs(content) > _OUTLIER * fit.std[:, 3])
     if good.sum() < FEWEST:
         raise FitError(f"{good.sum()} of {len(good)} dots can be measured: {FEWEST} are needed")
-    return DotFit(
-        Lattice(*(a[good] for a in fit.lattice)), fit.parameters[good], fit.std[good], fit.design[good], fit.shared[good],
-        fit.residual[good], fit.weight[good], fit.radius, fit.gain, fit.read,
-    )  # fmt: skip
-
-
-def _nearest(lattice: Lattice) -> FloatArray:
-    points = np.stack([lattice.x, lattice.y], axis=-1)
-    return np.asarray(cKDTree(points).query(points, k=2)[0][:, 1])
+    return fit.subset(good)

@@ -1,144 +1,31 @@
-"""Where a grating lies in a picture: its pixels, and the phase of each of them.
-
-Gratings: the MTF at a line frequency and its harmonics, from sines, square waves (bars) and narrow lines (MODEL 7).
+"""Gratings: the MTF at a line frequency and its harmonics, from sines, square waves (bars) and narrow lines.
 
 A bar pattern is a square wave: its contrast is not the MTF until it is freed of harmonics. Here the harmonics are fitted one by
-one, with the phase that they share; `coltman` does the same for contrasts that were measured elsewhere.
+one, with the phase that they share. `coltman` does the same for contrasts that were measured elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
-from matcam.calibration.chart.chart import PROFILES, Grating, harmonic
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.chart import PROFILES, Grating
+from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
 from matcam.calibration.photograph import region
-from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, WaveFit, enough, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
+from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
-
-MARGIN = 4.0
-"""px: pixels nearer than this to a grating's border see what is outside."""
-_WIDE = 50.0  # px: beyond, perspective and distortion need third order
-_CLEAR_IN_SPECTRUM = 30.0  # power of the wave over the median of the spectrum
-_ENVELOPE = 0.75
-_NEAR = 0.1  # of a stated frequency: how far the true one is looked for
-_LONGEST = 2.0  # periods that a region must hold at least
-
-
-class FoundGrating(NamedTuple):
-    """A grating in a picture."""
-
-    parameters: FloatArray
-    """(6,) or (10,) of `phase_of`."""
-    inside: np.ndarray
-    """(height, width) pixels that see nothing else."""
-    middle: tuple[float, float]
-    """px of the place that the phase is expanded about."""
-
-
-def phase_of(parameters: FloatArray, x: FloatArray, y: FloatArray, middle: tuple[float, float]) -> FloatArray:
-    """Phase, rad, at px: a polynomial of second or third order; in units of 100 px."""
-    u, v = (x - middle[0]) / 100, (y - middle[1]) / 100
-    p = parameters
-    phase = p[0] + p[1] * u + p[2] * v + p[3] * u * u + p[4] * u * v + p[5] * v * v
-    if len(p) == 10:
-        phase = phase + p[6] * u * u * u + p[7] * u * u * v + p[8] * u * v * v + p[9] * v * v * v
-    return np.asarray(phase)
-
-
-def scales(found: FoundGrating) -> FloatArray:
-    """Changes of the parameters that turn the phase by about 1 rad."""
-    reach = np.sqrt(found.inside.sum()) / 200
-    return np.concatenate([[1.0], [1 / reach] * 2, [1 / reach**2] * 3, [1 / reach**3] * (len(found.parameters) - 6)])
-
-
-def from_points(x: FloatArray, y: FloatArray, phase: FloatArray, inside: np.ndarray) -> FoundGrating:
-    """The grating whose (unwrapped) phase is known at some points."""
-    middle = (float(x.mean()), float(y.mean()))
-    u, v = (x - middle[0]) / 100, (y - middle[1]) / 100
-    powers = [np.ones_like(u), u, v, u * u, u * v, v * v]
-    if np.sqrt(inside.sum()) > _WIDE:
-        powers += [u * u * u, u * u * v, u * v * v, v * v * v]
-    parameters = np.asarray(np.linalg.lstsq(np.stack(powers, axis=-1), phase, rcond=None)[0], dtype=np.float64)
-    return FoundGrating(parameters, inside, middle)
-
-
-def inside_of(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Pixels deeper than the margin inside a convex polygon (n, 2) px."""
-    y, x = np.indices(shape).astype(float)
-    middle, inside = corners.mean(0), np.ones(shape, bool)
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
-        normal *= np.sign(normal @ (middle - a))
-        inside &= (x - a[0]) * normal[0] + (y - a[1]) * normal[1] > MARGIN
-    return inside
-
-
-def find_grating(values: FloatArray, near: tuple[float, float] | None = None) -> FoundGrating:
-    """The grating in a region (height, width), NaN where there are no data. near: its frequency (fx, fy), cycles/px, if it may
-    lie beyond Nyquist; roughly: the nearest that looks the same is taken. FitError where there is none."""
-    filled = values if np.isfinite(values).all() else smoothed(values, 0.9)
-    frequency = _strongest(filled, near)
-    if near is not None:
-        shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)
-        alike = np.concatenate([shifts + frequency, shifts - frequency])
-        frequency = alike[np.argmin(np.hypot(*(alike - np.array(near)).T))]
-    y, x = np.indices(values.shape).astype(float)
-    wave = np.exp(-2j * np.pi * (frequency[0] * x + frequency[1] * y))
-    smooth = max(3.0, 0.8 / np.hypot(*_folded(frequency)))
-    turned = (filled - filled.mean()) * wave
-    envelope = ndimage.gaussian_filter(turned.real, smooth) + 1j * ndimage.gaussian_filter(turned.imag, smooth)
-    size = np.abs(envelope)
-    label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
-    if not count:
-        raise FitError("region holds no grating")
-    largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
-    inside = ndimage.binary_erosion(
-        ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
-    )
-    if inside.sum() < 256:
-        raise FitError("region holds no grating: nowhere 16 x 16 px of one regular wave")
-    start = float(np.angle(envelope[inside].mean()))
-    phase = start + 2 * np.pi * (frequency[0] * x + frequency[1] * y)
-    return from_points(x[inside], y[inside], phase[inside], inside)
-
-
-def _folded(frequency: FloatArray) -> FloatArray:
-    return np.asarray(frequency - np.round(frequency))
-
-
-def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
-    """(fx, fy) cycles/px of the strongest wave below Nyquist; of those that may be `near` in truth, if that is given."""
-    height, width = filled.shape
-    window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
-    mean = (window * filled).sum() / window.sum()
-    # four times as many frequencies as samples: the peak is then known to a small part of a period over the region
-    power = np.abs(np.fft.rfft2(window * (filled - mean), (4 * height, 4 * width))) ** 2
-    fy, fx = np.fft.fftfreq(4 * height)[:, None], np.fft.rfftfreq(4 * width)[None]
-    # borders of what is in the region have power at low frequencies, more than harmonics have at high ones
-    power *= np.hypot(fx, fy)
-    power[(np.abs(fx) * width < _LONGEST) & (np.abs(fy) * height < _LONGEST)] = 0
-    everywhere = np.median(power)
-    if near is not None:
-        alias = _folded(np.array(near))
-        off = [np.hypot(_folded(fx - sign * alias[0]), _folded(fy - sign * alias[1])) for sign in (-1, 1)]
-        power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
-    row, column = np.unravel_index(np.argmax(power), power.shape)
-    if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
-        raise FitError("region holds no grating: no frequency stands out")
-    return np.array([fx[0, column], fy[row, 0]])
-
+from matcam.core.json import plain
+from matcam.files.photographs import Photograph
 
 _HIGHEST = 1.1  # cycles/px: harmonics beyond are taken for gone
 _USEFUL = 0.1  # standard deviation of an MTF value beyond which it says nothing
@@ -149,29 +36,57 @@ _WHITE = 40.0  # largest power of a residual over the median: white noise stays 
 
 @dataclass(frozen=True, eq=False)
 class GratingMTF:
-    """What a grating says."""
+    """Hold the MTF that a grating shows, and what else was fitted.
+
+    Attributes:
+        samples: MTF at the harmonics that say something.
+        frequency: (fx, fy) of the grating in the middle of its picture, cycles/px.
+        orders: orders of the harmonics that were fitted.
+        modulation: amplitude of each harmonic relative to the mean, signed as the print's phase has it (no unit).
+        modulation_std: its standard deviations.
+        gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
+        read_variance: variance of a dark pixel, in squared units of the values.
+    """
 
     samples: MTFSamples
-    """The MTF at the harmonics that tell something."""
     frequency: tuple[float, float]
-    """(fx, fy) cycles/px of the grating in the middle of its picture."""
     orders: tuple[int, ...]
     modulation: FloatArray
-    """Amplitude of the harmonic of each order, relative to the mean, signed as the print's phase has it."""
     modulation_std: FloatArray
     gain: float
-    """Noise as found: a pixel's variance is gain * value + read_variance."""
     read_variance: float
 
     @property
     def contrast(self) -> float:
-        """(brightest - darkest) / (brightest + darkest) that pixels on the middles of lines would read."""
+        """Return the contrast on the middles of lines.
+
+        It is (brightest - darkest) / (brightest + darkest) of pixels there.
+        """
         at_bright, at_dark = self.modulation.sum(), (self.modulation * (-1.0) ** np.array(self.orders)).sum()
         return float((at_bright - at_dark) / (2 + at_bright + at_dark))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON object.
+
+        Returns:
+            All attributes, with units in the names of those that have one, and the contrast.
+        """
+        return plain(
+            {
+                "samples": self.samples.to_dict(),
+                "frequency_cycles_per_px": self.frequency,
+                "orders": self.orders,
+                "modulation": self.modulation,
+                "modulation_std": self.modulation_std,
+                "contrast": self.contrast,
+                "gain": self.gain,
+                "read_variance": self.read_variance,
+            }
+        )
+
 
 def grating_mtf(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     roi: Sequence[int] | None = None,
     *,
     grating: Grating | None = None,
@@ -182,69 +97,97 @@ def grating_mtf(
     near: tuple[float, float] | None = None,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
-    aperture: float | None = None,
-    source: str = "",
+    tone: Tone = "linear",
 ) -> GratingMTF:
-    """MTF of lens and pixel at a grating's frequency, and at the harmonics that it holds.
+    """Measure the MTF of lens and pixel with a grating.
 
-    image, roi, cfa, channel, tone: as for `edge_mtf`; the region holds one grating, and may hold what is around it. grating,
-    projection: a chart's grating and where the page's points lie in the picture, both or neither: they replace roi,
-    profile, contrast, duty and near. profile: "bars", "sine" or "lines"; duty: bright share of a period of lines.
-    contrast: (bright - dark) / (bright + dark) of the print, linear. near: the frequency (fx, fy), cycles/px, roughly: only
-    needed if it is beyond Nyquist; without it the frequency is taken to be below.
+    It is found at the grating's frequency and at its harmonics.
+    Phases are fitted, so that no error is made by where pixels lie on the bars. Harmonics that look alike on the grid, or like
+    the mean, get the errors that they deserve. Those that say nothing are left out.
 
-    Phases are fitted, so no error is made by where pixels lie on the bars; harmonics that look alike on the grid, or like the
-    mean, get the errors that they deserve, and those that say nothing are left out. Raises ArgumentError, and FitError where
-    there is no grating.
+    Args:
+        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        roi: region (x, y, width, height) that holds one grating, px. Default: None, all of the picture. It may hold what is
+            around the grating.
+        grating: the grating as a chart describes it. Default: None, it is found. Give it with `projection`; both replace roi,
+            profile, contrast, duty and near.
+        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `grating`.
+        profile: "bars", "sine" or "lines" (no unit). Default: "bars".
+        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None; it must be given where
+            `grating` is not.
+        duty: bright share of a period of lines (no unit). Default: 0.5.
+        near: frequency (fx, fy), roughly, cycles/px. Default: None, it lies below Nyquist. Give it
+            for a grating beyond.
+        cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
+        channel: colour, as in `LinearImage.of` (no unit). Default: None.
+        tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
+
+    Returns:
+        The MTF at the harmonics that say something, with its covariance.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or only one of `grating` and `projection` is given.
+        FitError: if there is no grating, or none that can be measured.
+
+    Source:
+        J. W. Coltman, JOSA 44, 468 (1954), for square waves; docs/model.md 7; docs/targets.md.
+
+    Example:
+        >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
+        >>> sine = 1000 * (1 + 0.25 * np.cos(2 * np.pi * 0.16 * x))
+        >>> result = matcam.grating_mtf(sine, profile="sine", contrast=0.5)
+        >>> np.round(result.samples.frequency, 3), np.round(result.samples.mtf, 3)
+        (array([0.161]), array([0.5]))
     """
-    picture = np.asarray(image)
-    check_given("grating", grating, projection)
+    check_projection_given("grating", grating, projection)
     if grating is not None and projection is not None:
-        found, box = _as_printed(grating, projection, picture.shape)
-        values, (x0, y0) = region.cut(image, box, cfa, channel, tone), box[:2]
-    else:
-        if contrast is None:
-            raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark), linear")
-        checks.within("contrast", contrast, 0, 1, open_low=True)
-        checks.within("duty", duty, 0, 1, open_low=True, open_high=True)
-        checks.choice("profile", profile, PROFILES)
-        # bright + dark = 2: only ratios matter
-        print_ = Grating(
-            profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
-        )
-        values = region.cut(image, roi, cfa, channel, tone)
-        if problem := region.flaw(values):
-            raise FitError(problem)
-        found = find_grating(values, near)
-        x0, y0 = region.corner_of(roi)
-    known = grating is not None
-    printed = grating if grating is not None else print_
-    fit, orders, waves = _fitted(values, found, printed)
-    signs = np.ones(len(orders))
-    if not known and fit.coefficients[0] < 0:
-        # nobody said where the bright lines are: the camera does not turn the first harmonic round
-        signs = (-1.0) ** np.array(orders)
-    return _result(
-        fit,
-        signs,
-        orders,
-        waves,
-        printed,
-        (x0, y0),
-        found,
-        region.measured_channel(picture, channel),
-        aperture,
-        source,
+        whole = LinearImage.of(image, channel, cfa, tone)
+        found, box = _expected_grating(grating, projection, whole.shape)
+        picture = region_of(whole, box)
+        fit, orders, wave = _fit_grating(picture.values, found, grating)
+        signs = np.ones(len(orders))
+        return _grating_result(picture, fit, grating, orders, signs, wave)
+    if contrast is None:
+        raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark), linear")
+    checks.within("contrast", contrast, 0, 1, open_low=True)
+    checks.within("duty", duty, 0, 1, open_low=True, open_high=True)
+    checks.choice("profile", profile, PROFILES)
+    # bright + dark = 2: only ratios matter
+    printed = Grating(
+        profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
     )
+    picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+    if problem := region.flaw(picture.values):
+        raise FitError(problem)
+    fit, orders, wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
+    # nobody said where the bright lines are: the camera does not turn the first harmonic round
+    signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)
+    return _grating_result(picture, fit, printed, orders, signs, wave)
 
 
 def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
-    """Sine-wave MTF from contrasts of square waves (Coltman, JOSA 44, 1954, 468).
+    """Return the sine-wave MTF from contrasts of square waves.
 
-    frequency: (n,) rising, cycles/px. contrast: (n,) of bars on the middles of their lines, relative to the print's; the last
-    one should be near 0: beyond it the contrast is taken to be 0, and between them it is interpolated from 1 at frequency 0.
-    Returns the MTF at `frequency`. Raises ArgumentError.
+    The contrast is interpolated between the frequencies, from 1 at frequency 0, and taken to be 0 beyond the last one.
+
+    Args:
+        frequency: (n,) rising, cycles/px.
+        contrast: (n,) contrast of bars on the middles of their lines, relative to the print's (no unit). The last one should
+            be near 0.
+
+    Returns:
+        The MTF (n,) at `frequency`.
+
+    Raises:
+        ArgumentError: if frequencies do not rise from above 0, or a contrast is not finite.
+
+    Source:
+        J. W. Coltman, JOSA 44, 468 (1954).
+
+    Example:
+        >>> f = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
+        >>> np.round(matcam.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
+        array([0.851, 0.55 , 0.314, 0.118, 0.   ])
     """
     f, c = (np.asarray(a, dtype=np.float64) for a in (frequency, contrast))
     if (
@@ -269,6 +212,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
 
 def _moebius(k: int) -> int:
+    """Return Moebius's function of k."""
     sign, p = 1, 2
     while k > 1:
         if k % p == 0:
@@ -280,73 +224,81 @@ def _moebius(k: int) -> int:
     return sign
 
 
-def _as_printed(
-    grating: Grating, projection: Projection, shape: tuple[int, ...]
+def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
+    """Return which pixels lie deeper than the margin inside a convex polygon."""
+    y, x = np.indices(shape).astype(float)
+    middle, inside = corners.mean(0), np.ones(shape, bool)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
+        normal *= np.sign(normal @ (middle - a))
+        inside &= (x - a[0]) * normal[0] + (y - a[1]) * normal[1] > MARGIN
+    return inside
+
+
+def _expected_grating(
+    grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
-    """The grating where the registration expects it, in px of the region that holds it."""
+    """Return a described grating, and the region that holds it."""
     corners = projection(grating.corners)
-    low = np.maximum(np.floor(corners.min(0)).astype(int), 0)
-    high = np.minimum(np.ceil(corners.max(0)).astype(int) + 1, [shape[1], shape[0]])
-    if (high - low < region.SMALLEST).any():
+    box = pixel_box(corners, shape, 0)
+    if min(box[2:]) < SMALLEST:
         raise FitError("the grating lies outside the picture, or covers less than 16 x 16 px of it")
-    inside = inside_of(corners - low, (int(high[1] - low[1]), int(high[0] - low[0])))
+    inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
         raise FitError("the grating covers too few pixels of the picture")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))
-    points = projection(np.array(grating.centre) + u[:, None] * across + v[:, None] * along) - low
-    found = from_points(
-        points[:, 0], points[:, 1], 2 * np.pi * u / grating.period + grating.phase, inside
-    )  # fmt: skip
-    return found, (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+    x, y = (projection(np.array(grating.centre) + u[:, None] * across + v[:, None] * along) - box[:2]).T
+    return FoundGrating.through(x, y, 2 * np.pi * u / grating.period + grating.phase, inside), box
 
 
-def _fitted(
+def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
-) -> tuple[WaveFit, tuple[int, ...], tuple[FloatArray, FloatArray]]:
-    """The wave's fit, its orders, and the mean frequency and direction."""
-    rows, columns = np.nonzero(found.inside & np.isfinite(values))
-    some = enough(np.ones(len(rows), bool))
-    rows, columns = rows[some], columns[some]
-    x, y, value = columns.astype(float), rows.astype(float), values[rows, columns]
-    phase = partial(phase_of, middle=found.middle)
-    _, frequency, _ = local_wave(phase, found.parameters, x, y)
+) -> tuple[WaveFit, tuple[int, ...], _MeanWave]:
+    """Return the wave's fit, its orders, and its mean."""
+    pixels = WavePixels.where(values, found.inside)
+    pixels = pixels.at(pixels.subset())
+    frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
     highest = max(1, int(_HIGHEST / max(float(frequency.mean()), 1e-6)))
-    if printed.profile == "sine":
-        orders: tuple[int, ...] = (1,)
-    else:
-        orders = tuple(n for n in range(1, highest + 1) if abs(harmonic(printed, n)) > 1e-9)
-    sizes = scales(found)
+    orders: tuple[int, ...] = (1,)
+    if printed.profile != "sine":
+        orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
     # first the fundamental alone, which knows the phase but for what its harmonics leave
-    first = (
-        fit_wave(value, x, y, phase, found.parameters, sizes, Modulation(_constant), steps=4, rough=True)
-        if len(value)
-        else None
-    )
-    fit = first and fit_wave(value, x, y, phase, first.parameters, sizes, Modulation(_constant, orders), steps=8)
+    fit = None
+    if pixels.value.size:
+        fit = fit_wave(pixels, found.phase, found.parameters, Modulation(_constant), steps=4, rough=True)
+    fit = fit and fit_wave(pixels, found.phase, fit.parameters, Modulation(_constant, orders))
     if not fit:
         raise FitError("the grating's pixels do not determine its contrast: too few of them in this picture")
     if not fit.signal > _CLEAR:
         raise FitError(
             f"region holds no grating that can be measured: its wave is {fit.signal:.1f} standard deviations strong"
         )
-    if other := _other_wave(value - fit.values, value, rows, columns, values.shape):
+    if other := _other_wave(pixels, fit, values.shape):
         raise FitError(f"region holds no grating that can be measured: {other}")
-    _, frequency, direction = local_wave(phase, fit.parameters, x, y)
-    fx, fy = (frequency * np.cos(direction)).mean(), (frequency * np.sin(direction)).mean()
-    return fit, orders, (np.array([fx, fy]), np.array([x.mean(), y.mean()]))
+    wave = local_wave(found.phase, fit.parameters, pixels.x, pixels.y)
+    fx, fy = (wave.frequency * np.cos(wave.direction)).mean(), (wave.frequency * np.sin(wave.direction)).mean()
+    return fit, orders, _MeanWave(float(fx), float(fy), float(pixels.x.mean()), float(pixels.y.mean()))
 
 
-def _other_wave(
-    residual: FloatArray, value: FloatArray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, ...]
-) -> str:
-    """What else there is than one wave and noise; empty if nothing."""
-    left = residual.var() / value.var()
+class _MeanWave(NamedTuple):
+    """Hold a grating's mean frequency, cycles/px, and mean place, px."""
+
+    fx: float
+    fy: float
+    x: float
+    y: float
+
+
+def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
+    """Say what there is besides one wave and noise, if anything."""
+    residual = pixels.value - fit.values
+    left = residual.var() / pixels.value.var()
     if left < _LEFT:
         return ""
     image = np.zeros(shape)
-    image[rows, columns] = residual
+    image[pixels.y.astype(int), pixels.x.astype(int)] = residual
     power = np.abs(np.fft.rfft2(image)) ** 2
     if power.max() < _WHITE * np.median(power):
         return ""
@@ -354,33 +306,29 @@ def _other_wave(
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return the one function 1: a grating's modulation is the same everywhere."""
     return np.ones((len(frequency), 1))
 
 
-def _result(
-    fit: WaveFit, signs: FloatArray, orders: tuple[int, ...], waves: tuple[FloatArray, FloatArray], printed: Grating,
-    corner: tuple[int, int], found: FoundGrating, channel: str, aperture: float | None, source: str,
-) -> GratingMTF:  # fmt: skip
-    (fx, fy), place = waves
-    f, direction = float(np.hypot(fx, fy)), float(np.arctan2(fy, fx))
+def _grating_result(
+    picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray, wave: _MeanWave
+) -> GratingMTF:
+    """Return a grating's MTF from its harmonics and the print's.
+
+    signs: of the harmonics, where the phase was not known.
+    """
+    f, direction = float(np.hypot(wave.fx, wave.fy)), float(np.arctan2(wave.fy, wave.fx))
     modulation = signs * fit.coefficients
     std = np.sqrt(np.diag(fit.covariance))
-    size = np.array([harmonic(printed, n) for n in orders])
-    telling = np.flatnonzero(std / np.abs(size) < _USEFUL)
-    if not telling.size:
+    size = np.array([printed.harmonic(n) for n in orders])
+    useful = np.flatnonzero(std / np.abs(size) < _USEFUL)
+    if not useful.size:
         raise FitError(
             f"the grating of {f:.3f} cycles/px tells nothing: standard deviation {std[0] / abs(size[0]):.2g} of its MTF"
         )
-    scale = (signs / size)[telling]
-    samples = MTFSamples(
-        "grating",
-        (float(place[0] + corner[0]), float(place[1] + corner[1])),
-        f * np.array(orders)[telling],
-        np.full(telling.size, direction),
-        modulation[telling] / size[telling],
-        fit.covariance[np.ix_(telling, telling)] * np.outer(scale, scale),
-        channel,
-        aperture,
-        source,
-    )
-    return GratingMTF(samples, (float(fx), float(fy)), orders, modulation, std, fit.gain, fit.read_variance)
+    scale = (signs / size)[useful]
+    samples = MTFSamples.of_region(
+        "grating", picture, (wave.x, wave.y), f * np.array(orders)[useful], np.full(useful.size, direction),
+        modulation[useful] / size[useful], fit.covariance[np.ix_(useful, useful)] * np.outer(scale, scale),
+    )  # fmt: skip
+    return GratingMTF(samples, (wave.fx, wave.fy), orders, modulation, std, fit.gain, fit.read_variance)

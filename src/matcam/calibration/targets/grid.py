@@ -1,28 +1,31 @@
-"""A grid of dots: the point spread function at every dot, how it varies over the field, and the MTF that it means.
+"""Grids of dots: the point spread function at every dot, how it varies over the field, and the MTF that it means.
 
-Each dot is fitted as disc x Gaussian x square pixel (place, content, ground, sigma); its size comes from the lattice that all
-dots form, so that the print's scale in the picture needs not be known. What the dots of a zone have in common beyond that, as
-far as second and fourth derivatives see it, makes the zone's MTF, which then is no longer that of a Gaussian.
+Each dot is fitted as disc x Gaussian x square pixel (`dot_fit`). Its size comes from the lattice that all dots form, not from
+the print's scale in the picture. What the dots of a zone have in common beyond that, as far as second and fourth
+derivatives see it, makes the zone's MTF. That is then no longer a Gaussian's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
-from matcam.calibration.chart.registration import Projection, check_given
+from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
 from matcam.calibration.photograph import region
-from matcam.calibration.targets import dot_lattice
-from matcam.calibration.targets.dot_fit import SHARED, DotFit, fit_dots
-from matcam.calibration.targets.dot_lattice import FEWEST, Lattice
+from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
+from matcam.core.json import plain
+from matcam.files.photographs import Photograph
 
 _REACH = 8  # px around a dot
 _ZONE = 60  # dots that a zone should have at least
@@ -32,40 +35,121 @@ _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
 
 
 @dataclass(frozen=True, eq=False)
-class DotGrid:
-    """What a grid of n dots says."""
+class BlurField:
+    """Hold the variance of a Gaussian lens over the field.
 
-    x: FloatArray
-    y: FloatArray
-    """(n,) px in the picture."""
-    sigma: FloatArray
-    """(n,) px: of the lens as a Gaussian behind a pixel of the stated half width."""
-    sigma_std: FloatArray
-    samples: tuple[MTFSamples, ...]
-    """The MTF of lens and pixel in zones of the field, free of the Gaussian."""
-    field: FloatArray
-    """(6,) of sigma^2 over u, v: 1, u, v, u^2, u v, v^2; u, v = px from the grid's middle over its half width."""
-    field_covariance: FloatArray
+    It is a polynomial of second order.
+
+    Attributes:
+        coefficients: (6,) of sigma^2 over 1, u, v, u^2, u v, v^2, px^2; u, v: px from `middle` over `half`.
+        covariance: (6, 6) of `coefficients`.
+        middle: (x, y) of the grid's middle, px.
+        half: half the grid's extent, px.
+    """
+
+    coefficients: FloatArray
+    covariance: FloatArray
     middle: tuple[float, float]
     half: float
-    radius: float
-    """px, mean of the dots' radii as they should be in the picture."""
-    gain: float
-    read_variance: float
-    """Noise as found: a pixel's variance is gain * value + read_variance."""
+
+    @classmethod
+    def through(cls, x: FloatArray, y: FloatArray, variance: FloatArray, std: FloatArray) -> BlurField:
+        """Return the field through the variances of dots.
+
+        x, y: (n,) px. variance, std: (n,) of the lens at each dot, px^2.
+        """
+        middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
+        half = float(max(np.ptp(x), np.ptp(y)) / 2)
+        terms = _terms((x - middle[0]) / half, (y - middle[1]) / half)
+        terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
+        # errors of like dots are alike: a dot's own, from its own noise, would favour those that look sharp by chance
+        weight = 1 / np.median(std) ** 2
+        inverse = np.linalg.inv(terms.T @ terms * weight)
+        found, covariance = np.zeros(_FIELD), np.zeros((_FIELD, _FIELD))
+        found[: terms.shape[1]] = inverse @ (terms.T @ (weight * variance))
+        covariance[: terms.shape[1], : terms.shape[1]] = inverse
+        return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """sigma and its standard deviation, px, at places of the picture, px: by the smooth field."""
+        """Return sigma and its standard deviation at places, px."""
         terms = _terms(
             (np.asarray(x, float) - self.middle[0]) / self.half, (np.asarray(y, float) - self.middle[1]) / self.half
         )
-        square = np.maximum(terms @ self.field, 1e-6)
-        variance = ((terms @ self.field_covariance) * terms).sum(-1)
+        square = np.maximum(terms @ self.coefficients, 1e-6)
+        variance = ((terms @ self.covariance) * terms).sum(-1)
         return np.sqrt(square), np.sqrt(np.maximum(variance, 0) / square) / 2
 
 
+@dataclass(frozen=True, eq=False)
+class DotGrid:
+    """Hold the blur at n dots, over the field, and its MTF.
+
+    Attributes:
+        x: (n,) places of the dots in the picture, px.
+        y: (n,) px.
+        sigma: (n,) standard deviation of the lens as a Gaussian, behind a pixel of the stated half width, px.
+        sigma_std: (n,) its standard deviation, px.
+        samples: MTF of lens and pixel in zones of the field, free of the Gaussian.
+        field: smooth blur over the field.
+        radius: mean of the dots' radii as they should be in the picture, px.
+        gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
+        read_variance: variance of a dark pixel, in squared units of the values.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    sigma: FloatArray
+    sigma_std: FloatArray
+    samples: tuple[MTFSamples, ...]
+    field: BlurField
+    radius: float
+    gain: float
+    read_variance: float
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Return the middle of the grid in the picture, (x, y) px."""
+        return self.field.middle
+
+    def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the lens's sigma anywhere in the picture, by the smooth field.
+
+        Args:
+            x: columns, px.
+            y: rows, px.
+
+        Returns:
+            Sigma and its standard deviation, px, in the shape of `x` and `y`.
+        """
+        return self.field.sigma_at(x, y)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON object.
+
+        Returns:
+            All attributes, with units in the names of those that have one. The field is given as sigma in the grid's middle and
+            at the corners of the square around it.
+        """
+        middle, half = np.array(self.middle), self.field.half
+        places = middle + half * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
+        sigma, std = self.sigma_at(*places.T)
+        return plain(
+            {
+                "x_px": self.x,
+                "y_px": self.y,
+                "sigma_px": self.sigma,
+                "sigma_std_px": self.sigma_std,
+                "samples": [one.to_dict() for one in self.samples],
+                "field": {"place_px": places, "sigma_px": sigma, "sigma_std_px": std},
+                "radius_px": self.radius,
+                "gain": self.gain,
+                "read_variance": self.read_variance,
+            }
+        )
+
+
 def dot_grid(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     roi: Sequence[int] | None = None,
     *,
     dots: Dots | None = None,
@@ -74,25 +158,52 @@ def dot_grid(
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
-    aperture: float | None = None,
-    source: str = "",
+    tone: Tone = "linear",
 ) -> DotGrid:
-    """PSF and MTF of a camera over the field, from a square grid of round dots, dark or bright (MODEL 7).
+    """Measure a camera's blur over the field with a grid of dots.
 
-    image, roi, cfa, channel, tone: as for `edge_mtf`; the region holds nothing but the grid. dots, projection: a chart's
-    dots and where the page's points lie in the picture, both or neither; they replace roi and radius. radius: of the dots
-    over their pitch. half_width: of the pixel's sensitive area, px, (0, 0.5]: sigma depends on it, the MTF does not.
+    Dots are round, dark or bright, on a square lattice.
 
-    Raises ArgumentError, and FitError where there is no grid that can be measured.
+    Args:
+        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        roi: region (x, y, width, height) that holds nothing but the grid, px. Default: None, all of the picture.
+        dots: the dots as a chart describes them. Default: None, they are found. Give them with `projection`; both replace `roi`
+            and `radius`.
+        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `dots`.
+        radius: radius of the dots over their pitch, inside (0, 0.5) (no unit). Default: None; it must be given where `dots` is
+            not, because blur cannot be told from size.
+        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. Sigma depends on it, the MTF
+            hardly does.
+        cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
+        channel: colour, as in `LinearImage.of` (no unit). Default: None.
+        tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
+
+    Returns:
+        Sigma at every dot and over the field, and the MTF in zones of the field.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or only one of `dots` and `projection` is given.
+        FitError: if there is no grid that can be measured.
+
+    Source:
+        docs/model.md 7; docs/targets.md.
+
+    Example:
+        >>> y, x = np.mgrid[:90, :90]
+        >>> page = np.full((90, 90), 1000.0)
+        >>> for column in range(9, 90, 12):
+        ...     for row in range(9, 90, 12):
+        ...         page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2)
+        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> grid.sigma.size, bool(np.abs(grid.sigma / 0.9 - 1).max() < 0.1)
+        (49, True)
     """
-    picture = np.asarray(image)
-    check_given("dots", dots, projection)
+    check_projection_given("dots", dots, projection)
     half_width = float(
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     )
     if dots is not None and projection is not None:
-        values, lattice, corner = _as_printed(picture, dots, projection, cfa, channel, tone)
+        picture, lattice = _expected_dots(LinearImage.of(image, channel, cfa, tone), dots, projection)
         size = dots.radius
     else:
         if radius is None:
@@ -100,105 +211,63 @@ def dot_grid(
                 "radius of the dots over their pitch must be given: the blur cannot be told from their size"
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
-        values = region.cut(image, roi, cfa, channel, tone)
-        if problem := region.flaw(values):
+        picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+        if problem := region.flaw(picture.values):
             raise FitError(problem)
-        lattice = dot_lattice.lattice_of(*dot_lattice.find_dots(values))
-        corner = region.corner_of(roi)
-    fit = fit_dots(values, lattice, size, half_width)
-    return _result(fit, corner, half_width, region.measured_channel(picture, channel), aperture, source)
+        lattice = square_lattice(*find_dots(picture.values))
+    return _grid_result(picture, fit_dots(picture.values, lattice, size, half_width), half_width)
 
 
-def _as_printed(
-    picture: np.ndarray,
-    dots: Dots,
-    projection: Projection,
-    cfa: str | None,
-    channel: str | None,
-    tone: str | ArrayLike | None,
-) -> tuple[FloatArray, Lattice, tuple[int, int]]:
-    """The grid's region, and its dots where the registration expects them."""
+def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tuple[LinearImage, DotLattice]:
+    """Return the region of a described grid, and its dots."""
     printed = np.array(dots.centres)
     seen = projection(printed)
-    inside = (seen > 2).all(1) & (seen < np.array(picture.shape[1::-1]) - 3).all(1)
+    inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
         raise FitError("the grid of dots lies outside the picture")
-    printed, seen = printed[inside], seen[inside]
-    low = np.maximum(np.floor(seen.min(0)).astype(int) - _REACH, 0)
-    high = np.minimum(np.ceil(seen.max(0)).astype(int) + _REACH + 1, picture.shape[1::-1])
-    box = (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
-    values = region.cut(picture, box, cfa, channel, tone)
-    u, v = printed.T
-    return values, Lattice(seen[:, 0] - low[0], seen[:, 1] - low[1], u, v), box[:2]
+    box = pixel_box(seen[inside], whole.shape, _REACH)
+    x, y = (seen[inside] - box[:2]).T
+    return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
 
 
 def _terms(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the terms of a polynomial of second order, (n, 6)."""
     return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
 
 
-def _result(
-    fit: DotFit, corner: tuple[int, int], half_width: float, channel: str, aperture: float | None, source: str
-) -> DotGrid:  # fmt: skip
-    x, y, square = fit.parameters[:, 4] + corner[0], fit.parameters[:, 5] + corner[1], fit.parameters[:, 6]
-    middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
-    half = float(max(np.ptp(x), np.ptp(y)) / 2)
-    terms = _terms((x - middle[0]) / half, (y - middle[1]) / half)
-    terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
-    # errors of like dots are alike: a dot's own, from its own noise, would favour those that look sharp by chance
-    weight = 1 / np.median(fit.std[:, 6]) ** 2
-    inverse = np.linalg.inv(terms.T @ terms * weight)
-    found, covariance = np.zeros(_FIELD), np.zeros((_FIELD, _FIELD))
-    found[: terms.shape[1]] = inverse @ (terms.T @ (weight * square))
-    covariance[: terms.shape[1], : terms.shape[1]] = inverse
+def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:
+    """Return what dots say in each zone and over the field."""
+    x, y, variance = fit.parameters[:, 4:7].T
     across = int(max(1, min(3, np.sqrt(len(x) / _ZONE))))
-    edges = [np.quantile(a, np.linspace(0, 1, across + 1)[1:-1]) for a in (x, y)]
-    zone = np.searchsorted(edges[0], x) + across * np.searchsorted(edges[1], y)
-    samples = tuple(
-        _samples(
-            fit,
-            zone == k,
-            (float(x[zone == k].mean()), float(y[zone == k].mean())),
-            half_width,
-            channel,
-            aperture,
-            source,
-        )
-        for k in range(across * across)
-        if (zone == k).sum() >= FEWEST
-    )
-    sigma = np.sqrt(square)
+    borders = [np.quantile(a, np.linspace(0, 1, across + 1)[1:-1]) for a in (x, y)]
+    zone = np.searchsorted(borders[0], x) + across * np.searchsorted(borders[1], y)
+    zones = [fit.subset(zone == k) for k in range(across * across) if (zone == k).sum() >= FEWEST]
+    sigma = np.sqrt(variance)
+    left, top = picture.corner
     return DotGrid(
-        x,
-        y,
+        x + left,
+        y + top,
         sigma,
         fit.std[:, 6] / (2 * sigma),
-        samples,
-        found,
-        covariance,
-        middle,
-        half,
+        tuple(_zone_samples(picture, dots, half_width) for dots in zones),
+        BlurField.through(x + left, y + top, variance, fit.std[:, 6]),
         fit.radius,
         fit.gain,
-        fit.read,
+        fit.read_variance,
     )
 
 
-def _samples(
-    fit: DotFit,
-    zone: FloatArray,
-    place: tuple[float, float],
-    half_width: float,
-    channel: str,
-    aperture: float | None,
-    source: str,
-) -> MTFSamples:
-    """A zone's MTF: that of its mean Gaussian, times 1 + a polynomial of the frequencies, which its dots share."""
-    own = fit.design[zone][:, :, :6]
-    weight, shared = fit.weight[zone], fit.shared[zone]
-    pilot = fit.parameters[zone, 6]
+def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFSamples:
+    """Return the MTF of a zone.
+
+    It is that of the zone's mean Gaussian, times 1 + a polynomial of the frequencies, which its dots share.
+    """
+    own = dots.design[:, :, :6]
+    weight, shared = dots.weight, dots.shared
+    pilot = dots.parameters[:, 6]
     mean = float(np.mean(pilot))
     # about one sigma for all: what a dot's own adds to it is taken back, to first order
-    residual = fit.residual[zone] + fit.design[zone][:, :, 6] * (pilot - mean)[:, None]
+    residual = dots.residual + dots.design[:, :, 6] * (pilot - mean)[:, None]
     a = np.einsum("npi,np,npj->nij", own, weight, own)
     b = np.einsum("npi,np,npj->nij", own, weight, shared)
     r = np.einsum("npi,np->ni", own, weight * residual)
@@ -213,14 +282,6 @@ def _samples(
     gaussian = np.exp(-mean * (wx**2 + wy**2) / 2) * box
     rows = gaussian[:, None] * turned
     covariance = rows @ covariance @ rows.T
-    return MTFSamples(
-        "dots",
-        place,
-        _FREQUENCY,
-        _DIRECTION,
-        gaussian + rows @ found,
-        (covariance + covariance.T) / 2,
-        channel,
-        aperture,
-        source,
-    )
+    x, y = dots.parameters[:, 4:6].mean(0)
+    mtf, covariance = gaussian + rows @ found, (covariance + covariance.T) / 2
+    return MTFSamples.of_region("dots", picture, (x, y), _FREQUENCY, _DIRECTION, mtf, covariance)

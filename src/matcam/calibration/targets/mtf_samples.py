@@ -1,41 +1,57 @@
-"""What every way of measuring a camera hands to the fit that joins them: values of the MTF, and their covariance."""
+"""MTF samples: what every target hands to the fit that joins them, values of the MTF and their covariance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import ArgumentError
+from matcam.core.json import plain
 
 KINDS = ("edge", "grating", "star", "dots")
 
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
-    """The effective camera's MTF (optics and pixel, signed) as it was found at n frequencies in one place of one picture.
+    """Hold a camera's MTF as measured at n frequencies in one place.
 
-    Raises ArgumentError where shapes disagree, a number is not finite, or a variance is not positive.
+    The MTF is the effective camera's: optics and pixel, signed.
+
+    Attributes:
+        kind: target: "edge", "grating", "star" or "dots".
+        position: (x, y) of the target's middle in the picture, px; pixel centres on whole numbers, row 0 on top.
+        frequency: (n,) positive, cycles/px of the sensor's full grid, whatever plane of a mosaic was measured.
+        direction: (n,) direction of the frequency to the picture's rows, rad; x right, y down. direction + pi means the same.
+        mtf: (n,) no unit.
+        covariance: (n, n) of `mtf`; errors that the samples share (levels, contrast, place) stand off the diagonal.
+        channel: "R", "G", "B", "Y" (luminance) or "grey". Default: "grey".
+        f_number: f-number of the picture (no unit). Default: None, not known.
+        source: file and target, for messages and the profile's provenance. Default: "".
+
+    Raises:
+        ArgumentError: if shapes disagree, a value is not finite, or a variance is not positive.
+
+    Source:
+        docs/targets.md.
+
+    Example:
+        >>> samples = matcam.MTFSamples("star", (320.0, 240.0), [0.1, 0.2], [0, 0], [0.93, 0.75], np.diag([1e-4, 4e-4]))
+        >>> samples.mtf_std
+        array([0.01, 0.02])
     """
 
     kind: str
-    """Of the target: "edge", "grating", "star", "dots"."""
     position: tuple[float, float]
-    """(x, y) px of the target's middle in the picture, pixel centres on whole numbers, row 0 on top."""
     frequency: np.ndarray
-    """(n,) cycles/px, positive: on the sensor's full grid, whatever plane of a mosaic was measured."""
     direction: np.ndarray
-    """(n,) rad, of the frequency to the picture's rows: x right, y down. Even: direction + pi means the same."""
     mtf: np.ndarray
-    """(n,)"""
     covariance: np.ndarray
-    """(n, n) of `mtf`: errors that the samples share (levels, contrast, place) stand off the diagonal."""
     channel: str = "grey"
-    """"R", "G", "B", "Y" (luminance) or "grey"."""
-    aperture: float | None = None
-    """f-number of the picture; None: not known."""
+    f_number: float | None = None
     source: str = ""
-    """File and region, for messages and the profile's provenance."""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -59,7 +75,52 @@ class MTFSamples:
             raise ArgumentError("covariance must be symmetric, with positive variances")
         object.__setattr__(self, "covariance", covariance)
 
+    @classmethod
+    def of_region(
+        cls, kind: str, region: LinearImage, place: tuple[float, float], frequency: np.ndarray, direction: np.ndarray,
+        mtf: np.ndarray, covariance: np.ndarray,
+    ) -> MTFSamples:  # fmt: skip
+        """Return samples measured in a region, which says where they come from.
+
+        Args:
+            kind: target: "edge", "grating", "star" or "dots".
+            region: pixels of the target; its corner, channel, f-number and source are taken over.
+            place: (x, y) of the target's middle in the region, px.
+            frequency: (n,) cycles/px.
+            direction: (n,) rad.
+            mtf: (n,) no unit.
+            covariance: (n, n) of `mtf`.
+
+        Returns:
+            The samples, placed in the whole picture.
+        """
+        position = (float(place[0] + region.corner[0]), float(place[1] + region.corner[1]))
+        return cls(
+            kind, position, frequency, direction, mtf, covariance, region.channel, region.f_number, region.source
+        )
+
     @property
     def mtf_std(self) -> np.ndarray:
-        """(n,) standard deviations of `mtf`."""
+        """Return the standard deviations (n,) of `mtf`."""
         return np.sqrt(np.diag(self.covariance))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the samples as a JSON object.
+
+        Returns:
+            All attributes, with units in the names of those that have one, and the standard deviations.
+        """
+        return plain(
+            {
+                "kind": self.kind,
+                "position_px": self.position,
+                "frequency_cycles_per_px": self.frequency,
+                "direction_rad": self.direction,
+                "mtf": self.mtf,
+                "mtf_std": self.mtf_std,
+                "covariance": self.covariance,
+                "channel": self.channel,
+                "f_number": self.f_number,
+                "source": self.source,
+            }
+        )

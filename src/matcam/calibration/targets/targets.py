@@ -1,86 +1,130 @@
-"""All gratings, stars and dots of a described chart in one photograph: what each says of the MTF."""
+"""The targets of a described chart in one photograph: gratings, stars and dots, and what each says of the MTF."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.calibration.chart.chart import Chart, Dots, Grating, Patch, Square, Star
-from matcam.calibration.chart.registration import Registration, register_chart
-from matcam.calibration.photograph import region
+from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
+from matcam.calibration.chart.registration import Projection, register_chart
+from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.gratings import grating_mtf
 from matcam.calibration.targets.grid import DotGrid, dot_grid
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.star import star_mtf
 from matcam.core.errors import FitError
+from matcam.core.remark import Remark, texts
+from matcam.files.photographs import Photograph
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What a chart's targets say in one photograph and one channel."""
+    """Hold what a chart's targets say in one photograph and one channel.
+
+    Attributes:
+        samples: MTF of every target that could be measured.
+        grids: blur over the field, of every grid of dots.
+        problems: targets that could not be measured, and why, as remarks.
+        registration: where the chart lies.
+    """
 
     samples: tuple[MTFSamples, ...]
     grids: tuple[DotGrid, ...]
-    """The lens's blur over the field, of every grid of dots."""
-    problems: tuple[str, ...]
-    """Which targets cannot be measured, and why."""
-    registration: Registration
+    problems: tuple[Remark, ...]
+    registration: Projection
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON object.
+
+        Returns:
+            Samples, grids and problems.
+        """
+        return {
+            "samples": [samples.to_dict() for samples in self.samples],
+            "grids": [grid.to_dict() for grid in self.grids],
+            "problems": texts(self.problems),
+        }
 
 
 def measure_targets(
-    image: ArrayLike,
+    image: ArrayLike | Photograph | LinearImage,
     chart: Chart,
     *,
-    registration: Registration | None = None,
+    registration: Projection | None = None,
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: str | ArrayLike | None = None,
-    aperture: float | None = None,
+    tone: Tone = "linear",
+    f_number: float | None = None,
     source: str = "",
 ) -> Targets:
-    """Find a chart in a photograph and measure its gratings, stars and dots; squares are the edges' business.
+    """Find a chart, and measure its gratings, stars and dots.
 
-    image, cfa, channel, tone: as for `edge_mtf`. registration: where the chart lies, if that is known from another channel.
-    half_width: of the pixel's sensitive area, px, (0, 0.5]: only the grids' sigma depends on it. aperture: f-number, source:
-    file; handed on to the samples, to which source adds the target. A target that cannot be measured becomes a line of
-    `problems`. Raises ArgumentError for bad arguments, FitError where the chart is not found.
+    Squares are left to `edge_mtf` and `calibrate`. A target that cannot be measured is listed, and the others are measured.
+
+    Args:
+        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        chart: what the picture shows.
+        registration: map from the chart's page, mm, to the picture, px. Default: None, it is found. Give it if it is known from
+            another channel.
+        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. Only grids depend on it.
+        cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
+        channel: colour, as in `LinearImage.of` (no unit). Default: None.
+        tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
+        f_number: f-number of the picture (no unit). Default: None, the image's own.
+        source: name of the file; the samples' sources add the target to it (no unit). Default: "", the image's own.
+
+    Returns:
+        The MTF of every target, the blur over the field of every grid, and which targets could not be measured.
+
+    Raises:
+        ArgumentError: if an argument is out of range.
+        FitError: if the chart is not found.
+
+    Source:
+        docs/targets.md.
+
+    Example:
+        >>> chart = matcam.design_chart(["dots"], pixels_across=300)
+        >>> y, x = np.mgrid[:213, :300]
+        >>> page = np.full(y.shape, 1000.0)
+        >>> for column, row in chart.elements[-1].centres:
+        ...     page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2.5)
+        >>> found = matcam.measure_targets(page, chart, registration=lambda mm: mm, source="a.png")  # 1 px is 1 mm
+        >>> found.samples[0].source, found.problems
+        ('a.png: dots 11', ())
     """
-    picture = np.asarray(image)
+    picture = LinearImage.of(image, channel, cfa, tone)
+    f_number = picture.f_number if f_number is None else f_number
+    source = source or picture.source
     if registration is None:
         # colours only matter for blur: all of a mosaic's pixels know where the chart lies
-        linear = region.cut(picture, None, None, (channel or "Y") if picture.ndim == 3 else None, tone)
-        registration = register_chart(linear, chart, mosaic=cfa is not None)
+        mosaic = cfa is not None
+        registration = register_chart(
+            region_of(image, tone=tone) if mosaic else region_of(picture), chart, mosaic=mosaic
+        )
     samples: list[MTFSamples] = []
     grids: list[DotGrid] = []
-    problems: list[str] = []
+    problems: list[Remark] = []
     for number, element in enumerate(chart.elements):
-        if isinstance(element, Square | Patch):
-            continue
         name = f"{source}{': ' if source else ''}{type(element).__name__.lower()} {number}"
         try:
             if isinstance(element, Grating):
                 name += f" ({element.profile})"
-                grating = grating_mtf(
-                    picture, grating=element, projection=registration, cfa=cfa, channel=channel, tone=tone,
-                    aperture=aperture, source=name,
-                )  # fmt: skip
-                samples.append(grating.samples)
+                found = [grating_mtf(picture, grating=element, projection=registration).samples]
             elif isinstance(element, Star):
-                star = star_mtf(
-                    picture, star=element, projection=registration, cfa=cfa, channel=channel, tone=tone, aperture=aperture,
-                    source=name,
-                )  # fmt: skip
-                samples.append(star.samples)
+                found = [star_mtf(picture, star=element, projection=registration).samples]
             elif isinstance(element, Dots):
-                grid = dot_grid(
-                    picture, dots=element, projection=registration, half_width=half_width, cfa=cfa, channel=channel,
-                    tone=tone, aperture=aperture, source=name,
-                )  # fmt: skip
-                grids.append(grid)
-                samples += grid.samples
+                grid = dot_grid(picture, dots=element, projection=registration, half_width=half_width)
+                found = [replace(one, source=name, f_number=f_number) for one in grid.samples]
+                grids.append(replace(grid, samples=tuple(found)))
+            else:  # squares and patches have edges and levels
+                continue
         except FitError as error:
-            problems.append(f"{name}: {error}")
+            problems.append(Remark("target-not-measured", f"{name}: {error}"))
+        else:
+            samples += [replace(one, source=name, f_number=f_number) for one in found]
     return Targets(tuple(samples), tuple(grids), tuple(problems), registration)

@@ -1,118 +1,144 @@
-"""A picture's noise, from what a fit has left of it.
+"""The fit of a printed wave to the pixels of a picture: light x (1 + modulation), with a phase that is nearly known.
 
-A printed wave in a picture: light x (1 + modulation), whose phase is nearly known, fitted to the pixels as they are.
+A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven light).
+Phi is the phase with a few parameters p (place, perspective, distortion). f and a are the phase's own local frequency and
+direction, and b_k smooth functions of them. The camera multiplies a wave of frequency f along a by its MTF (docs/model.md 2):
+c b / contrast is that MTF, signed. Nothing is resampled or windowed, and pixels may be missing (mosaics). What aliases is not
+mistaken for anything else, because its phase is known.
 
-A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))]:  L a polynomial (uneven light), Phi
-the phase with a few parameters p (place, perspective, distortion), (f, a) the phase's own local frequency and direction,
-b_k smooth functions of them. The camera multiplies a wave of frequency f along a by its MTF (MODEL 2), so c b / contrast is
-that MTF, signed. Nothing is resampled or windowed, and pixels may be missing (mosaics): what aliases is not mistaken for
-anything else, because its phase is known.
-
-Gauss-Newton with variances from the model (MODEL 8); the gain and read noise of the picture come from its residuals.
+The fit goes by Gauss and Newton with variances from the model (docs/model.md 8). Gain and read noise of the picture come from
+its residuals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from matcam.core.jax import FloatArray
+from matcam.numerics.linalg import scaled_inverse
 
 _ROUNDING = 1e-13  # of the mean square: no picture is without any
-
-
-def noise_of(residual: np.ndarray, value: np.ndarray) -> tuple[float, float]:
-    """gain and read variance, both >= 0, for which gain * value + read variance explains squared residuals best.
-
-    value: what the model expects of the pixels. Raised to what rounding leaves, so that both are never 0 together.
-    """
-    square, level = residual**2, np.maximum(value, 0)
-    least = _ROUNDING * float((value**2).mean()) + 1e-300
-    off = level - level.mean()
-    gain = float((off * (square - square.mean())).sum() / max(float((off * off).sum()), 1e-300))
-    gain = min(max(gain, 0.0), float(square.mean() / max(float(level.mean()), 1e-300)))
-    return gain, max(float(square.mean() - gain * level.mean()), least)
-
-
-Phase = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""(parameters (m,), x, y) -> phase, rad."""
-
 _STEP = 1e-3  # px
-_RIDGE = 1e-12
+_DEGREE = 2  # of the light
 _WEIGHTED = 4  # steps after which weights are those of the noise
 _SETTLED, _ROUGH = 1e-4, 1e-2  # rad
-_MOST = 200_000  # pixels: more cost memory, and tell what these have told
-_FEWEST = 3.0  # pixels for each number that is fitted
+_MOST = 200_000  # pixels: more cost memory, and add little to what these say
+_FEWEST = 3.0  # pixels for each parameter
+
+
+class Phase(Protocol):
+    """Give the phase of a printed wave at pixels."""
+
+    @property
+    def scale(self) -> FloatArray:
+        """Return changes (m,) of the parameters that turn phases by 1 rad."""
+
+    def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the phase at px, rad. parameters: (m,)."""
+
+
+class WavePixels(NamedTuple):
+    """Hold n pixels of a picture.
+
+    Attributes:
+        value: (n,) linear light.
+        x: (n,) px.
+        y: (n,) px.
+    """
+
+    value: FloatArray
+    x: FloatArray
+    y: FloatArray
+
+    @classmethod
+    def where(cls, values: FloatArray, mask: np.ndarray) -> WavePixels:
+        """Return the pixels of a region inside a mask with data."""
+        rows, columns = np.nonzero(mask & np.isfinite(values))
+        return cls(values[rows, columns], columns.astype(float), rows.astype(float))
+
+    def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
+        """Return indices of as many pixels as a fit needs.
+
+        They are spread evenly over a mask (n,), and always the same ones.
+        """
+        places = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
+        most = _MOST if most is None else most
+        if len(places) <= most:
+            return places
+        return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
+
+    def at(self, indices: np.ndarray) -> WavePixels:
+        """Return some of the pixels."""
+        return WavePixels(*(column[indices] for column in self))
 
 
 @dataclass(frozen=True)
 class Modulation:
-    """The functions b_k cos(h_k Phi), and what they are worth where."""
+    """Say which functions b_k cos(h_k Phi) the modulation is made of.
+
+    Attributes:
+        basis: functions of frequency and direction (n,) -> (n, k) for one harmonic; the frequency is the harmonic's own.
+        orders: h_k.
+    """
 
     basis: Callable[[FloatArray, FloatArray], FloatArray]
-    """(f, direction) (n,) -> (n, k) for one harmonic: f is the harmonic's own."""
     orders: tuple[int, ...] = (1,)
 
 
 @dataclass(frozen=True, eq=False)
 class WaveFit:
-    """What was found: coefficients of light and modulation, phase parameters, and their errors."""
+    """Hold a wave's modulation and phase as fitted, and their errors.
 
-    light: FloatArray
+    Attributes:
+        coefficients: (orders * k,) of the modulation.
+        covariance: of `coefficients`, with light and phase free.
+        parameters: (m,) of the phase.
+        parameters_std: (m,).
+        gain: variance of a pixel over its value, without read noise.
+        read_variance: variance of a dark pixel.
+        chi2: per degree of freedom, under the last step's weights: 1 where noise explains all.
+        values: (n,) the model at every pixel.
+        signal: modulation over its standard deviation: below 5 there is no wave.
+    """
+
     coefficients: FloatArray
-    """(orders * k,)"""
     covariance: FloatArray
-    """Of `coefficients`, with light and phase free."""
     parameters: FloatArray
     parameters_std: FloatArray
     gain: float
     read_variance: float
-    """Variance of a pixel: gain * value + read_variance."""
     chi2: float
-    """Per degree of freedom, of the last step's weights: 1 where noise explains all."""
-    step: float
-    """Largest last change of a phase parameter, in its standard deviations: converged if well below 1."""
     values: FloatArray
-    """The model at every pixel."""
     signal: float
-    """Modulation over its standard deviation: below 5 there is no wave."""
 
 
-def enough(used: np.ndarray, most: int | None = None) -> np.ndarray:
-    """Indices of as many of the True entries as a fit needs, spread evenly, always the same ones; of all if they are few."""
-    places, most = np.flatnonzero(used), _MOST if most is None else most
-    if len(places) <= most:
-        return places
-    return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
+class LocalWave(NamedTuple):
+    """Hold what a wave looks like at n pixels.
 
+    Attributes:
+        phase: (n,) rad.
+        frequency: (n,) cycles/px.
+        direction: (n,) rad.
+    """
 
-def local_wave(
-    phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Phase, frequency (cycles/px) and direction (rad) of a wave at pixels."""
-    by_x = phase(parameters, x + _STEP, y) - phase(parameters, x - _STEP, y)
-    by_y = phase(parameters, x, y + _STEP) - phase(parameters, x, y - _STEP)
-    # two ends of a step may lie on both sides of the cut of an angle
-    by_x, by_y = (np.mod(d + np.pi, 2 * np.pi) - np.pi for d in (by_x, by_y))
-    return (
-        phase(parameters, x, y),
-        np.hypot(by_x, by_y) / (4 * np.pi * _STEP),
-        np.arctan2(by_y, by_x),
-    )
+    phase: FloatArray
+    frequency: FloatArray
+    direction: FloatArray
 
 
 def fit_wave(
-    value: FloatArray, x: FloatArray, y: FloatArray, phase: Phase, start: FloatArray, scale: FloatArray, modulation: Modulation,
-    degree: int = 2, steps: int = 8, rough: bool = False,
-) -> WaveFit | None:  # fmt: skip
-    """Fit a wave to pixels (n,); None where they do not determine it.
+    pixels: WavePixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
+) -> WaveFit | None:
+    """Fit a wave to pixels; None if they do not determine it.
 
-    start: phase parameters; scale: changes of them that move the phase by about 1 rad somewhere. degree: of the light. rough:
-    only the phase is wanted, to 0.01 rad.
+    start: parameters of the phase. steps: at most so many. rough: only the phase is wanted, to 0.01 rad.
     """
-    powers = _powers(x, y, degree)
+    (value, x, y), scale = pixels, phase.scale
+    powers = _powers(x, y, _DEGREE)
     parameters = np.array(start, dtype=float)
     weight = np.ones_like(value)
     light = np.zeros(powers.shape[1])
@@ -129,25 +155,23 @@ def fit_wave(
         design = [powers * (1 + wave)[:, None], level[:, None] * columns]
         if moving:
             tilt = level * (slopes @ coefficients)
-            at = phase(parameters, x, y)
+            at = phase.at(parameters, x, y)
             for i, size in enumerate(scale * 1e-4):
                 moved = parameters.copy()
                 moved[i] += size
-                turned = np.mod(phase(moved, x, y) - at + np.pi, 2 * np.pi) - np.pi
+                turned = np.mod(phase.at(moved, x, y) - at + np.pi, 2 * np.pi) - np.pi
                 design.append((tilt * turned / size)[:, None])
         matrix = np.concatenate(design, axis=1)
         if value.size < _FEWEST * matrix.shape[1]:
             return None
         residual = value - level * (1 + wave)
         if moving and step > 2:
-            gain, read = noise_of(residual, level * (1 + wave))
+            gain, read = noise_from_residuals(residual, level * (1 + wave))
             weight = 1 / (gain * np.maximum(level * (1 + wave), 0) + read)
         normal = (matrix.T * weight) @ matrix
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        try:
-            inverse = np.linalg.inv(normal / np.outer(size, size) + _RIDGE * np.eye(size.size)) / np.outer(size, size)
-        except np.linalg.LinAlgError:
+        if not np.isfinite(normal).all():
             return None
+        inverse = scaled_inverse(normal)
         change = inverse @ (matrix.T @ (weight * residual))
         light = light + change[: light.size]
         coefficients = coefficients + change[light.size : light.size + coefficients.size]
@@ -168,7 +192,6 @@ def fit_wave(
     covariance = inverse[block, block]
     strength = float(coefficients @ np.linalg.pinv(covariance, rcond=1e-10, hermitian=True) @ coefficients)
     return WaveFit(
-        light,
         coefficients,
         covariance,
         parameters,
@@ -176,16 +199,42 @@ def fit_wave(
         gain,
         read,
         float((weight * residual**2).sum() / (value.size - matrix.shape[1])),
-        float(np.max(np.abs(shift) / np.maximum(std, 1e-300))) if shift.size else 0.0,
         level * (1 + wave),
         float(np.sqrt(max(strength - coefficients.size, 0.0))),
     )
 
 
+def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray) -> LocalWave:
+    """Return a wave's phase, frequency and direction at pixels."""
+    by_x = phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y)
+    by_y = phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP)
+    # two ends of a step may lie on both sides of the cut of an angle
+    by_x, by_y = (np.mod(d + np.pi, 2 * np.pi) - np.pi for d in (by_x, by_y))
+    frequency = np.hypot(by_x, by_y) / (4 * np.pi * _STEP)
+    return LocalWave(phase.at(parameters, x, y), frequency, np.arctan2(by_y, by_x))
+
+
+def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+    """Return the gain and the read variance that explain residuals best.
+
+    The variance of a pixel is gain * value + read variance; both are >= 0.
+    value: what the model expects of the pixels. The read variance is at least what rounding leaves, so that both are never 0.
+    """
+    square, level = residual**2, np.maximum(value, 0)
+    least = _ROUNDING * float((value**2).mean()) + 1e-300
+    off = level - level.mean()
+    gain = float((off * (square - square.mean())).sum() / max(float((off * off).sum()), 1e-300))
+    gain = min(max(gain, 0.0), float(square.mean() / max(float(level.mean()), 1e-300)))
+    return gain, max(float(square.mean() - gain * level.mean()), least)
+
+
 def _columns(
     phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, modulation: Modulation
 ) -> tuple[FloatArray, FloatArray]:
-    """The functions at the pixels (n, orders * k), and their derivatives by the phase."""
+    """Return the functions at the pixels, and their derivatives by the phase.
+
+    Both are (n, orders * k).
+    """
     at, frequency, direction = local_wave(phase, parameters, x, y)
     columns, slopes = [], []
     for order in modulation.orders:
@@ -196,6 +245,6 @@ def _columns(
 
 
 def _powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
-    """Polynomials of the place, (n, terms), the constant first."""
+    """Return polynomials of the place, (n, terms), the constant first."""
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
     return np.stack([u**i * v**j for n in range(degree + 1) for i in range(n, -1, -1) for j in (n - i,)], axis=-1)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.numerics.quadrature import nodes_between, nodes_in_panels
 
 ORDER = 16
 """Nodes to a panel."""
@@ -35,23 +36,17 @@ class Rule(NamedTuple):
 
 def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
     """Return Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
-    return _panels_rule(edges[:-1], np.diff(edges), order)
+    return Rule(*nodes_in_panels(edges, order))
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
     """Return `piecewise_rule` on panels that are split at knots; a piece gets nodes for its share of the panel."""
     edges = np.union1d(borders, knots)
-    left, widths = edges[:-1], np.diff(edges)
+    left, right, widths = edges[:-1], edges[1:], np.diff(edges)
     panel = np.clip(np.searchsorted(borders, left, side="right") - 1, 0, borders.size - 2)
     orders = np.clip(np.ceil(ORDER * widths / np.diff(borders)[panel]) + 3, 0, ORDER).astype(int)
-    parts = [_panels_rule(left[orders == n], widths[orders == n], n) for n in np.unique(orders)]
-    return Rule(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-
-def _panels_rule(left: np.ndarray, widths: np.ndarray, order: int) -> Rule:
-    nodes, weights = np.polynomial.legendre.leggauss(order)
-    widths = widths[:, None]
-    return Rule((left[:, None] + widths * (nodes + 1) / 2).ravel(), (widths * weights / 2).ravel())
+    parts = [nodes_between(left[orders == n], right[orders == n], n) for n in np.unique(orders)]
+    return Rule(*(np.concatenate([a.ravel() for a in arrays]) for arrays in zip(*parts, strict=True)))
 
 
 def panels_for(reach: float, band: float) -> int:

@@ -1,10 +1,9 @@
-"""All that spreads a piece of surface's light over the sensor, as a sum of Gaussians seen by the pixel: closed forms.
+"""The blur of a rig: a sum of Gaussians, seen through the pixel in closed form, and the lengths that it sets.
 
-The lens is a sum of Gaussians (camera/gaussian_sum.py); registration is one. A lens out of focus spreads light over a disc
-and a lamp's disc spreads the half vector over an ellipse (MODEL 3): both are taken as Gaussians of the disc's own standard
-deviations, a quarter of its diameter. Those two depend on the place and on the lamp.
-
-The lengths that a blur sets for an integral over it, and the terms of a blur that share them.
+- The lens is a sum of Gaussians (`camera/optics/gaussian_sum.py`). Registration jitter adds its variance to each.
+- A lens out of focus spreads light over a disc. A lamp's disc spreads the half vector over an ellipse (docs/model.md 3). Both
+  are taken as Gaussians with the disc's own standard deviation, a quarter of its diameter. They vary over the picture.
+- Terms of about one width share the lengths of their integral: a `BlurGroup`.
 """
 
 from __future__ import annotations
@@ -22,11 +21,25 @@ from matcam.rigs import Rig
 from matcam.sample.shape import Curved
 
 STEEPEST = 0.1
-"""Cosine of theta_d below which a lamp's disc spreads the half vector no further: its ellipse is as long as the sample."""
+"""Least cosine of theta_d by which a lamp's ellipse is stretched: there it is as long as the sample."""
+_ONE_WIDTH = 1.4
+"""Largest ratio of the standard deviations in a group."""
+_SHARP = 0.7
+"""Standard deviation, in half widths of the pixel, below which the pixel's borders show as steps."""
 
 
 class Blur(eqx.Module):
-    """sum_j weight_j N(std_j) on the sensor, px, through `pixel`; weights and stds have shape (terms,)."""
+    """All that spreads the light of a piece of surface over the sensor.
+
+    Attributes:
+        pixel: response of a pixel, through which the terms are seen.
+        weights: shares of the terms, (terms,), no unit.
+        stds: standard deviations of the terms, (terms,), px.
+        lamp_radius: angular radius of the lamp's disc, rad.
+        aperture: diameter of the entrance pupil over its distance, no unit.
+        focus: angle of the normals in focus from the optical axis, rad.
+        varies: True where lamp or focus add to the terms; the kernel then depends on the place.
+    """
 
     pixel: PixelResponse
     weights: jax.Array
@@ -35,10 +48,9 @@ class Blur(eqx.Module):
     aperture: jax.Array
     focus: jax.Array
     varies: bool = eqx.field(static=True)
-    """Whether lamp or focus spread the light by more than the lens, the pixel and the registration do."""
 
     def spread(self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Variances, px^2, that focus and lamp add along x and y for a piece of surface with this n_z."""
+        """Return the variances, px^2, that focus and lamp add along x and y where the normal has this z."""
         if not self.varies:
             return jnp.zeros(()), jnp.zeros(())
         circle = sample.radius * self.aperture * (normal_z - jnp.cos(self.focus))
@@ -51,12 +63,15 @@ class Blur(eqx.Module):
         return defocus + along**2, defocus + across**2
 
     def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
-        """One term along one axis, 1/px, at `offset` px from the pixel's centre."""
+        """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
     def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Five-node Gauss rule (offsets px, weights; on a trailing axis) whose weight function is the term's kernel along
-        one axis: exact for polynomials of degree 9, so for whatever is smooth on the kernel's scale."""
+        """Return the five-node Gauss rule whose weight function is the term's kernel along one axis.
+
+        It is exact for polynomials of degree 9, and so for all that is smooth on the kernel's scale. Offsets (px) and
+        weights stand on a trailing axis.
+        """
         m2, m4, m6, m8 = self._moments(self._std(term, variance))
         a = (m2 * m8 - m4 * m6) / (m2 * m6 - m4**2)
         b = (a * m4 - m6) / m2
@@ -72,7 +87,7 @@ class Blur(eqx.Module):
         return jnp.sqrt(self.stds[term] ** 2 + variance) if self.varies else self.stds[term]
 
     def _moments(self, std: jax.Array) -> tuple[jax.Array, ...]:
-        """Second to eighth moment of Gaussian and pixel together."""
+        """Return the second to eighth moment of Gaussian and pixel together."""
         nodes, weights = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(32))
         at = nodes * self.pixel.half_width
         share = weights * self.pixel.half_width * self.pixel.response(at)
@@ -86,10 +101,27 @@ class Blur(eqx.Module):
         )
 
 
+class BlurTerms(eqx.Module):
+    """Some terms of a blur, integrated over the same nodes.
+
+    Attributes:
+        blur: the whole blur.
+        terms: indices of its terms.
+    """
+
+    blur: Blur
+    terms: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def weight(self) -> jax.Array:
+        """Return the share of these terms in the blur."""
+        return sum((self.blur.weights[term] for term in self.terms), jnp.zeros(()))
+
+
 def blur_of(rig: Rig) -> Blur:
-    """The blur of a rig."""
+    """Return the blur of a rig."""
     lens = gaussian_sum(rig.camera.optics)
-    still = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
+    uniform = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
     return Blur(
         pixel=rig.camera.pixel,
         weights=lens.weights,
@@ -97,72 +129,86 @@ def blur_of(rig: Rig) -> Blur:
         lamp_radius=rig.lamp_radius,
         aperture=rig.aperture,
         focus=rig.focus,
-        varies=not still,
+        varies=not uniform,
     )
 
 
 def kernel_error(rig: Rig) -> float:
-    """Largest error of the camera's transfer function that taking its lens as a sum of Gaussians makes; 0 for Gaussians."""
+    """Return the largest error of the lens's transfer function that its sum of Gaussians makes; 0 for Gaussians."""
     return float(gaussian_sum(rig.camera.optics).total_error)
 
 
-_TOGETHER = 1.4
-_SHARP = 0.7
-"""Standard deviation, in half widths of the pixel, below which its borders show as steps."""
+class Imaging(NamedTuple):
+    """What turns light into a record: a sample and the blur of the rig that photographs it."""
+
+    sample: Curved
+    blur: Blur
 
 
-class Scale(NamedTuple):
-    """Lengths on the sensor, px, that a blur's terms of about one width set."""
+def imaging_of(rig: Rig) -> Imaging:
+    """Return the sample and the blur of a rig whose sample is curved."""
+    if not isinstance(rig.sample, Curved):
+        raise ArgumentError(
+            f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
+        )
+    return Imaging(rig.sample, blur_of(rig))
+
+
+class BlurScale(NamedTuple):
+    """Lengths on the sensor, px, that terms of about one width set.
+
+    Attributes:
+        near: half the side of the square around the highlight in which the nodes go about the half vector.
+        margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
+        reach: distance to which the kernel is followed.
+        finest: standard deviation of the narrowest term, without the pixel.
+        spacing: step of the grid that holds a record: it has nothing finer.
+        cuts: offsets inside the reach at which the kernel must be cut to be smooth in between; () where it is smooth.
+    """
 
     near: float
-    """Half the side of the square around the highlight in which the nodes go about the half vector."""
     margin: float
-    """Distance from the ends of the light from which on a pixel's surroundings are smooth."""
     reach: float
-    """How far the kernel is followed."""
     finest: float
-    """Standard deviation of the narrowest term without the pixel."""
     spacing: float
-    """Grid on which a record is known everywhere: it holds nothing finer."""
     cuts: tuple[float, ...]
-    """Offsets inside its reach at which the kernel must be cut to be smooth in between; () where it is smooth."""
 
 
-class Group(NamedTuple):
-    """Terms of a blur of about one width."""
+class BlurGroup(NamedTuple):
+    """Terms of a blur of about one width, by index, and their lengths."""
 
     terms: tuple[int, ...]
-    scale: Scale
+    scale: BlurScale
 
 
-def groups_of(blur: Blur, sample: Curved) -> tuple[Group, ...]:
-    """The terms of a blur, those of about one width together. Needs numbers: ArgumentError inside jit."""
-    numbers = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
-    if not all(is_concrete(a) for a in numbers):
+def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
+    """Group the terms of a blur by width. Needs concrete values: ArgumentError inside jit."""
+    lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
+    if not all(is_concrete(a) for a in lengths):
         raise ArgumentError(
             "the rig's numbers set how its picture is integrated: call this outside of jax.jit and vmap"
         )
-    stds, half = np.asarray(numbers[0]), float(numbers[1])
+    stds, half = np.asarray(lengths[0]), float(lengths[1])
     widened = np.sqrt(stds**2 + _widest_spread(blur, sample))
-    radius = float(numbers[2])
+    radius = float(lengths[2])
     if np.min(stds) >= radius:
         raise ArgumentError(
             f"the sample's radius must exceed the camera's blur, of standard deviation {np.min(stds):g} px, got {radius:g} px"
         )
     groups, left = [], list(np.argsort(stds))
     while left:
-        together = [j for j in left if stds[j] <= _TOGETHER * stds[left[0]]]
-        groups.append(Group(tuple(int(j) for j in together), _scale(half, stds[together], widened[together])))
+        together = [j for j in left if stds[j] <= _ONE_WIDTH * stds[left[0]]]
+        groups.append(BlurGroup(tuple(int(j) for j in together), _scale(half, stds[together], widened[together])))
         left = left[len(together) :]
     return tuple(groups)
 
 
-def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> Scale:
+def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> BlurScale:
     widest, narrowest = float(np.max(widened)), float(np.min(stds))
     std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
     reach = half + 5.2 * widest
     inner = max(half - 5.2 * widest, half / 4)
-    return Scale(
+    return BlurScale(
         near=10 * std,
         margin=4.8 * std,
         reach=reach,
@@ -173,7 +219,7 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> Scale:
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> float:
-    """Largest variance, px^2, that focus and lamp add anywhere."""
+    """Return the largest variance, px^2, that focus and lamp add anywhere."""
     if not blur.varies:
         return 0.0
     aperture, focus, lamp, radius = (

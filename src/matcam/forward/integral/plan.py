@@ -1,8 +1,8 @@
-"""How the record at given places is to be integrated: decided once, from numbers, by geometry alone.
+"""The plan of a record: which integral serves which pixel, decided once by geometry alone.
 
-The lengths and the sorting depend on the camera's numbers, but the record must not jump where they do: a plan is frozen, and
-all that is computed by it is a smooth function of material and camera. Index lists are filled up to few lengths, so that
-rigs that differ in their numbers only share what is compiled.
+Lengths and sorting depend on the camera's parameters, but a record must not jump where they do. So a plan is frozen: under
+one plan a record is a smooth function of material and camera. Index lists are padded to few lengths, so that rigs that
+differ in values only share what is compiled.
 """
 
 from __future__ import annotations
@@ -13,17 +13,26 @@ import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral import scene as regions
-from matcam.forward.integral.blur import Blur, Group, Scale, groups_of
+from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
+from matcam.forward.integral.scene import highlight_x
 from matcam.numerics.interpolate import POINTS
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
-"""Panels in v for kernels that reach up to so many times their own reach along the surface."""
+"""(reach along the surface in units of the kernel's own, panels in v): the first row that holds the kernel counts."""
+_OCTAGON = np.sqrt(2) - 1
+_ONE_LAMP = 1e-12  # rad
 
 
-class Targets(NamedTuple):
-    """Places in pictures, shape (targets,): position px, the lamp's angle rad, and the number of the picture."""
+class RecordPlaces(NamedTuple):
+    """Pixel centres in pictures, arrays of shape (places,).
+
+    Attributes:
+        x: column from the optical axis, px.
+        y: row from the optical axis, upwards, px.
+        lamp_angle: angle between lamp and optical axis, rad.
+        picture: index of the picture.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -31,116 +40,188 @@ class Targets(NamedTuple):
     picture: np.ndarray
 
 
-class Window(eqx.Module):
-    """Targets whose record is integrated over a window about the kernel, in which the light ends or a lobe is squeezed."""
+class PixelWindow(eqx.Module):
+    """Places that are integrated over a window about the kernel, in which the light ends or a lobe is squeezed.
 
-    chosen: np.ndarray
+    Attributes:
+        index: indices of the places, padded.
+        whole: True where the kernel meets no end of the light and sees a flat field whole.
+        ridge: True where a squeezed lobe runs through the window.
+        panels: count of panels along v.
+    """
+
+    index: np.ndarray
     whole: np.ndarray
-    """Whether the kernel meets no end of the light: then it sees a flat field whole."""
     ridge: bool = eqx.field(static=True)
     panels: int = eqx.field(static=True)
 
 
-class Part(eqx.Module):
-    """The plan for the terms of a blur that share a scale. Index arrays into the targets, filled up with their last."""
+class PlanPart(eqx.Module):
+    """The plan for the terms of a blur that share a scale. Indices point into the places, padded.
+
+    Attributes:
+        terms: indices of the terms.
+        reach: distance to which the kernel is followed, px.
+        cuts: offsets at which the kernel must be cut, px; () where it is smooth.
+        spacing: step of the grid around a highlight, px.
+        steps: points of that grid from the highlight to its border.
+        even: panels that the kernel asks for between the highlight and the border.
+        lamps: lamps whose highlights are recorded, (pictures, 1 or 3), rad.
+        inside: indices of places in smooth light.
+        near: indices of places around the highlight.
+        near_whole: True for those of them whose kernel meets no end of the light.
+        windows: places that need a window of their own.
+        place: for each place, its position in the records of inside, windows and near, one after the other. The last position
+            is that of darkness.
+    """
 
     terms: tuple[int, ...] = eqx.field(static=True)
     reach: np.ndarray
     cuts: np.ndarray
-    """Offsets at which the kernel must be cut, px; () where it is smooth."""
     spacing: np.ndarray
-    """Of the grid around a highlight, px."""
     steps: int = eqx.field(static=True)
-    """Points of that grid from the highlight to its border."""
     even: int = eqx.field(static=True)
-    """Panels that the kernel asks for between the highlight and the border."""
     lamps: np.ndarray
-    """Lamps whose highlights are recorded, (pictures, 1 or 3), rad."""
     inside: np.ndarray
     near: np.ndarray
     near_whole: np.ndarray
-    windows: tuple[Window, ...]
+    windows: tuple[PixelWindow, ...]
     place: np.ndarray
-    """Of each target, where in the results of inside, windows and near, one after the other, its record stands; the last
-    place is that of darkness."""
 
 
-class Plan(NamedTuple):
-    """How to integrate the record at targets: a part for each scale of the blur."""
+class IntegrationPlan(NamedTuple):
+    """The places of a record, and a part for each scale of the blur."""
 
-    targets: Targets
-    parts: tuple[Part, ...]
-
-
-def planned(sample: Curved, blur: Blur, lamp_angles: np.ndarray, targets: Targets) -> Plan:
-    """The plan for a record. lamp_angles: of each picture, (pictures,), rad. ArgumentError inside jax.jit."""
-    return Plan(targets, tuple(_part(sample, group, lamp_angles, targets) for group in groups_of(blur, sample)))
+    places: RecordPlaces
+    parts: tuple[PlanPart, ...]
 
 
-def _part(sample: Curved, group: Group, lamp_angles: np.ndarray, targets: Targets) -> Part:
+def integration_plan(imaging: Imaging, lamp_angles: np.ndarray, places: RecordPlaces) -> IntegrationPlan:
+    """Plan a record. ArgumentError inside jax.jit.
+
+    Args:
+        imaging: sample and blur.
+        lamp_angles: lamp of each picture, (pictures,), rad.
+        places: places to record.
+
+    Returns:
+        The plan, which serves any material and any camera whose parameters differ little.
+    """
+    sample = jax.lax.stop_gradient(imaging.sample)
+    groups = groups_of(imaging.blur, imaging.sample)
+    return IntegrationPlan(places, tuple(_part(sample, group, lamp_angles, places) for group in groups))
+
+
+def pad_indices(index: np.ndarray) -> np.ndarray:
+    """Repeat the last index up to the next of 8 to 15 times a power of two: few lengths, few compilations."""
+    if not index.size:
+        return index
+    unit = max(1, 2 ** (int(index.size - 1).bit_length() - 4))
+    return np.pad(index, (0, _round_up(index.size, unit) - index.size), mode="edge")
+
+
+def _part(sample: Curved, group: BlurGroup, lamp_angles: np.ndarray, places: RecordPlaces) -> PlanPart:
     scale = group.scale
-    x, y, lamp = (jnp.asarray(a) for a in (targets.x, targets.y, targets.lamp_angle))
-    sample = jax.lax.stop_gradient(sample)
-    near = np.abs(targets.x - np.asarray(regions.highlight_x(sample, lamp))) < scale.near
-    near &= np.abs(targets.y) < scale.near
-    whole = np.asarray(regions.away_from_ends(sample, x, y, lamp, scale.reach))
-    smooth = np.asarray(regions.away_from_ends(sample, x, y, lamp, scale.margin))
-    ridge = np.asarray(regions.crowded(sample, x, y, lamp, scale.reach))
-    lit = np.asarray(regions.lit_within(sample, x, y, lamp, scale.reach))
-    turned = np.asarray(regions.turn_along_v(sample, x, y, scale.reach)) / scale.reach
+    x, y, lamp = (jnp.asarray(a) for a in (places.x, places.y, places.lamp_angle))
+    near = np.abs(places.x - np.asarray(highlight_x(sample, lamp))) < scale.near
+    near &= np.abs(places.y) < scale.near
+    whole = np.asarray(_away_from_ends(sample, x, y, lamp, scale.reach))
+    smooth = np.asarray(_away_from_ends(sample, x, y, lamp, scale.margin))
+    ridge = np.asarray(_crowded(sample, x, y, lamp, scale.reach))
+    lit = np.asarray(_lit_within(sample, x, y, lamp, scale.reach))
+    turn = np.asarray(_turn_along_v(sample, x, y, scale.reach)) / scale.reach
     inside = smooth & ~ridge & ~near
-    window = lit & ~near & ~inside
+    beside = lit & ~near & ~inside
     windows, least = [], 0.0
     for most, panels in _PANELS_ALONG_V:
         for squeezed in (False, True):
-            chosen = np.flatnonzero(window & (turned > least) & (turned <= most) & (ridge == squeezed))
-            if chosen.size:
-                chosen = filled(chosen)
-                windows.append(Window(chosen, whole[chosen], squeezed, panels))
+            index = np.flatnonzero(beside & (turn > least) & (turn <= most) & (ridge == squeezed))
+            if index.size:
+                index = pad_indices(index)
+                windows.append(PixelWindow(index, whole[index], squeezed, panels))
         least = most
-    near_list, inside_list = filled(np.flatnonzero(near)), filled(np.flatnonzero(inside))
-    lists = [inside_list, *(window.chosen for window in windows), near_list]
-    place = np.full(x.size, sum(map(len, lists)), dtype=np.int32)
-    place[np.concatenate(lists)] = np.arange(sum(map(len, lists)))
-    return Part(
+    near_index, inside_index = pad_indices(np.flatnonzero(near)), pad_indices(np.flatnonzero(inside))
+    lists = [inside_index, *(window.index for window in windows), near_index]
+    count = sum(map(len, lists))
+    place = np.full(x.size, count, dtype=np.int32)
+    place[np.concatenate(lists)] = np.arange(count)
+    return PlanPart(
         terms=group.terms,
         reach=np.asarray(scale.reach),
         cuts=np.asarray(scale.cuts),
         spacing=np.asarray(scale.spacing),
-        steps=_round(int(np.ceil(scale.near / scale.spacing)) + POINTS // 2, 4),
-        even=_panels_for(scale),
-        lamps=_lamps_around(lamp_angles, targets, near),
-        inside=inside_list,
-        near=near_list,
-        near_whole=whole[near_list],
+        steps=_round_up(int(np.ceil(scale.near / scale.spacing)) + POINTS // 2, 4),
+        even=_even_panels(scale),
+        lamps=_lamps_around(lamp_angles, places, near),
+        inside=inside_index,
+        near=near_index,
+        near_whole=whole[near_index],
         windows=tuple(windows),
         place=place,
     )
 
 
-def _panels_for(scale: Scale) -> int:
-    """Panels of the grid around a highlight, none wider than 2.2 standard deviations of the narrowest term."""
-    return max(8, _round(int(np.ceil((scale.near + scale.reach) / (2.2 * scale.finest))), 2))
+def _even_panels(scale: BlurScale) -> int:
+    """Count the panels around a highlight, none wider than 2.2 standard deviations of the narrowest term."""
+    return max(8, _round_up(int(np.ceil((scale.near + scale.reach) / (2.2 * scale.finest))), 2))
 
 
-def _lamps_around(lamp_angles: np.ndarray, targets: Targets, near: np.ndarray) -> np.ndarray:
-    """A target's own lamp may differ a little from that of its picture (before a near camera a slice of a table is taken
-    from pictures of many lamps): three lamps that span them."""
-    offset = np.abs(targets.lamp_angle[near] - lamp_angles[targets.picture[near]])
-    if not near.any() or offset.max() < 1e-12:
+def _lamps_around(lamp_angles: np.ndarray, places: RecordPlaces, near: np.ndarray) -> np.ndarray:
+    """Return the lamps whose highlights are recorded: one per picture, or three that span those of its places.
+
+    Before a near camera a slice of a table is taken from pictures of many lamps.
+    """
+    offset = np.abs(places.lamp_angle[near] - lamp_angles[places.picture[near]])
+    if not near.any() or offset.max() < _ONE_LAMP:
         return lamp_angles[:, None]
     widest = np.full(lamp_angles.size, 1e-6)
-    np.maximum.at(widest, targets.picture[near], offset)
+    np.maximum.at(widest, places.picture[near], offset)
     return lamp_angles[:, None] + widest[:, None] * np.array([-1.0, 0.0, 1.0])
 
 
-def filled(chosen: np.ndarray) -> np.ndarray:
-    """Indices with their last repeated up to the next of 8 to 15 times a power of two: few lengths, few compilations."""
-    if not chosen.size:
-        return chosen
-    unit = max(1, 2 ** (int(chosen.size - 1).bit_length() - 4))
-    return np.pad(chosen, (0, _round(chosen.size, unit) - chosen.size), mode="edge")
-
-
-def _round(number: int, unit: int) -> int:
+def _round_up(number: int, unit: int) -> int:
     return -(-number // unit) * unit
+
+
+@jax.jit
+def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, margin: float) -> jax.Array:
+    """Tell where all within `margin` px of (x, y), to the corners of the octagon about that circle, is visible and lit."""
+    equator = sample.across(x, jnp.zeros_like(x))
+    inside = jnp.ones(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
+    for up, aside in ((-1.0, _OCTAGON), (-_OCTAGON, 1.0), (0.0, 1.0), (_OCTAGON, 1.0), (1.0, _OCTAGON)):
+        row = y + up * margin
+        v, _ = sample.window(row, row, equator)
+        low, high = sample.lit(v, lamp_angle)
+        left, right = sample.surface(low, v).x, sample.surface(high, v).x
+        inside &= (x - aside * margin > left) & (x + aside * margin < right)
+    return inside
+
+
+@jax.jit
+def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
+    """Tell where the surface under a kernel at (x, y) turns by more than its own angle from the half vector."""
+    v, _ = sample.window(y, y, sample.across(x, jnp.zeros_like(x)))
+    low, high = sample.lit(v, lamp_angle)
+    first, last = (jnp.clip(sample.across(x + side * reach, v), low, high) for side in (-1, 1))
+    middle = sample.across(x, v) - sample.highlight(lamp_angle)
+    return jnp.hypot(middle, v) < 1.0 * (last - first)
+
+
+@jax.jit
+def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> jax.Array:
+    """Return the length in v, px along the surface, under a kernel at (x, y): twice its reach, more where seen aslant."""
+    first, last = sample.rows(x, y, reach)
+    return (last - first) * sample.stretch
+
+
+@jax.jit
+def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
+    """Tell where light may come from within `reach` px of (x, y). It errs seldom, and never towards darkness."""
+    first, last = sample.rows(x, y, reach)
+    # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
+    left, right = jnp.full(first.shape, jnp.inf), jnp.full(first.shape, -jnp.inf)
+    for v in (first, jnp.clip(0.0, first, last), last):
+        low, high = sample.lit(v, lamp_angle)
+        left = jnp.minimum(left, sample.surface(low, v).x)
+        right = jnp.maximum(right, sample.surface(high, v).x)
+    return (last > first) & (x - reach < right) & (x + reach > left)

@@ -1,12 +1,12 @@
-"""Make the peak tables of EPD: `python -m matcam.forward.build_peak_tables [FILE]`, half a minute (`make tables`).
+"""Make the peak tables of EPD: `python -m matcam.forward.peaks.build_peak_tables [FILE]`, half a minute (`make tables`).
 
 In units of the optics' sigma, with the kernel k(x) k(y) and a lobe of sizes (b c, b),
 
     response = 2 pi c integral of rho A(rho; c) exp(-(rho / b)^(2 p)) d rho,
 
-A being the kernel's mean over the ellipse (c rho cos phi, rho sin phi). A knows neither b nor p, so one pass over phi
-serves a whole plane of the table; both integrals are trapezoid rules that converge exponentially, over ln rho and over
-a double-exponential grid in phi, which is crowded where a long ellipse crosses the kernel.
+where A is the kernel's mean over the ellipse (c rho cos phi, rho sin phi). A depends on neither b nor p, so one pass over phi
+serves a whole plane of the table. Both integrals are trapezoid rules that converge exponentially: over ln rho, and over a
+double-exponential grid in phi, which is dense where a long ellipse crosses the kernel.
 """
 
 from __future__ import annotations
@@ -28,29 +28,34 @@ _OVERSAMPLING = 4  # values per panel that the spline is fitted to
 _STEP = 0.05  # of ln rho
 
 
-class Axes(NamedTuple):
-    """Of a table: intervals of ln size, (ln ratio,) share, ln power."""
+class TableAxes(NamedTuple):
+    """The variables of a table: ln size, (ln ratio,) share, ln power.
+
+    Attributes:
+        limits: ends of their intervals, (variables, 2).
+        shape: panels of the spline, and degrees (plus 1) of the polynomials.
+    """
 
     limits: np.ndarray
     shape: tuple[int, ...]
 
     def panels(self) -> tuple[np.ndarray, np.ndarray]:
-        """(knots of the spline, values of ln size)."""
+        """Return the knots of the spline, and the values of ln size that it is fitted to."""
         (low, high), count = self.limits[0], self.shape[0]
         knots = low + (high - low) / count * np.arange(-3, count + 4)
         return knots, np.linspace(low, high, _OVERSAMPLING * count + 1)
 
     def nodes(self, axis: int) -> np.ndarray:
-        """Chebyshev's nodes of a variable."""
+        """Return Chebyshev's nodes of a variable."""
         low, high = self.limits[axis]
         return (low + high + (high - low) * _unit_nodes(self.shape[axis])) / 2
 
 
 def build() -> dict[str, np.ndarray]:
-    """All arrays of the file."""
+    """Return all arrays of the file."""
     shares = np.array([h**2 / (3 + h**2) for h in HALF_WIDTHS])
-    plane = Axes(np.stack([np.log(SIZES["plane"]), np.log(RATIOS), shares, np.log(POWERS)]), PLANE_SHAPE)
-    line = Axes(np.stack([np.log(SIZES["line"]), shares, np.log(POWERS)]), LINE_SHAPE)
+    plane = TableAxes(np.stack([np.log(SIZES["plane"]), np.log(RATIOS), shares, np.log(POWERS)]), PLANE_SHAPE)
+    line = TableAxes(np.stack([np.log(SIZES["line"]), shares, np.log(POWERS)]), LINE_SHAPE)
     in_plane = np.stack(
         [
             np.stack([_plane_excess(plane.panels()[1], ratio, share, plane.nodes(3)) for share in plane.nodes(2)], 1)
@@ -60,9 +65,9 @@ def build() -> dict[str, np.ndarray]:
     )
     in_line = np.stack([_line_excess(line.panels()[1], share, line.nodes(2)) for share in line.nodes(1)], axis=1)
     return {
-        "plane": _fitted(plane, in_plane),
+        "plane": _fit_coefficients(plane, in_plane),
         "plane_limits": plane.limits,
-        "line": _fitted(line, in_line),
+        "line": _fit_coefficients(line, in_line),
         "line_limits": line.limits,
         "error": np.array(
             "relative error of a response: 3e-5 at most in the plane, 1e-5 on the line (tests/forward/test_peak_tables.py)"
@@ -71,7 +76,7 @@ def build() -> dict[str, np.ndarray]:
 
 
 def _plane_excess(ln_size: np.ndarray, ratio: float, share: float, ln_power: np.ndarray) -> np.ndarray:
-    """G at every ln size (rows) and power (columns)."""
+    """Return G at every ln size (rows) and power (columns)."""
     from scipy.special import gammaln
 
     half_width = np.sqrt(3 * share / (1 - share))  # in sigma
@@ -86,7 +91,7 @@ def _plane_excess(ln_size: np.ndarray, ratio: float, share: float, ln_power: np.
 
 
 def _line_excess(ln_size: np.ndarray, share: float, ln_power: np.ndarray) -> np.ndarray:
-    """The same in one dimension."""
+    """Return the same in one dimension."""
     from scipy.special import gammaln
 
     half_width = np.sqrt(3 * share / (1 - share))
@@ -100,7 +105,7 @@ def _line_excess(ln_size: np.ndarray, share: float, ln_power: np.ndarray) -> np.
 
 
 def _logit(ln_rho: np.ndarray, weight: np.ndarray, ln_b: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """ln(response / (1 - response)), both without cancellation; the weights sum to 1."""
+    """Return ln(response / (1 - response)), both without cancellation; the weights sum to 1."""
     result = np.empty_like(ln_b)
     for k, p in enumerate(power):
         exponent = np.exp(2 * p * (ln_rho - ln_b[:, k : k + 1]))
@@ -109,14 +114,14 @@ def _logit(ln_rho: np.ndarray, weight: np.ndarray, ln_b: np.ndarray, power: np.n
 
 
 def _kernel(x: np.ndarray, half_width: float) -> np.ndarray:
-    """Effective kernel in one dimension, sigma = 1 (MODEL 2)."""
+    """Return the effective kernel in one dimension for sigma = 1 (docs/model.md 2)."""
     from scipy.special import erfc
 
     return (erfc((x - half_width) / np.sqrt(2)) - erfc((x + half_width) / np.sqrt(2))) / (4 * half_width)
 
 
 def _ellipse_means(rho: np.ndarray, ratio: float, half_width: float) -> np.ndarray:
-    """A at every rho."""
+    """Return A at every rho."""
     t = np.linspace(-3.2, 3.2, 161)
     u = np.pi / 2 * np.sinh(t)
     # phi in (0, pi / 2), and what is left to pi / 2, without cancellation at either end
@@ -130,9 +135,11 @@ def _ellipse_means(rho: np.ndarray, ratio: float, half_width: float) -> np.ndarr
     return np.concatenate(mean) * 2 / np.pi
 
 
-def _fitted(axes: Axes, values: np.ndarray) -> np.ndarray:
-    """Coefficients of the spline (least squares) and of the Chebyshev polynomials (interpolation), in float32: the
-    spline's error is a hundred times its rounding."""
+def _fit_coefficients(axes: TableAxes, values: np.ndarray) -> np.ndarray:
+    """Return the coefficients of the spline (least squares) and of the polynomials (interpolation).
+
+    They are float32: the spline's error is a hundred times its rounding.
+    """
     from scipy.interpolate import make_lsq_spline
 
     knots, ln_size = axes.panels()
@@ -148,7 +155,7 @@ def _unit_nodes(count: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Write the file that the package carries, or the one that is named."""
+    """Write the package's file, or the one named on the command line."""
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(resources.files("matcam"))) / FILE
     with replacing(path, force=True) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **build())  # type: ignore[arg-type]

@@ -1,17 +1,17 @@
-"""The loss at the peak of an EPD lobe, from a table made beforehand (announced by Holzschuch & Pacanowski 2017).
+"""The response at the peak of an EPD lobe, from a table (announced by Holzschuch & Pacanowski 2017).
 
-EPD is no mixture of Gaussians, so its response has no closed form; but in the tangent plane, through Gaussian optics and
-a box pixel, it depends on four numbers only (MODEL 4), here:
+EPD is no mixture of Gaussians, so its response has no closed form. In the tangent plane, through Gaussian optics and a box
+pixel, it depends on four parameters only (docs/model.md 4):
 
-    size   of the lobe on the sensor over the kernel's width: max(s_x, s_y) sqrt(Gamma(1 + 1/p)) / width, where
-           s = beta px_per_rad and width^2 = sigma^2 + half_width^2 / 3: whatever the power, the loss begins about 1
-    ratio  of the lobe's smaller to its larger size: cos theta_o on a sphere
-    share  of the pixel in the kernel's variance: half_width^2 / (half_width^2 + 3 sigma^2)
-    power  p
+- size: of the lobe on the sensor over the kernel's width, max(s_x, s_y) sqrt(Gamma(1 + 1/p)) / width, with
+  s = beta px_per_rad and width^2 = sigma^2 + half_width^2 / 3. Whatever the power, the loss begins at a size of about 1.
+- ratio: the lobe's smaller over its larger size, cos theta_o on a sphere.
+- share: of the pixel in the kernel's variance, half_width^2 / (half_width^2 + 3 sigma^2).
+- power: p.
 
-Tabulated is G = logit(response) - ln(narrow limit), the limit being that of a point of light: a cubic B-spline in
-ln size, Chebyshev polynomials in ln ratio, share and ln p. One dimension (and a cylinder, along whose axis nothing
-changes) has a table of its own, without the ratio. `build_peak_tables` makes both; their errors stand in the file.
+Tabulated is G = logit(response) - ln(narrow limit), where the limit is the response of a point of light. G is a cubic B-spline
+in ln size, and a sum of Chebyshev polynomials in ln ratio, share and ln p. One dimension, and a cylinder, along whose axis
+nothing changes, have a table of their own, without the ratio. `build_peak_tables` makes both; the file states their errors.
 """
 
 from __future__ import annotations
@@ -35,60 +35,74 @@ FILE = "data/epd_peak.npz"
 SIZES = {"plane": (0.004, 7000.0), "line": (6e-6, 7000.0)}
 RATIOS = (float(np.cos(np.radians(89.9))), 1.0)
 HALF_WIDTHS = (0.0, 2.5)
-"""half_width / sigma."""
+"""Range of half_width / sigma."""
 POWERS = (0.3, 3.0)
 _ROUNDING = 1e-12
 
 
-class Lobe(NamedTuple):
-    """What a table is entered with; arrays that broadcast."""
+class EPDOnSensor(NamedTuple):
+    """An EPD lobe on the sensor, in units of the kernel; arrays that broadcast.
+
+    Attributes:
+        along: size towards the limb, in widths of the kernel.
+        across: size across, in widths of the kernel.
+        half_widths: the pixel's half width over the lens's standard deviation.
+        power: the lobe's power p.
+        peak: the kernel's peak times its width, in one dimension.
+    """
 
     along: jax.Array
-    """Size towards the limb, in widths of the kernel."""
     across: jax.Array
     half_widths: jax.Array
     power: jax.Array
     peak: jax.Array
-    """The kernel's peak times its width, in one dimension."""
 
     @property
     def plane_size(self) -> jax.Array:
-        """size."""
+        """Return the table's size in two dimensions."""
         return jnp.maximum(self.along, self.across) * jnp.exp(jax.scipy.special.gammaln(1 + 1 / self.power) / 2)
 
     @property
     def line_size(self) -> jax.Array:
-        """size in one dimension: half the integral of the lobe."""
+        """Return the table's size in one dimension: half the integral of the lobe."""
         return self.along * jnp.exp(jax.scipy.special.gammaln(1 + 1 / (2 * self.power)))
 
     @property
     def ratio(self) -> jax.Array:
-        """ratio."""
+        """Return the smaller over the larger size."""
         return jnp.minimum(self.along, self.across) / jnp.maximum(self.along, self.across)
 
     @property
     def share(self) -> jax.Array:
-        """share."""
+        """Return the pixel's share in the kernel's variance."""
         return self.half_widths**2 / (3 + self.half_widths**2)
 
     @property
     def narrow_plane(self) -> jax.Array:
-        """ln of the response if the lobe were a point of light: its integral times the kernel's peak."""
+        """Return ln of the response of a point of light: the lobe's integral times the kernel's peak."""
         ln_integral = jnp.log(jnp.pi * self.along * self.across) + jax.scipy.special.gammaln(1 + 1 / self.power)
         return ln_integral + 2 * jnp.log(self.peak)
 
     @property
     def narrow_line(self) -> jax.Array:
-        """The same in one dimension."""
+        """Return the same in one dimension."""
         return jnp.log(2 * self.line_size * self.peak)
 
 
 def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Array:
-    """Recorded / true peak of an EPD lobe in the tangent plane, within 1e-4; theta_o: viewing angle, rad, any shape.
+    """Return the response at the peak of an EPD lobe in the tangent plane, within 1e-4.
 
-    dims: 2, or 1 for the direction towards the limb alone. ArgumentError for a rig that the table does not know (other
-    than Gaussian optics, box pixel, point lamp) and outside its range, which the message names; NaN where a traced value
-    lies outside.
+    Args:
+        rig: a rig with Gaussian optics, box pixel and point lamp.
+        ndf: the lobe.
+        theta_o: viewing angle, rad, any shape.
+        dims: 2, or 1 for the direction towards the limb alone.
+
+    Returns:
+        Response, of theta_o's shape; NaN where a traced value lies outside the table.
+
+    Raises:
+        ArgumentError: the rig is another, or a value lies outside the table; the message names it.
     """
     optics, pixel = rig.camera.optics, rig.camera.pixel
     if not (isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel)):
@@ -96,7 +110,7 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
             "the peak of an EPD lobe is tabulated for GaussianOptics and BoxPixel, this camera has "
             f"{type(optics).__name__} and {type(pixel).__name__}"
         )
-    lamp = _inside("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
+    lamp = _in_range("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
     scale_x, scale_y = rig.sample.px_per_rad(theta_o)
     if dims == 1:
         scale_y = jnp.full_like(scale_x, jnp.inf)
@@ -104,17 +118,17 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
     plane, line = jnp.isfinite(scale_x) & jnp.isfinite(scale_y), jnp.isfinite(scale_x) & jnp.isinf(scale_y)
     width = jnp.sqrt(optics.sigma**2 + pixel.half_width**2 / 3)
     along = ndf.beta * jnp.where(plane | line, scale_x, width) / width
-    lobe = Lobe(
+    lobe = EPDOnSensor(
         along=along,
         across=jnp.where(plane, ndf.beta * jnp.where(plane, scale_y, width) / width, along),
-        half_widths=_inside("half_width / sigma with an EPD lobe", pixel.half_width / optics.sigma, HALF_WIDTHS),
-        power=_inside("power of an EPD lobe whose peak is tabulated", ndf.power, POWERS),
+        half_widths=_in_range("half_width / sigma with an EPD lobe", pixel.half_width / optics.sigma, HALF_WIDTHS),
+        power=_in_range("power of an EPD lobe whose peak is tabulated", ndf.power, POWERS),
         peak=width * pixel.of_gaussian(0.0, optics.sigma),
     )
     size = "size of an EPD lobe on the sensor, in widths of the kernel,"
-    plane_size = _inside(size, jnp.where(plane, lobe.plane_size, 1.0), SIZES["plane"])
-    line_size = _inside(size, jnp.where(line, lobe.line_size, 1.0), SIZES["line"])
-    ratio = _inside("foreshortening (cos theta) of an EPD lobe", lobe.ratio, RATIOS)
+    plane_size = _in_range(size, jnp.where(plane, lobe.plane_size, 1.0), SIZES["plane"])
+    line_size = _in_range(size, jnp.where(line, lobe.line_size, 1.0), SIZES["line"])
+    ratio = _in_range("foreshortening (cos theta) of an EPD lobe", lobe.ratio, RATIOS)
     shared = lobe.share, jnp.log(lobe.power)
     in_plane = jax.nn.sigmoid(_table("plane").at(jnp.log(plane_size), jnp.log(ratio), shared) + lobe.narrow_plane)
     in_line = jax.nn.sigmoid(_table("line").at(jnp.log(line_size), None, shared) + lobe.narrow_line)
@@ -122,15 +136,18 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
 
 
 class PeakTable(NamedTuple):
-    """G: a cubic B-spline in the first variable, Chebyshev polynomials in the others."""
+    """G: a cubic B-spline in the first variable, Chebyshev polynomials in the others.
+
+    Attributes:
+        coefficients: (splines, degrees of each other variable).
+        limits: ends of every variable's interval, (variables, 2).
+    """
 
     coefficients: np.ndarray
-    """(splines, degrees of each other variable)."""
     limits: np.ndarray
-    """Ends of every variable's interval, (variables, 2)."""
 
     def at(self, ln_size: jax.Array, ln_ratio: jax.Array | None, shared: tuple[jax.Array, ...]) -> jax.Array:
-        """G. ln_size and ln_ratio: the same shape; shared: scalars."""
+        """Return G; ln_size and ln_ratio have one shape, the shared variables are scalars."""
         table = jnp.asarray(self.coefficients)
         for variable, (low, high) in zip(shared[::-1], self.limits[:0:-1], strict=False):
             table = table @ chebyshev((2 * variable - low - high) / (high - low), table.shape[-1])
@@ -148,15 +165,15 @@ class PeakTable(NamedTuple):
 
 
 def chebyshev(x: jax.Array, count: int) -> jax.Array:
-    """T_0 to T_(count - 1) at x, on a last axis; by recurrence, whose derivative is finite at the ends."""
+    """Return T_0 to T_(count - 1) at x, on a last axis, by the recurrence: its derivative is finite at the ends."""
     basis = [jnp.ones_like(x), x]
     while len(basis) < count:
         basis.append(2 * x * basis[-1] - basis[-2])
     return jnp.stack(basis[:count], axis=-1)
 
 
-def _inside(name: str, value: jax.Array, allowed: tuple[float, float]) -> jax.Array:
-    """`value`; refused or, where it is traced, NaN outside `allowed`. What is beyond an end by rounding is the end."""
+def _in_range(name: str, value: jax.Array, allowed: tuple[float, float]) -> jax.Array:
+    """Check a value: outside `allowed` it is an error or, if traced, NaN. Beyond an end by rounding, it is the end."""
     low, high = allowed
     value = jnp.where((value < low) & (value > low - _ROUNDING), low, value)
     value = checks.within(name, jnp.where((value > high) & (value < high + _ROUNDING), high, value), low, high)

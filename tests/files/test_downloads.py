@@ -7,6 +7,7 @@ import threading
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from matcam.core.errors import ArgumentError, DownloadError
@@ -20,6 +21,8 @@ class Server(http.server.SimpleHTTPRequestHandler):
     """A folder of files, with range requests (which the standard library's server lacks) unless `plain` is set."""
 
     plain = False
+    stops = 0
+    """Bytes after which a long answer breaks off; 0: never."""
     requests: list = []  # noqa: RUF012
 
     def do_GET(self):
@@ -36,7 +39,8 @@ class Server(http.server.SimpleHTTPRequestHandler):
         self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
         self.send_header("Content-Length", str(last - first + 1))
         self.end_headers()
-        return self.wfile.write(content[first : last + 1])
+        part = content[first : last + 1]
+        return self.wfile.write(part[: self.stops] if self.stops and len(part) > self.stops else part)
 
     def log_message(self, *_):
         pass
@@ -57,6 +61,7 @@ def server(tmp_path, monkeypatch):
     sha256 = hashlib.sha256(CONTENT).hexdigest()
     monkeypatch.setattr(downloads, "merl_checksums", lambda: {"chrome": sha256, "brass": sha256, "nickel": sha256})
     monkeypatch.setattr(Server, "plain", False)
+    monkeypatch.setattr(Server, "stops", 0)
     monkeypatch.setattr(Server, "requests", [])
     handler = lambda *args: Server(*args, directory=str(root))  # noqa: E731
     with http.server.HTTPServer(("127.0.0.1", 0), handler) as running:
@@ -119,6 +124,29 @@ def test_a_server_without_ranges_and_one_that_is_away(server, tmp_path, monkeypa
         downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip")
     with pytest.raises(DownloadError, match="cannot be fetched"):
         downloads.fetch_merl("chrome", tmp_path, "http://127.0.0.1:9/folder")
+
+
+def test_an_archive_that_breaks_off_or_is_spoiled_inside(server, tmp_path, monkeypatch):
+    """The list of members arrives, the member does not."""
+    root = tmp_path / "server"
+    noise = np.random.default_rng(0).bytes(300_000)
+    with zipfile.ZipFile(root / "large.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("chrome.binary", noise)
+    monkeypatch.setattr(Server, "stops", 100_000)
+    with pytest.raises(DownloadError, match=r"chrome: cannot be fetched from http.*large.zip: ."):
+        downloads.fetch_merl("chrome", tmp_path / "out", f"{server}/large.zip")
+    monkeypatch.setattr(Server, "stops", 0)
+    whole = bytearray((root / "large.zip").read_bytes())
+    whole[1000:2000] = bytes(1000)
+    (root / "spoiled.zip").write_bytes(whole)
+    with pytest.raises(DownloadError, match="chrome: "):
+        downloads.fetch_merl("chrome", tmp_path / "out", f"{server}/spoiled.zip")
+    assert not (tmp_path / "out" / "chrome.binary").exists()
+
+
+def test_a_member_is_one_request_whatever_its_size(server, tmp_path):
+    downloads.fetch_merl("chrome", tmp_path, f"{server}/database.zip")
+    assert len(Server.requests) <= 3  # size, list of members, member
 
 
 def test_unknown_material_suggests_the_nearest():

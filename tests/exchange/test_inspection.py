@@ -19,8 +19,9 @@ from matcam import (
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError
 from matcam.core.grid import brdf_table
-from matcam.exchange.contents import identify, read_contents
+from matcam.exchange.contents import read_contents
 from matcam.exchange.inspection import inspect_camera, inspect_contents, inspect_table
+from matcam.files.formats import identify
 from tests.oracle import merl_lobe
 
 

@@ -1,0 +1,125 @@
+"""How all tables of a run are corrected: the rig and the options, the work on one table, and the key that records carry."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import xarray as xr
+
+from matcam.core.grid import Sampling
+from matcam.core.json import plain
+from matcam.figures.correction_page import write_correction_page
+from matcam.inverse.correction.correction import Correction
+from matcam.material.masking import Masking
+from matcam.rigs import Rig
+
+SETTINGS_FORMAT = "matcam run"
+
+
+class Options(NamedTuple):
+    """Hold the options of a correction.
+
+    Attributes:
+        ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd".
+        masking: masking function, or None for none.
+        glare: share of light that the lens may scatter without its profile saying so (no unit).
+    """
+
+    ndf: str = "auto"
+    masking: Masking = "smith"
+    glare: float = 1e-3
+
+
+class CorrectedTable(NamedTuple):
+    """Hold what a corrector returns.
+
+    Attributes:
+        table: Dataset (brdf, brdf_std, supported, response).
+        document: what a record says of the table, as plain numbers and texts.
+        write_page: function (path, name, force) that writes the page to read.
+    """
+
+    table: xr.Dataset
+    document: dict[str, Any]
+    write_page: Callable[[Path, str, bool], None]
+
+
+Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
+"""Corrects one table. Workers import it by name, so it must stand at the top of a module."""
+
+
+def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
+    """Correct a table for its camera. Errors as `correct`'s."""
+    done = Correction.of(table, rig, options.ndf, masking=options.masking, glare=options.glare)
+    document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
+
+    def write_page(path: Path, name: str, force: bool) -> None:
+        write_correction_page(path, table, done, name, force=force)
+
+    return CorrectedTable(done.table, document, write_page)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Say how every table of a run is corrected.
+
+    Attributes:
+        rig: the rig that recorded the tables.
+        options: options of the correction.
+        sampling: where in its cell a value was sampled.
+        page: whether each table gets a page to read.
+        corrector: does the work.
+        version: version of matcam that made the recipe; a worker of another version refuses it.
+    """
+
+    rig: Rig
+    options: Options
+    sampling: Sampling = "centre"
+    page: bool = True
+    corrector: Corrector = correct_table
+    version: str = field(default_factory=lambda: metadata.version("matcam"))
+
+    def settings(self, *, fit_camera: bool) -> dict[str, Any]:
+        """Return everything that decides what a run's files hold, as plain numbers and texts."""
+        return plain(
+            {
+                "format": SETTINGS_FORMAT,
+                "matcam": self.version,
+                "corrector": f"{self.corrector.__module__}:{self.corrector.__qualname__}",
+                "rig": rig_description(self.rig),
+                "ndf": self.options.ndf,
+                "masking": self.options.masking or "none",
+                "glare": self.options.glare,
+                "sampling": self.sampling,
+                "pages": self.page,
+                "fit_camera": fit_camera,
+            }
+        )
+
+    def in_words(self) -> str:
+        """Describe the recipe in one line for a reader."""
+        family = "GGX or EPD, the likelier" if self.options.ndf == "auto" else self.options.ndf
+        camera = self.rig.camera
+        known = "its uncertainty stated" if camera.uncertainty else "taken as exact"
+        return (
+            f"Lobe: {family}; masking: {self.options.masking or 'none'}; camera: {camera.optics!r}, {known}; "
+            f"{self.rig.sample!r}."
+        )
+
+
+def rig_description(rig: Rig) -> dict[str, Any]:
+    """Describe all of a rig that its results depend on."""
+    described = rig.description()
+    described["camera"].pop("provenance")  # holds today's date, and changes no result
+    return {**described, "crop": rig.crop, "cell_value": rig.cell_value}
+
+
+def settings_key(settings: dict[str, Any]) -> str:
+    """Return a name made of the settings' content."""
+    return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]

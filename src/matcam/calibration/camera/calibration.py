@@ -1,0 +1,273 @@
+"""The calibration of a camera: every measurement of every photograph, in one fit per colour, judged and with its errors."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
+from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
+from matcam.calibration.chart.chart import Chart
+from matcam.calibration.chart.chart_file import read_chart
+from matcam.calibration.photograph.linear_image import CHANNELS, as_photograph
+from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.targets.mtf_samples import MTFSamples
+from matcam.camera.camera import Camera
+from matcam.camera.uncertainty import Provenance
+from matcam.core import checks
+from matcam.core.errors import ArgumentError, FitError, MatcamError
+from matcam.core.json import plain
+from matcam.core.remark import Remark, texts
+from matcam.files.photographs import Photograph, open_photograph
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+MODELS = ("gaussian", "halo", "diffraction", "defocus", "measured")
+Picture = str | Path | ArrayLike | Photograph
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Hold a camera for every colour, and how it was found.
+
+    Attributes:
+        channels: fits by channel: "R", "G", "B", "Y" or "grey".
+        failed: pictures that could not be used, and why.
+        remarks: what was assumed, and what a photographer should know.
+        pictures: names of the pictures that were used.
+    """
+
+    channels: dict[str, CameraFit]
+    failed: dict[str, str]
+    remarks: tuple[Remark, ...]
+    pictures: tuple[str, ...]
+
+    @property
+    def channel(self) -> str:
+        """Return the channel that stands for all.
+
+        It is green, luminance or grey, whichever there is, or else the first.
+        """
+        return next((c for c in ("G", "Y", "grey") if c in self.channels), next(iter(self.channels)))
+
+    @property
+    def camera(self) -> Camera:
+        """Return the camera of `channel`."""
+        return self.channels[self.channel].camera
+
+    @property
+    def cameras(self) -> dict[str, Camera]:
+        """Return the cameras by channel."""
+        return {name: found.camera for name, found in self.channels.items()}
+
+    def edges_dataset(self) -> xr.Dataset:
+        """Return every measured edge of every channel, one after the other.
+
+        Returns:
+            Place, direction, blur and MTF50 of each, with units.
+        """
+        import xarray as xr
+
+        tables = {name: fit.edges for name, fit in self.channels.items() if fit.edges is not None}
+        units = {"x": "px", "y": "px", "angle": "rad", "sigma": "px", "mtf50": "cycles/px"}
+        units |= {"sigma_std": "px", "mtf50_std": "cycles/px"}
+        columns: dict[str, Any] = {
+            name: (
+                "edge",
+                np.concatenate([getattr(t, name) for t in tables.values()] or [np.zeros(0)]),
+                {"units": unit},
+            )
+            for name, unit in units.items()
+        }
+        columns["channel"] = ("edge", [name for name, t in tables.items() for _ in range(t.x.size)])
+        columns["picture"] = ("edge", [str(s) for t in tables.values() for s in t.source])
+        return xr.Dataset(columns)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as `matcam calibrate --json` prints it.
+
+        Returns:
+            The fit of every channel, pictures, failures, and the remarks' texts.
+        """
+        return plain(
+            {
+                "channel": self.channel,
+                "channels": {name: fit.to_dict() for name, fit in self.channels.items()},
+                "pictures": self.pictures,
+                "failed": self.failed,
+                "remarks": texts(self.remarks),
+            }
+        )
+
+
+def calibrate(
+    pictures: Sequence[Picture],
+    *,
+    samples: Sequence[MTFSamples] = (),
+    chart: Chart | str | Path | None = None,
+    model: str = "gaussian",
+    half_width: float | None = 0.5,
+    wavelength: float | Mapping[str, float] | None = None,
+    pixel_pitch: float | None = None,
+    f_numbers: Sequence[float] | float | None = None,
+    tone: Tone = "auto",
+    channels: Sequence[str] | None = None,
+    accept_sharpened: bool = False,
+) -> Calibration:
+    """Find a camera from pictures of slanted edges and other targets.
+
+    One bad picture among many is left out, and listed in `failed`.
+
+    Args:
+        pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
+            `Photograph`s. All by one camera.
+        samples: measurements of gratings, stars, dots. Default: none.
+        chart: what the pictures show, or its file, which `matcam chart` writes. Default: None, slanted edges only. With it
+            gratings, stars and dots are measured, too.
+        model: lens (no unit): "gaussian" (the paper's sigma_mtf), "halo" (Gaussian core and veiling glare), "diffraction",
+            "defocus" (diffraction and defocus), "measured" (the edges' own mean curve, divided by the pixel).
+            Default: "gaussian".
+        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. None fits it together with a
+            Gaussian core, which takes many edges, and is refused where either is not known to 10 %.
+        wavelength: of the light, m, one or by channel. Default: None. "diffraction" and "defocus" need it; with
+            `half_width=None` it takes diffraction into account.
+        pixel_pitch: distance between pixels, m. Default: None. Needed with `wavelength`.
+        f_numbers: f-number of each picture, or one for all (no unit). Default: None, the files' own.
+        tone: tone curve of pictures that are not linear by nature (no unit): "linear", "srgb", a gamma, or a table of linear
+            values by code. Default: "auto", 8-bit files are taken for sRGB, others for linear, and `remarks` says so.
+        channels: of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all there are.
+        accept_sharpened: measure edges that overshoot as sharpened ones do (no unit). Default: False.
+
+    Returns:
+        A camera for every colour with its uncertainty, how well it explains the edges, and remarks.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or the pictures are of different cameras.
+        FitError: if measurements contradict one another, or do not determine what was asked.
+        MatcamError: the error of the first bad picture, if there is no good one.
+
+    Source:
+        docs/model.md 7; docs/calibrate.md.
+
+    Example:
+        >>> f = np.linspace(0.05, 0.5, 10)
+        >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
+        >>> star = matcam.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> found = matcam.calibrate([], samples=[star])
+        >>> round(float(found.camera.optics.sigma), 3)
+        0.6
+    """
+    checks.choice("model", model, MODELS)
+    if half_width is not None:
+        checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
+    elif model != "gaussian":
+        raise ArgumentError(f"half_width can be fitted with the gaussian model only, not with {model}")
+    for name in channels or ():
+        checks.choice("channel", name, CHANNELS)
+    if not len(pictures) and not len(samples):
+        raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
+    described = read_chart(chart) if isinstance(chart, str | Path) else chart
+    plan = PicturePlan(tone, channels, half_width or 0.5, accept_sharpened, described)
+    measured = _Pictures()
+    for number, (picture, f_number) in enumerate(
+        zip(pictures, _checked_f_numbers(f_numbers, len(pictures)), strict=True)
+    ):
+        measured.add(picture, f"picture {number + 1}", f_number, plan)
+    measured.check()
+    findings = measured.findings + [Finding(s.channel, s.source, s.f_number, None, (s,)) for s in samples]
+    request = CameraRequest(model, half_width, wavelength, pixel_pitch)
+    fits = {}
+    for channel in dict.fromkeys(f.channel for f in findings):
+        fit = fit_camera(Evidence(f for f in findings if f.channel == channel), channel, request)
+        fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
+    return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))
+
+
+@dataclass
+class _Pictures:
+    """Hold what all pictures say, and what became of each.
+
+    Attributes:
+        findings: one for each colour of each picture.
+        remarks: on all pictures.
+        used: names of the pictures that were used.
+        failed: why others were not, by name.
+        errors: the same, as errors.
+        cameras: first picture of every camera, by the camera's name.
+    """
+
+    findings: list[Finding] = field(default_factory=list)
+    remarks: list[Remark] = field(default_factory=list)
+    used: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    errors: list[MatcamError] = field(default_factory=list)
+    cameras: dict[str, str] = field(default_factory=dict)
+
+    def add(self, picture: Any, name: str, f_number: float | None, plan: PicturePlan) -> None:
+        """Measure a picture, or put it down as failed.
+
+        name: of a picture that is no file.
+        """
+        name = str(picture) if isinstance(picture, str | Path) else name
+        short = Path(name).name
+        try:
+            photograph = picture if isinstance(picture, Photograph) else None
+            if photograph is None:
+                photograph = open_photograph(picture) if isinstance(picture, str | Path) else as_photograph(picture)
+            if photograph.exif.camera:
+                self.cameras.setdefault(photograph.exif.camera, short)
+            f_number = photograph.exif.f_number if f_number is None else f_number
+            findings, remarks = plan.measure(photograph, short, f_number)
+        except ArgumentError:
+            raise
+        except MatcamError as error:
+            self.errors.append(FitError(f"{short}: {error}") if isinstance(error, FitError) else error)
+            self.failed[name] = str(error).removeprefix(f"{name}: ")
+        else:
+            self.used.append(short)
+            self.findings += findings
+            self.remarks += [Remark(remark.code, f"{short}: {remark.text}") for remark in remarks]
+
+    def check(self) -> None:
+        """Raise an error if the pictures cannot make one camera.
+
+        It is ArgumentError if they are of different cameras, and the first picture's error if none could be used.
+        """
+        if len(self.cameras) > 1:
+            listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
+            raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
+        if self.errors and not self.used:
+            count, first = len(self.errors), self.errors[0]
+            raise first if count == 1 else FitError(f"none of {count} pictures can be used; the first: {first}")
+
+    def provenance(self, summary: str) -> Provenance:
+        """Return where a profile comes from that was made of these pictures."""
+        return Provenance(
+            source=f"{len(self.used)} pictures ({', '.join(self.used)}), {summary}",
+            created=datetime.datetime.now(datetime.UTC).date().isoformat(),
+            software=f"matcam {metadata.version('matcam')}",
+            notes="; ".join(texts(self.remarks)),
+        )
+
+
+def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
+    """Return one f-number for each picture.
+
+    None stands for the file's own.
+    """
+    if f_numbers is None:
+        return [None] * count
+    numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)
+    if numbers.ndim == 0:
+        return [float(numbers)] * count
+    if numbers.shape != (count,):
+        raise ArgumentError(f"f_numbers must be one, or one for each of the {count} pictures, got {numbers.size}")
+    return [float(n) for n in numbers]

@@ -1,0 +1,313 @@
+"""One colour plane of a photograph, linear: what every estimator of this package measures in.
+
+A mosaic's sites stand where they lie, with NaN between them: nothing is demosaiced. Of a colour picture one channel or the
+luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image` becomes such a plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, linear_values
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.remark import Remark
+from matcam.files.photographs import Photograph
+from matcam.files.picture_header import Exif
+
+CHANNELS = ("R", "G", "B", "Y", "grey")
+"""Names of colour planes; "Y" is the luminance of a colour picture."""
+MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
+SMALLEST = 16
+"""px: both sides of a region that is measured have at least as many."""
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
+_SATURATED = 0.02  # share of full pixels beyond which a region is refused
+
+
+@dataclass(frozen=True, eq=False)
+class LinearImage:
+    """Hold one colour plane of a photograph, linear, with where it came from.
+
+    Every estimator takes a `LinearImage`, or an array that it turns into one with `LinearImage.of`. Make one yourself where
+    several estimators look at the same picture, or to keep aperture and file with it.
+
+    Attributes:
+        values: linear light (height, width), any unit. NaN where there are no data, or a mosaic has another colour.
+        channel: "R", "G", "B", "Y" (luminance) or "grey" (no unit). Default: "grey".
+        cfa: colours of the first 2 x 2 px of `values`, row by row ("RGGB", ...), of a mosaic (no unit). Default: None, no
+            mosaic.
+        tone: tone curve that was undone: "linear", "srgb", a gamma or a table (no unit). Default: "linear".
+        f_number: f-number of the photograph (no unit). Default: None, not known.
+        source: file, for messages and provenance (no unit). Default: "".
+        corner: (x, y) of the first pixel in the whole photograph, px. Default: (0, 0).
+        saturated: pixels that are full (height, width), bool. Default: None, no pixel is known to be.
+        saturation: code of a full pixel, in the photograph's own units. Default: infinite, not known.
+        remarks: what was assumed of the photograph (no unit). Default: ().
+
+    Raises:
+        ArgumentError: shapes disagree, or `channel` or `cfa` is not one of those above.
+
+    Example:
+        >>> mosaic = np.arange(16.0).reshape(4, 4)
+        >>> red = matcam.LinearImage(mosaic, channel="R", cfa="RGGB")
+        >>> red.values[0]
+        array([ 0., nan,  2., nan])
+        >>> red.cut((1, 0, 3, 2)).cfa
+        'GRBG'
+    """
+
+    values: np.ndarray = field(repr=False)
+    channel: str = "grey"
+    cfa: str | None = None
+    tone: Tone = "linear"
+    f_number: float | None = None
+    source: str = ""
+    corner: tuple[int, int] = (0, 0)
+    saturated: np.ndarray | None = field(default=None, repr=False)
+    saturation: float = np.inf
+    remarks: tuple[Remark, ...] = ()
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.values)
+        if values.ndim != 2 or values.dtype.kind not in "uif":
+            raise ArgumentError(f"values must be numbers of shape (height, width), got {values.dtype} {values.shape}")
+        if self.channel not in CHANNELS:
+            raise ArgumentError(f"channel must be one of {', '.join(map(repr, CHANNELS))}, got {self.channel!r}")
+        if self.saturated is not None and np.shape(self.saturated) != values.shape:
+            raise ArgumentError(
+                f"saturated must have the shape of values, {values.shape}, got {np.shape(self.saturated)}"
+            )
+        if self.cfa is not None:
+            sites = _repeated(sites_of(self.cfa, self.channel), values.shape)
+            values = np.where(sites, values, np.nan)
+            if self.saturated is not None:
+                object.__setattr__(self, "saturated", self.saturated & sites)
+        object.__setattr__(self, "values", np.asarray(values, dtype=np.float64))
+
+    @classmethod
+    def of(
+        cls,
+        image: ArrayLike | Photograph | LinearImage,
+        channel: str | None = None,
+        cfa: str | None = None,
+        tone: Tone = "linear",
+        roi: Sequence[int] | None = None,
+        f_number: float | None = None,
+        source: str = "",
+    ) -> LinearImage:
+        """Return one colour plane of an array or a photograph, its tone curve undone.
+
+        A `LinearImage` is returned as it is, or cut to `roi`.
+
+        Args:
+            image: array (height, width), or (height, width, 3) for R, G, B, of codes; NaN where there are no data. Or a
+                `Photograph` of `matcam.files.photographs.open_photograph`, or a `LinearImage`.
+            channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic (no unit). Default: None,
+                luminance of a colour image, and everything of a grey one.
+            cfa: colours of the first 2 x 2 px of the whole image, row by row, if it is a mosaic: "RGGB", "BGGR", "GRBG" or
+                "GBRG" (no unit). Default: None, the photograph's own, or no mosaic.
+            tone: what the codes are (no unit): "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma; a
+                table of linear values by code, (codes,) or (codes, 3); or "auto": 8 bits of a photograph that is not linear by
+                nature are taken for sRGB, everything else for linear. Default: "linear".
+            roi: region (x, y, width, height), px. Default: None, all of the image.
+            f_number: f-number of the image (no unit). Default: None, the photograph's own.
+            source: name of the file, for messages (no unit). Default: "".
+
+        Returns:
+            The plane; `remarks` says what "auto" has assumed.
+
+        Raises:
+            ArgumentError: the image is no picture, has not this channel, or the region does not lie inside it.
+
+        Source:
+            Luminance: IEC 61966-2-1.
+
+        Example:
+            >>> codes = np.full((20, 30, 3), 188, np.uint8)
+            >>> plane = matcam.LinearImage.of(codes, channel="G", tone="srgb", roi=(4, 2, 16, 18))
+            >>> plane.values.shape, plane.corner, round(float(plane.values[0, 0]), 3)
+            ((18, 16), (4, 2), 0.503)
+        """
+        if isinstance(image, LinearImage):
+            if channel is not None or cfa is not None or not is_linear(tone):
+                raise ArgumentError("channel, cfa and tone are those of the LinearImage already: leave them out")
+            return image.cut(roi)
+        photograph = image if isinstance(image, Photograph) else as_photograph(image, "image must be numbers", (3, 4))
+        x, y, width, height = _checked_roi(roi, photograph.values.shape)
+        codes = photograph.values[y : y + height, x : x + width]
+        tone, remarks = assumed_tone(photograph) if isinstance(tone, str) and tone == "auto" else (tone, ())
+        if photograph.cfa is not None and not is_linear(tone):
+            raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
+        mosaic = cfa or photograph.cfa
+        if codes.ndim == 3:
+            if mosaic is not None:
+                raise ArgumentError(
+                    f"cfa is for a mosaic of shape (height, width), got an image of shape {photograph.values.shape}"
+                )
+            channel = channel or "Y"
+            if channel not in ("R", "G", "B", "Y"):
+                raise ArgumentError(f"channel must be one of 'R', 'G', 'B', 'Y', got {channel!r}")
+        elif mosaic is None:
+            if channel not in (None, "grey"):
+                raise ArgumentError(
+                    f"channel {channel!r} asks for a colour of a grey image: give cfa if it is a mosaic"
+                )
+            channel = "grey"
+        else:
+            sites_of(mosaic, channel)  # refuses what is no mosaic before anything is linearised
+            mosaic = _shifted(mosaic, x, y)
+        values, full = _plane(codes, str(channel), tone, photograph.saturation)
+        return cls(
+            values, str(channel), mosaic, tone, photograph.exif.f_number if f_number is None else f_number, source, (x, y),
+            full, photograph.saturation, remarks,
+        )  # fmt: skip
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return (height, width), px."""
+        height, width = self.values.shape
+        return height, width
+
+    @property
+    def sites(self) -> np.ndarray:
+        """Return where this colour stands in the first 2 x 2 px, (2, 2) bool; everywhere without a mosaic."""
+        return np.ones((2, 2), bool) if self.cfa is None else sites_of(self.cfa, self.channel)
+
+    def cut(self, roi: Sequence[int] | None) -> LinearImage:
+        """Return a region of the plane.
+
+        Args:
+            roi: (x, y, width, height), px of this plane. Default: None, all of it.
+
+        Returns:
+            The region, which knows its place in the photograph (`corner`).
+
+        Raises:
+            ArgumentError: the region is not four whole numbers, or does not lie inside the plane.
+
+        Example:
+            >>> plane = matcam.LinearImage(np.zeros((40, 50)))
+            >>> plane.cut((10, 5, 20, 30)).shape
+            (30, 20)
+        """
+        if roi is None:
+            return self
+        x, y, width, height = _checked_roi(roi, self.values.shape)
+        part = np.s_[y : y + height, x : x + width]
+        return replace(
+            self,
+            values=self.values[part],
+            cfa=None if self.cfa is None else _shifted(self.cfa, x, y),
+            corner=(self.corner[0] + x, self.corner[1] + y),
+            saturated=None if self.saturated is None else self.saturated[part],
+        )
+
+
+def region_of(
+    image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
+    cfa: str | None = None, tone: Tone = "linear",
+) -> LinearImage:  # fmt: skip
+    """Return the region that an estimator measures in; arguments as in `LinearImage.of`.
+
+    Raises:
+        ArgumentError: as there, or the region is smaller than 16 x 16 px.
+        FitError: more than 2 % of its samples are saturated.
+    """
+    region = LinearImage.of(image, channel, cfa, tone, roi)
+    height, width = region.shape
+    if min(height, width) < SMALLEST:
+        raise ArgumentError(f"roi must be at least {SMALLEST} x {SMALLEST} px, got {width} x {height}")
+    if region.saturated is not None:
+        share = region.saturated.sum() / max(np.isfinite(region.values).sum(), 1)
+        if share > _SATURATED:
+            raise FitError(
+                f"region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range"
+            )
+    return region
+
+
+def planes_of(
+    photograph: Photograph, channels: Sequence[str] | None = None, tone: Tone = "auto", f_number: float | None = None,
+    source: str = "",
+) -> Iterator[LinearImage]:  # fmt: skip
+    """Return a photograph's planes one after the other, of the channels asked for, or of all there are.
+
+    Raises:
+        ArgumentError: the photograph has not one of the channels, or camera raw, which is linear, is given a tone curve.
+    """
+    there: tuple[str, ...] = ("R", "G", "B")
+    if photograph.cfa is None and photograph.values.ndim == 2:
+        there = ("grey",)
+    for channel in channels or ():
+        if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
+            raise ArgumentError(f"channel {channel!r} is not in this picture; it has {', '.join(there)}")
+    if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
+        raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
+    names = there if channels is None else channels
+    return (LinearImage.of(photograph, name, tone=tone, f_number=f_number, source=source) for name in names)
+
+
+def as_photograph(
+    image: ArrayLike, what: str = "a picture must be numbers", colours: tuple[int, ...] = (3,)
+) -> Photograph:
+    """Return an array of linear values as a photograph without a file; ArgumentError where it is no picture."""
+    values = np.asarray(image)
+    if (
+        values.dtype.kind not in "uif"
+        or values.ndim not in (2, 3)
+        or (values.ndim == 3 and values.shape[2] not in colours)
+    ):
+        raise ArgumentError(f"{what} of shape (height, width) or (height, width, 3), got {values.dtype} {values.shape}")
+    full = float(np.iinfo(values.dtype).max) if values.dtype.kind in "ui" else np.inf
+    return Photograph(values[..., :3] if values.ndim == 3 else values, None, full, True, Exif())
+
+
+def sites_of(cfa: str, channel: str | None) -> np.ndarray:
+    """Return where a mosaic has a colour in its first 2 x 2 px, (2, 2) bool; ArgumentError for what is no mosaic."""
+    if cfa not in MOSAICS:
+        raise ArgumentError(f"cfa must be one of {', '.join(map(repr, MOSAICS))}, got {cfa!r}")
+    if channel not in ("R", "G", "B"):
+        raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
+    return np.array(list(cfa)).reshape(2, 2) == channel
+
+
+def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return linear values of one channel, and which pixels are full (None: nobody knows when a pixel is)."""
+    known = np.isfinite(saturation)
+    if channel == "Y":
+        light = linear_values(codes, tone) @ np.array(_LUMINANCE)
+        return light, np.asarray((codes >= saturation).any(-1)) if known else None
+    column = "RGB".index(channel) if channel in "RGB" else None
+    if codes.ndim == 3:
+        codes = codes[..., column]
+    return linear_values(codes, tone, column), np.asarray(codes >= saturation) if known else None
+
+
+def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a 2 x 2 pattern all over a shape."""
+    return np.tile(sites, (shape[0] // 2 + 1, shape[1] // 2 + 1))[: shape[0], : shape[1]]
+
+
+def _shifted(cfa: str, x: int, y: int) -> str:
+    """Return a mosaic's colours as they stand from pixel (x, y) on."""
+    return "".join(np.roll(np.array(list(cfa)).reshape(2, 2), (-y, -x), (0, 1)).ravel())
+
+
+def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """Return a region as whole numbers (x, y, width, height) inside a picture of this shape."""
+    height, width = shape[:2]
+    if roi is None:
+        return 0, 0, width, height
+    try:
+        x, y, w, h = (int(v) for v in roi)
+        whole = all(float(v) == int(v) for v in roi)
+    except (TypeError, ValueError, OverflowError):
+        whole = False
+    if not whole:
+        raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}")
+    if x < 0 or y < 0 or w < 0 or h < 0 or x + w > width or y + h > height:
+        raise ArgumentError(f"roi must lie inside the picture of {width} x {height} px, got {(x, y, w, h)}")
+    return x, y, w, h

@@ -1,0 +1,324 @@
+"""The search for printed waves, stars and gratings, in a region of a picture, and the phase of each at every pixel.
+
+Lines through a star's centre stay lines in any pinhole's picture, so brightness changes across them only. The centre is where
+the pixels' gradients are all at right angles to the way there. The number of cycles is how often the phase turns along a ring,
+whatever perspective does to its speed. Perspective changes the azimuth by a linear map exactly. A lens's distortion adds a
+smooth displacement, of which second and third order are kept.
+
+A grating is the strongest peak of the region's spectrum. Its phase is a polynomial of the place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import least_squares
+
+from matcam.calibration.photograph.light import smoothed
+from matcam.core.errors import FitError
+from matcam.core.jax import FloatArray
+
+MARGIN = 4.0  # px: pixels nearer than this to a grating's border see what is outside
+_ROUNDS = 12
+_CLEAR_IN_RING = 0.5  # share of a ring's power that its wave must have
+_KEPT = 0.8  # of the outer rings' usual amplitude
+_BAND = 0.35  # of the cycles: how far perspective may spread a ring's wave
+_FINE = 4  # samples of a ring per px
+_LOW = (0.03, 0.3)  # cycles/px: rings on which the phase is looked at
+_WIDE = 50.0  # px: beyond, perspective and distortion need third order
+_UNIT = 100.0  # px of the phase's polynomial
+_CLEAR_IN_SPECTRUM = 30.0  # power of the wave over the median of the spectrum
+_ENVELOPE = 0.75  # of the amplitude's usual maximum
+_NEAR = 0.1  # of a stated frequency: how far the true one is looked for
+_LONGEST = 2.0  # periods that a region must hold at least
+
+
+class StarPhase(NamedTuple):
+    """Give the phase of a star at pixels.
+
+    Its 14 parameters are the centre (2), the phase at azimuth 0, a linear map (2), and displacements of second (4) and third
+    (5) order across the rays, rad at the outer radius.
+
+    Attributes:
+        cycles: number of cycles.
+        outer: outer radius, px.
+    """
+
+    cycles: int
+    outer: float
+
+    @property
+    def scale(self) -> FloatArray:
+        """Return changes of the parameters that turn phases by 1 rad."""
+        return np.array([self.outer / self.cycles / 2] * 2 + [1.0] + [1 / self.cycles] * 2 + [1.0] * 9)
+
+    def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the phase at px, rad."""
+        x0, y0, turn, e1, e2 = parameters[:5]
+        u, v = (x - x0) / self.outer, (y - y0) / self.outer
+        azimuth = np.arctan2((1 - e1) * v + e2 * u, (1 + e1) * u + e2 * v)
+        c, q = parameters[5:9], parameters[9:]
+        uu, uv, vv = u * u, u * v, v * v  # powers as such are slow
+        square = np.maximum(uu + vv, 1e-12)
+        bent = uu * (c[0] * u + c[1] * v + q[0] * uu + q[1] * uv) + q[2] * uv * uv
+        bent += vv * (c[2] * u + c[3] * v + q[3] * uv + q[4] * vv)
+        return self.cycles * azimuth + turn + bent / square
+
+    def parameters_through(
+        self, x: FloatArray, y: FloatArray, phase: FloatArray, centre: tuple[float, float]
+    ) -> FloatArray:
+        """Return the parameters that give px their known phases.
+
+        phase: (n,) rad, mod 2 pi. centre: first guess, px.
+        """
+        size = self.scale
+
+        def residual(p: FloatArray) -> FloatArray:
+            return np.mod(self.at(p * size, x, y) - phase + np.pi, 2 * np.pi) - np.pi
+
+        start = np.zeros(size.size)
+        start[:2] = np.array(centre) / size[:2]
+        start[2] = np.angle(np.exp(1j * (phase - self.at(start * size, x, y))).mean())
+        return np.asarray(least_squares(residual, start, x_scale=1.0).x * size)
+
+
+class FoundStar(NamedTuple):
+    """Hold a star in a picture.
+
+    Attributes:
+        phase: its cycles and its outer radius, px.
+        parameters: (14,) of `phase`.
+        inner: radius beyond which there is nothing but star, px.
+    """
+
+    phase: StarPhase
+    parameters: FloatArray
+    inner: float
+
+
+def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
+    """Find the star in a region.
+
+    values: (height, width), NaN where there are no data. FitError if there is no star.
+    """
+    # what is missing is filled by its neighbours
+    filled = smoothed(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
+    centre = _centre(filled)
+    rings = _rings(filled, centre)
+    if not rings:
+        raise FitError("region holds no Siemens star: no ring shows a regular wave")
+    votes: dict[int, float] = {}
+    for ring in rings:
+        votes[ring.cycles] = votes.get(ring.cycles, 0.0) + ring.share
+    winner = max(votes, key=lambda m: votes[m]) if cycles is None else cycles
+    agreeing = [ring for ring in rings if ring.cycles == winner]
+    if len(agreeing) < 4 or winner < 8:
+        raise FitError(
+            f"region holds no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
+            f"of {len(rings)} rings with a wave {len(agreeing)} agree on {winner} cycles"
+        )
+    # beyond the rim a ring's wave is weak, though nothing else may be there
+    strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
+    outer = max(ring.radius for ring in agreeing if ring.amplitude > strong)
+    agreeing = [ring for ring in agreeing if ring.radius <= outer]
+    x, y, phase = (np.concatenate([np.asarray(getattr(ring, n)) for ring in agreeing]) for n in ("x", "y", "phase"))
+    wave = StarPhase(winner, outer)
+    return FoundStar(wave, wave.parameters_through(x, y, phase, centre), agreeing[0].radius)
+
+
+class _Ring(NamedTuple):
+    """Hold a ring on which there is a wave.
+
+    share: of the ring's power. amplitude: over the ring's mean. phase: (n,) rad at x, y, px.
+    """
+
+    radius: float
+    cycles: int
+    share: float
+    amplitude: float
+    x: FloatArray
+    y: FloatArray
+    phase: FloatArray
+
+
+def _centre(filled: FloatArray) -> tuple[float, float]:
+    """Return the place, px, round which all gradients turn."""
+    gy, gx = np.gradient(filled)
+    y, x = np.indices(filled.shape).astype(float)
+    length = np.hypot(gx, gy)
+    nx, ny = gx / np.maximum(length, 1e-300), gy / np.maximum(length, 1e-300)
+    strength = np.minimum(length, np.quantile(length, 0.9)) ** 2
+    at = np.array([(filled.shape[1] - 1) / 2, (filled.shape[0] - 1) / 2])
+    reach = max(filled.shape) / 3
+    for _ in range(_ROUNDS):
+        off = nx * (x - at[0]) + ny * (y - at[1])
+        # gradients that point elsewhere (a rim, another target) lose their say
+        weight = strength / (1 + (off / reach) ** 2) ** 2
+        normal = np.array([[(weight * nx * nx).sum(), (weight * nx * ny).sum()], [0, (weight * ny * ny).sum()]])
+        normal[1, 0] = normal[0, 1]
+        if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
+            raise FitError("region holds no Siemens star: its brightness changes in one direction only")
+        found = nx * x + ny * y
+        at = np.linalg.solve(normal, np.array([(weight * nx * found).sum(), (weight * ny * found).sum()]))
+        reach = max(reach * 0.7, 3.0)
+    if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
+        raise FitError("region holds no Siemens star: its rays do not meet inside it")
+    return float(at[0]), float(at[1])
+
+
+def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
+    """Return the rings round a centre on which a wave stands out."""
+    height, width = filled.shape
+    most = min(centre[0], centre[1], width - 1 - centre[0], height - 1 - centre[1])
+    found = []
+    for radius in np.arange(6.0, most, max(1.0, most / 80)):
+        count = 2 * int(np.pi * radius * _FINE / 2)
+        turn = 2 * np.pi * np.arange(count) / count
+        x, y = centre[0] + radius * np.cos(turn), centre[1] + radius * np.sin(turn)
+        spectrum = np.fft.rfft(ndimage.map_coordinates(filled, [y, x], order=1))
+        power = np.abs(spectrum) ** 2
+        low, high = max(6, int(_LOW[0] * 2 * np.pi * radius)), int(_LOW[1] * 2 * np.pi * radius) + 1
+        if high - low < 3:
+            continue
+        peak = low + int(np.argmax(power[low:high]))
+        spread = int(max(2, _BAND * peak))
+        band = np.zeros(count, complex)
+        band[peak - spread : peak + spread + 1] = spectrum[peak - spread : peak + spread + 1]
+        share = power[peak - spread : peak + spread + 1].sum() / power[3:].sum()
+        phase = np.unwrap(np.angle(np.fft.ifft(band)))
+        turns = (phase[-1] - phase[0] + np.angle(np.exp(1j * (phase[0] - phase[-1])))) / (2 * np.pi)
+        if share > _CLEAR_IN_RING:
+            inside = power[peak - spread : peak + spread + 1].sum()
+            amplitude = 2 * float(np.sqrt(inside) / max(abs(spectrum[0]), 1e-300))
+            some = slice(None, None, max(1, count // (4 * peak)))
+            found.append(_Ring(float(radius), round(turns), float(share), amplitude, x[some], y[some], phase[some]))
+    return found
+
+
+class GratingPhase(NamedTuple):
+    """Give the phase of a grating at pixels.
+
+    It is a polynomial of second (6 parameters) or third (10) order in the place.
+
+    Attributes:
+        middle: (x, y) about which the phase is expanded, px.
+        reach: half the grating's extent, px.
+        terms: number of parameters.
+    """
+
+    middle: tuple[float, float]
+    reach: float
+    terms: int
+
+    @property
+    def scale(self) -> FloatArray:
+        """Return changes of the parameters that turn phases by 1 rad."""
+        return np.array([(_UNIT / self.reach) ** order for order in (0, 1, 1, 2, 2, 2, 3, 3, 3, 3)[: self.terms]])
+
+    def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the phase at px, rad."""
+        phase = 0.0
+        for parameter, power in zip(parameters, self._powers(x, y), strict=True):
+            phase = phase + parameter * power
+        return np.asarray(phase)
+
+    def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
+        """Return the parameters that give px their known, unwrapped phases."""
+        powers = np.stack(self._powers(x, y), axis=-1)
+        return np.asarray(np.linalg.lstsq(powers, phase, rcond=None)[0], dtype=np.float64)
+
+    def _powers(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
+        """Return the polynomials at px."""
+        u, v = (x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT
+        powers = [np.ones_like(u), u, v, u * u, u * v, v * v]
+        if self.terms > len(powers):
+            powers += [u * u * u, u * u * v, u * v * v, v * v * v]
+        return powers
+
+
+class FoundGrating(NamedTuple):
+    """Hold a grating in a picture.
+
+    Attributes:
+        phase: the polynomial of its phase.
+        parameters: (6,) or (10,) of `phase`.
+        inside: (height, width) pixels that see nothing else.
+    """
+
+    phase: GratingPhase
+    parameters: FloatArray
+    inside: np.ndarray
+
+    @classmethod
+    def through(cls, x: FloatArray, y: FloatArray, phase: FloatArray, inside: np.ndarray) -> FoundGrating:
+        """Return the grating whose phase is known at some places.
+
+        x, y: (n,) px. phase: (n,) rad, unwrapped.
+        """
+        extent = float(np.sqrt(inside.sum()))
+        wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 10 if extent > _WIDE else 6)
+        return cls(wave, wave.parameters_through(x, y, phase), inside)
+
+
+def find_grating(values: FloatArray, near: tuple[float, float] | None = None) -> FoundGrating:
+    """Find the grating in a region.
+
+    values: (height, width), NaN where there are no data. FitError if there is no grating.
+    near: its frequency (fx, fy), cycles/px, roughly, if it may lie beyond Nyquist: the nearest that looks the same is taken.
+    """
+    filled = values if np.isfinite(values).all() else smoothed(values, 0.9)
+    frequency = _strongest(filled, near)
+    if near is not None:
+        shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)
+        alike = np.concatenate([shifts + frequency, shifts - frequency])
+        frequency = alike[np.argmin(np.hypot(*(alike - np.array(near)).T))]
+    y, x = np.indices(values.shape).astype(float)
+    wave = np.exp(-2j * np.pi * (frequency[0] * x + frequency[1] * y))
+    smooth = max(3.0, 0.8 / np.hypot(*_alias(frequency)))
+    turned = (filled - filled.mean()) * wave
+    envelope = ndimage.gaussian_filter(turned.real, smooth) + 1j * ndimage.gaussian_filter(turned.imag, smooth)
+    size = np.abs(envelope)
+    label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
+    if not count:
+        raise FitError("region holds no grating")
+    largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
+    inside = ndimage.binary_erosion(
+        ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
+    )
+    if inside.sum() < 256:
+        raise FitError("region holds no grating: nowhere 16 x 16 px of one regular wave")
+    start = float(np.angle(envelope[inside].mean()))
+    phase = start + 2 * np.pi * (frequency[0] * x + frequency[1] * y)
+    return FoundGrating.through(x[inside], y[inside], phase[inside], inside)
+
+
+def _alias(frequency: FloatArray) -> FloatArray:
+    """Return the frequency below Nyquist that looks the same on the grid."""
+    return np.asarray(frequency - np.round(frequency))
+
+
+def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
+    """Return (fx, fy) of the strongest wave below Nyquist, cycles/px.
+
+    near: only waves that may have this frequency in truth count.
+    """
+    height, width = filled.shape
+    window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
+    mean = (window * filled).sum() / window.sum()
+    # four times as many frequencies as samples: the peak is then known to a small part of a period over the region
+    power = np.abs(np.fft.rfft2(window * (filled - mean), (4 * height, 4 * width))) ** 2
+    fy, fx = np.fft.fftfreq(4 * height)[:, None], np.fft.rfftfreq(4 * width)[None]
+    # borders of what is in the region have power at low frequencies, more than harmonics have at high ones
+    power *= np.hypot(fx, fy)
+    power[(np.abs(fx) * width < _LONGEST) & (np.abs(fy) * height < _LONGEST)] = 0
+    everywhere = np.median(power)
+    if near is not None:
+        alias = _alias(np.array(near))
+        off = [np.hypot(_alias(fx - sign * alias[0]), _alias(fy - sign * alias[1])) for sign in (-1, 1)]
+        power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
+    row, column = np.unravel_index(np.argmax(power), power.shape)
+    if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
+        raise FitError("region holds no grating: no frequency stands out")
+    return np.array([fx[0, column], fy[row, 0]])

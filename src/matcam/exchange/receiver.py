@@ -1,0 +1,122 @@
+"""The solid angles of a rig, in the words of goniophotometers: over which solid angle was the light collected?
+
+For a camera before a sphere that is an equivalence. The kernel k of lens and pixel averages over A = 1 / integral of
+k^2 (px^2), which is the pixel's area where the lens does nothing. On a sphere of radius r px that is A / (r^2 cos
+theta_o) of NORMALS. A goniophotometer holds the sample still and averages over directions of VIEW. Views that move
+the half vector as much fill
+
+    d omega_o = 4 cos theta_d d omega_h,
+
+which at the peak, where theta_o = theta_d, is 4 A / r^2 at every angle. Before a near camera the line of sight turns
+as well, and the angle matters: there the value holds for normal view. The normals of a cylinder far away turn in one
+plane only, and fill no solid angle. The lens's pupil, as the sample sees it, is another cone, and the lamp's disc a
+third. All three widen a highlight.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from matcam.camera.camera import Camera
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jnp
+from matcam.rigs import Rig
+
+_REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64  # cycles/px; around: the box's transform has corners of its own
+
+
+def solid_angles(rig: Rig) -> dict[str, float | None]:
+    """Return the solid angles of a rig's receiver, pupil and lamp.
+
+    The receiver's is the equivalent one of a goniophotometer: its views move the half vector at the peak as much as the
+    kernel of lens and pixel does.
+
+    Args:
+        rig: camera, sample and lamp.
+
+    Returns:
+        `equivalent_receiver_sr`, sr, None where the half vector does not turn in every direction: for a flat sample, and for a
+        cylinder before a distant camera. `pupil_sr`, sr: the lens as seen from the sample, pi aperture^2 / 4. `lamp_sr`, sr:
+        the lamp's disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
+
+    Raises:
+        ArgumentError: rig is no `Rig`.
+
+    Source:
+        docs/exchange.md, *The receiver's solid angle*.
+
+    Example:
+        >>> angles = matcam.solid_angles(matcam.rigs.merl())
+        >>> print(f"{angles['equivalent_receiver_sr']:.2g} sr, {angles['kernel_area_px2']:.3g} px^2")
+        0.00026 sr, 4.23 px^2
+    """
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    area = effective_area(rig.camera)
+    along, across = (float(px) for px in rig.sample.px_per_rad(jnp.zeros(())))
+    turns = np.isfinite(along) and np.isfinite(across)
+    return {
+        "kernel_area_px2": area,
+        "equivalent_receiver_sr": 4 * area / (along * across) if turns else None,
+        "pupil_sr": float(np.pi * rig.aperture**2 / 4),
+        "lamp_sr": float(2 * np.pi * (1 - np.cos(rig.lamp_radius))),
+    }
+
+
+def metadata(rig: Rig, **about: str) -> dict[str, Any]:
+    """Describe how a table was measured, as a JSON document.
+
+    It is metadata alone, meant to lie beside a table in any format: geometry with the receiver's solid angle, instrument,
+    quantity.
+
+    Args:
+        rig: camera, sample and lamp.
+        **about: strings such as sample, operator or date.
+
+    Returns:
+        The document, as plain values.
+
+    Raises:
+        ArgumentError: an entry of about is no string.
+
+    Source:
+        The manner of the BRDF format of the BiRD and BxDiff projects (Lanevski et al. 2022), not its schema.
+
+    Example:
+        >>> document = matcam.metadata(matcam.rigs.merl(), sample="chrome")
+        >>> document["quantity"], document["about"]
+        ({'name': 'BRDF', 'unit': '1/sr'}, {'sample': 'chrome'})
+    """
+    wrong = [name for name, value in about.items() if not isinstance(value, str)]
+    if wrong:
+        raise ArgumentError(f"{wrong[0]} must be text, got {about[wrong[0]]!r:.60}")
+    solid = solid_angles(rig)
+    note = "4 A / r^2 before a far camera: views that move the half vector as much as the kernel does, at the peak"
+    return {
+        "format": "matcam measurement metadata",
+        "version": 1,
+        "quantity": {"name": "BRDF", "unit": "1/sr"},
+        "receiver": {"solid_angle_sr": solid["equivalent_receiver_sr"], "meaning": note, **solid},
+        "source": {"solid_angle_sr": solid["lamp_sr"], "half_angle_rad": float(rig.lamp_radius)},
+        "instrument": rig.description(),
+        "cell_value": rig.cell_value,
+        "about": about,
+    }
+
+
+def effective_area(camera: Camera) -> float:
+    """Return the noise-equivalent area of the camera's kernel, px^2.
+
+    It is 1 / integral of k^2, by Parseval 1 / integral of the squared MTF over all frequencies. A pixel of full fill without
+    a lens has 1; Gaussians of standard deviation sigma have 4 pi sigma^2.
+    """
+    frequency = np.linspace(0, _REACH, _RINGS)
+    angles = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS * np.pi / 4  # a square has eight such wedges
+    squared = np.stack([np.asarray(camera.mtf(frequency, angle)) ** 2 for angle in angles])
+    ring = 2 * np.pi * frequency * squared.mean(axis=0)
+    # a bare pixel's squared transform falls as 1 / f^3 times f around the rings: what lies beyond is as much as the last octave
+    half = frequency >= _REACH / 2
+    beyond = np.trapezoid(ring[half], frequency[half])
+    return float(1 / (np.trapezoid(ring, frequency) + beyond))

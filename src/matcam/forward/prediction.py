@@ -1,0 +1,144 @@
+"""What to expect of a rig before anything is measured: the loss at the peak, and the false light of its glare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from matcam.camera.camera import Camera
+from matcam.camera.optics.halo import HaloOptics
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import cosines
+from matcam.core.jax import jnp
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
+from matcam.forward.integral.recording import record
+from matcam.forward.peaks.peak import peak_response
+from matcam.material.material import Material
+from matcam.material.ndf.distribution import NDF
+from matcam.rigs import Rig
+from matcam.sample.sphere import Sphere
+
+LOSS = 0.05
+"""Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
+_ANGLES = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
+_FALSE_LIGHT_THETA_H = np.radians([0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 60])
+_FAR_FROM_HIGHLIGHT = 29.9  # degrees of theta_h
+
+
+def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False) -> xr.Dataset:
+    """Predict the loss at the peak for several lobes of one family.
+
+    Args:
+        rig: camera, sample and lamp.
+        ndfs: the lobes.
+        dims: see `peak_response`. Default: 2.
+        exact: see `peak_response`; masking is Smith's. Default: False.
+
+    Returns:
+        Dataset over (roughness, theta): `response`, and `relative_response` (to theta = 0); over roughness: `loss_angle`, rad,
+        see `loss_angle`.
+    """
+    response = np.stack([np.asarray(peak_response(rig, ndf, _ANGLES, dims=dims, exact=exact)) for ndf in ndfs])
+    relative = response / response[:, :1]
+    return xr.Dataset(
+        {
+            "response": (("roughness", "theta"), response),
+            "relative_response": (("roughness", "theta"), relative),
+            "loss_angle": ("roughness", [_first_beyond(_ANGLES, row) for row in relative], {"units": "rad"}),
+        },
+        coords={"roughness": [float(ndf.roughness) for ndf in ndfs], "theta": ("theta", _ANGLES, {"units": "rad"})},
+        attrs={"ndf": ndfs[0].family, "loss": LOSS, "dims": dims, "exact": int(exact)},
+    )
+
+
+def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
+    """Return the first angle whose relative loss exceeds 5 %.
+
+    The loss is that of the peak in the tangent plane, relative to theta = 0 (see `peak_response`).
+
+    Args:
+        rig: camera, sample and lamp.
+        ndf: distribution of the microfacets' normals, such as `GGX(0.01)`.
+        dims: 2 for a real sample, 1 for the paper's one-dimensional model. Default: 2. The relative loss of Gaussian lobes is
+            the same in both.
+
+    Returns:
+        Angle, rad; pi/2 if no angle below 89.9 degrees loses as much.
+
+    Raises:
+        ArgumentError: see `peak_response`.
+
+    Source:
+        Holzschuch and Pacanowski (2017), section 3; docs/model.md 4.
+
+    Example:
+        >>> angle = matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.02))
+        >>> print(f"{np.degrees(angle):.1f} degrees")
+        57.1 degrees
+    """
+    return float(predict(rig, [ndf], dims)["loss_angle"][0])
+
+
+def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
+    loss = 1 - relative - LOSS
+    beyond = np.flatnonzero(loss > 0)
+    if not beyond.size:
+        return np.pi / 2
+    i = beyond[0]
+    return float(np.interp(0.0, loss[i - 1 : i + 1], theta[i - 1 : i + 1]))
+
+
+def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
+    """Predict the haze and the diffuse part that a lens's halo adds to a material (docs/model.md 2).
+
+    The angles lie across the plane of camera and lamp (phi_d = pi / 2), where light and view stay high.
+
+    Args:
+        material: the material.
+        rig: a rig with a `Sphere` and a `HaloOptics`.
+        theta_d: slice of the table, in [0, pi/4], rad. Default: pi / 8.
+
+    Returns:
+        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, which is recorded less the record
+        without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that `added` is taken for far from
+        the highlight: pi times its mean from 30 degrees on.
+
+    Raises:
+        ArgumentError: the lens has no halo, or the sample is no sphere.
+    """
+    optics = rig.camera.optics
+    if not isinstance(optics, HaloOptics):
+        raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(f"false light is predicted for a Sphere, not for a {type(rig.sample).__name__}")
+    theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
+    sphere = rig.sample
+    theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)
+    lamps = np.asarray(sphere.lamp_angle(jnp.asarray([theta_d])))
+    place = sphere.place(theta_h, np.full(theta_h.size, theta_d), phi_d)
+    x, y, lamp = (np.asarray(a) for a in place)
+    places = RecordPlaces(x, y, lamp, np.zeros(x.size, dtype=np.int32))
+    cos_i = np.asarray(cosines(theta_h, theta_d, phi_d)[0])[:, None]
+    bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp_radius, jitter=rig.jitter)
+    with_halo, without = (
+        np.asarray(record(material, imaging, integration_plan(imaging, lamps, places))) / cos_i
+        for imaging in (imaging_of(rig), imaging_of(bare))
+    )
+    true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)
+    dims = ("theta_h", "channel")
+    added = with_halo - without
+    far = np.degrees(theta_h) >= _FAR_FROM_HIGHLIGHT
+    return xr.Dataset(
+        {
+            "true": (dims, np.broadcast_to(true, added.shape), {"units": "1/sr"}),
+            "recorded": (dims, with_halo, {"units": "1/sr"}),
+            "added": (dims, added, {"units": "1/sr"}),
+            "false_diffuse": ("channel", np.pi * added[far].mean(axis=0)),
+        },
+        coords={"theta_h": ("theta_h", theta_h, {"units": "rad"})},
+        attrs={"theta_d": theta_d, "fraction": float(optics.fraction), "radius_px": float(optics.radius)},
+    )

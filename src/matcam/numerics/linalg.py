@@ -1,0 +1,61 @@
+"""The inverse of information matrices whose parameters have different units.
+
+An information matrix (the inverse of a covariance) is symmetric and positive semidefinite. Its entries may differ by a factor
+of 1e20, because its parameters have different units; so it is scaled to a unit diagonal before it is inverted. One floor
+decides which directions the data determine.
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+
+FLOOR = 1e-12
+"""Least eigenvalue of a matrix scaled to a unit diagonal. Rounding in sums of 1e6 products stays below it. A direction at the
+floor has a standard deviation of 1e6 times that of its parameters alone: nothing that the data determine."""
+
+AnyMatrix = TypeVar("AnyMatrix", np.ndarray, jax.Array)
+
+
+def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
+    """Return the inverse of a symmetric, positive semidefinite matrix, by way of a unit diagonal.
+
+    NumPy arrays are inverted by their eigenvalues, none of which counts as less than `FLOOR`: sums that rounding has made
+    indefinite are no harm. JAX arrays are lifted by `FLOOR` and inverted by Cholesky's decomposition, which compiles to less.
+    The two differ by `FLOOR` over the smallest eigenvalue.
+
+    Args:
+        information: matrix, or a stack of them (NumPy only), shape (..., n, n); the inverse squares of the parameters' units.
+        undetermined: variance of a parameter whose diagonal entry is 0. Default: 0.0, which leaves it where it is.
+
+    Returns:
+        The covariance, same shape and kind.
+    """
+    if isinstance(information, np.ndarray):
+        unit, inverse_std = _to_unit_diagonal(information)
+        values, axes = np.linalg.eigh(unit)
+        inverse = (axes / np.maximum(values, FLOOR)[..., None, :]) @ np.swapaxes(axes, -1, -2)
+        covariance = inverse * inverse_std[..., :, None] * inverse_std[..., None, :]
+        if undetermined:
+            covariance += np.where(inverse_std > 0, 0.0, undetermined)[..., None] * np.eye(unit.shape[-1])
+        return covariance
+    diagonal = jnp.diagonal(information)
+    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    lifted = information * scale[:, None] * scale + jnp.diag(jnp.where(scale > 0, FLOOR, 1.0))
+    inverse = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(lifted), True), jnp.eye(len(scale)))
+    return inverse * scale[:, None] * scale + jnp.diag(jnp.where(scale > 0, 0.0, undetermined))
+
+
+def least_eigenvalue(information: np.ndarray) -> float:
+    """Return the least eigenvalue of a matrix scaled to a unit diagonal; below `FLOOR`, a direction is not determined."""
+    return float(np.linalg.eigvalsh(_to_unit_diagonal(information)[0])[0])
+
+
+def _to_unit_diagonal(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scaled matrix and the factor of each row, 0 where the diagonal is not positive."""
+    diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
+    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    return matrix * scale[..., :, None] * scale[..., None, :], scale

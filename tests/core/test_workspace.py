@@ -1,0 +1,113 @@
+"""What a workspace keeps, what it lets go, and that a broken disk is no harm."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from matcam.core.errors import ArgumentError
+from matcam.core.workspace import Workspace, default_workspace, user_cache_folder
+
+
+class Counted:
+    """A function that counts its calls."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self):
+        self.calls += 1
+        return {"a": np.arange(3.0)}
+
+
+def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path):
+    make = Counted()
+    workspace = Workspace(tmp_path)
+    for _ in range(2):
+        np.testing.assert_array_equal(workspace.kept("rig", make)["a"], [0, 1, 2])
+    assert make.calls == 1
+    (file,) = tmp_path.glob("*.npz")
+    file.write_bytes(b"not an archive")
+    workspace.kept("rig", make)
+    assert make.calls == 2
+    workspace.kept("another rig", make)
+    assert make.calls == 3
+    # another process finds them
+    pickle.loads(pickle.dumps(workspace)).kept("another rig", make)
+    assert make.calls == 3
+
+
+def test_another_version_of_the_package_makes_its_own(tmp_path, monkeypatch):
+    make = Counted()
+    Workspace(tmp_path).kept("rig", make)
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "0.0.0")
+    Workspace(tmp_path).kept("rig", make)
+    assert make.calls == 2
+
+
+@pytest.mark.parametrize(("most", "left"), [(12, 12), (3, 3), (0, 0)])
+def test_the_latest_files_stay(tmp_path, most, left):
+    workspace = Workspace(tmp_path, files=most)
+    for number in range(14):
+        workspace.kept(str(number), Counted())
+    assert len(list(tmp_path.glob("*.npz"))) == left
+
+
+def test_a_folder_that_cannot_be_written_is_no_harm(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    make = Counted()
+    assert Workspace(tmp_path / "file" / "rules").kept("rig", make)["a"].size == 3
+    assert make.calls == 1
+
+
+def test_memory_keeps_the_latest_used_of_each_kind():
+    workspace, made = Workspace(entries=2), []
+
+    def ask(kind, key):
+        return workspace.remember(kind, key, lambda: made.append((kind, key)) or key)
+
+    for key in (1, 2, 1, 3, 1):  # 2 was used before 1 was used again: it goes
+        assert ask("rule", key) == key
+    ask("lattice", 1)
+    ask("rule", 2)
+    assert made == [("rule", 1), ("rule", 2), ("rule", 3), ("lattice", 1), ("rule", 2)]
+
+
+def test_large_kinds_and_no_memory():
+    make = Counted()
+    workspace = Workspace()
+    for key in (1, 2, 1):
+        workspace.remember("table", key, make, most=1)
+    assert make.calls == 3
+    for _ in range(2):
+        Workspace(entries=0).remember("table", 1, make)
+    assert make.calls == 5
+
+
+def test_a_failure_is_not_kept():
+    workspace = Workspace()
+    with pytest.raises(ZeroDivisionError):
+        workspace.remember("rule", 1, lambda: 1 / 0)
+    assert workspace.remember("rule", 1, lambda: 5) == 5
+
+
+def test_the_default_is_one_and_writes_nothing():
+    assert default_workspace() is default_workspace()
+    assert default_workspace().folder is None
+
+
+def test_the_user_s_folder_is_where_the_system_has_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert user_cache_folder() == tmp_path / "matcam"
+    assert Workspace.user().folder == tmp_path / "matcam" / "rules"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert "matcam" in user_cache_folder().name
+    assert tmp_path in user_cache_folder().parents
+
+
+@pytest.mark.parametrize("bad", [{"entries": -1}, {"files": 1.5}, {"entries": True}])
+def test_bad_limits_are_refused(bad):
+    (name,) = bad
+    with pytest.raises(ArgumentError, match=f"{name} must be a whole number >= 0, got"):
+        Workspace(**bad)

@@ -1,0 +1,92 @@
+"""Inverses, interpolation and quadrature against closed forms."""
+
+import numpy as np
+import pytest
+
+from matcam.core.jax import jax, jnp
+from matcam.numerics.interpolate import interpolated, lagrange_basis
+from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
+from matcam.numerics.quadrature import graded_nodes, nodes_between, nodes_in_panels
+
+UNITS = np.array([1e-12, 1.0, 1e9])
+
+
+def information(correlation=0.5):
+    """A matrix in these units, and its inverse."""
+    unit = np.full((3, 3), correlation) + (1 - correlation) * np.eye(3)
+    return unit * np.outer(UNITS, UNITS), np.linalg.pinv(unit) / np.outer(UNITS, UNITS)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
+def test_units_that_differ_by_1e21_cost_no_digits(kind):
+    matrix, inverse = information()
+    np.testing.assert_allclose(scaled_inverse(kind(matrix)), inverse, rtol=1e-11)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
+def test_what_the_data_do_not_determine_has_the_variance_of_the_floor(kind):
+    matrix, _ = information(1.0)
+    covariance = np.asarray(scaled_inverse(kind(matrix))) * np.outer(UNITS, UNITS)
+    assert 0.3 / FLOOR < covariance[0, 0] < 1 / FLOOR
+    assert np.ones(3) @ covariance @ np.ones(3) == pytest.approx(1.0, rel=2e-3)  # their sum is determined
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
+def test_a_parameter_without_information(kind):
+    matrix = np.diag([4.0, 0.0])
+    np.testing.assert_allclose(scaled_inverse(kind(matrix)), np.diag([0.25, 0.0]), rtol=1e-11)
+    np.testing.assert_allclose(scaled_inverse(kind(matrix), undetermined=7.0), np.diag([0.25, 7.0]), rtol=1e-11)
+
+
+def test_a_stack_is_inverted_one_by_one():
+    stack = np.stack([information(c)[0] for c in (0.1, 0.5, 0.9)])
+    for whole, one in zip(scaled_inverse(stack), stack, strict=True):
+        np.testing.assert_allclose(whole, scaled_inverse(one), rtol=1e-12)
+
+
+def test_a_sum_that_rounding_made_indefinite_is_no_harm():
+    matrix = np.array([[1.0, 1.0 + 1e-14], [1.0 + 1e-14, 1.0]])
+    assert np.linalg.eigvalsh(matrix)[0] < 0
+    assert (np.diag(scaled_inverse(matrix)) > 0).all()
+    assert least_eigenvalue(matrix) < FLOOR < least_eigenvalue(information()[0])
+
+
+def test_lagrange_is_exact_for_polynomials_and_has_derivatives_at_its_points():
+    points = np.array([-1.0, 0.0, 0.5, 2.0])
+    cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 3.0])
+    at = np.linspace(-1, 2, 7)
+    value = sum(cubic(point) * weight for point, weight in zip(points, lagrange_basis(points, at), strict=True))
+    np.testing.assert_allclose(value, cubic(at), atol=1e-12)
+
+    def through(x):
+        return jnp.asarray(cubic(points)) @ jnp.stack(lagrange_basis(points, x))
+
+    for x in (0.5, 1.3):
+        assert float(jax.grad(through)(x)) == pytest.approx(cubic.deriv()(x), abs=1e-12)
+
+
+def test_grids_are_interpolated_through_eight_points():
+    rows, columns = np.mgrid[0:12, 0:14] / 10.0
+    grids = jnp.asarray(np.stack([np.exp(rows - columns), np.cos(rows) * columns])[..., None])
+    row, column = jnp.asarray([4.3, 5.0]), jnp.asarray([6.7, 5.25])
+    value = interpolated(grids, jnp.asarray([0, 1]), row, column)[:, 0]
+    truth = [np.exp((4.3 - 6.7) / 10), np.cos(0.5) * 0.525]
+    np.testing.assert_allclose(value, truth, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
+def test_gauss_legendre_is_exact_to_its_order_on_every_panel(kind):
+    power = 2 * 5 - 1
+    nodes, weights = nodes_between(kind(1.0), kind(3.0), 5)
+    assert isinstance(nodes, type(kind(1.0)))
+    assert float(weights @ nodes**power) == pytest.approx((3.0**10 - 1) / 10, rel=1e-13)
+    nodes, weights = nodes_in_panels(kind([0.0, 0.5, 2.0]), 5)
+    assert nodes.shape == (10,)
+    assert float(weights @ nodes**power) == pytest.approx(2.0**10 / 10, rel=1e-13)
+
+
+def test_graded_panels_follow_a_peak_and_the_sign_of_their_range():
+    for borders, sign in (([0.0, 1.0], 1), ([0.0, -0.4, -1.0], -1)):
+        nodes, weights = graded_nodes(jnp.asarray(borders), jnp.asarray(1e-4), graded=12, order=8)
+        value = float(jnp.sum(weights * jnp.exp(-jnp.abs(nodes) / 1e-4)))
+        assert value == pytest.approx(sign * 1e-4, rel=1e-7)
