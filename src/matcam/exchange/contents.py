@@ -20,7 +20,8 @@ from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_name
 from matcam.files.rgl import check_fields
 from matcam.files.samples import samples_of, table_of
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 
 @dataclass(frozen=True)

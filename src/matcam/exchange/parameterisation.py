@@ -89,7 +89,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     visible = _visible(u, facets)
     warp = Warp(visible)
     grid = np.linspace(0, 1, square)
-    place_u, place_v, tabulated_density = warp.placed(grid, grid[: square // 2])  # the other half mirrors it
+    place_u, place_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
     theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
     d = np.interp(place_u, u, facets)
