@@ -75,16 +75,6 @@ TO_DO = {
     "rigs",
     # core
     "MatcamError",
-    # exchange
-    "adaptive_grid",
-    "camera_trace",
-    "convert",
-    "lobe_widths",
-    "metadata",
-    "mitsuba_material",
-    "pbrt_material",
-    "receiver",
-    "rendered_sphere",
     # files
     "read_exr",
     "read_float_tiff",
@@ -103,18 +93,6 @@ TO_DO = {
     "write_samples",
     "write_sidecar",
     "write_zarr",
-    # forward
-    "highlight_stamps",
-    "lobe_table",
-    "loss_angle",
-    "measure",
-    "measured_values",
-    "peak_response",
-    "picture",
-    "picture_values",
-    "texture_contrast",
-    "textured_picture",
-    "with_pixel_noise",
     # inverse
     "Correction",
     "MaterialFit",
