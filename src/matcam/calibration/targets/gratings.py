@@ -46,6 +46,12 @@ class GratingMTF:
         modulation_std: its standard deviations.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
+        >>> result = matcam.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
+        >>> round(result.contrast, 3)
+        0.25
     """
 
     samples: MTFSamples

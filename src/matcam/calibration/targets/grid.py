@@ -94,6 +94,16 @@ class DotGrid:
         radius: mean of the dots' radii as they should be in the picture, px.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> y, x = np.mgrid[:90, :90]
+        >>> page = np.full((90, 90), 1000.0)
+        >>> for place in np.ndindex(7, 7):
+        ...     page -= 900 * np.exp(-((x - 9 - 12 * place[0]) ** 2 + (y - 9 - 12 * place[1]) ** 2) / 2)
+        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> sigma, std = grid.sigma_at(45, 45)
+        >>> round(float(sigma), 1), grid.to_dict()["field"]["place_px"][0]
+        (0.9, [45.0, 45.0])
     """
 
     x: FloatArray

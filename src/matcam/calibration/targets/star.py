@@ -55,6 +55,13 @@ class StarMTF:
         chi2: chi2 per degree of freedom (no unit); 1 but for what gain and read noise cannot explain.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> y, x = np.mgrid[:110, :110] - 54.5
+        >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)
+        >>> result = matcam.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> [round(place, 2) for place in result.centre], result.to_dict()["cycles"]
+        ([54.5, 54.5], 20)
     """
 
     samples: MTFSamples
