@@ -5,7 +5,7 @@ from .calibration.chart.chart_file import read_chart, write_chart
 from .calibration.chart.chart_layout import design_chart
 from .calibration.chart.registration import register_chart
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
-from .calibration.edge.edge_result import EdgeMTF
+from .calibration.edge.edge_result import EdgeMTF, EdgeStack
 from .calibration.photograph.linear_image import LinearImage
 from .calibration.targets.gratings import GratingMTF, coltman, grating_mtf
 from .calibration.targets.grid import DotGrid, dot_grid
@@ -81,6 +81,7 @@ __all__ = [
     "DiffractionOptics",
     "DotGrid",
     "EdgeMTF",
+    "EdgeStack",
     "Flat",
     "GaussianNDF",
     "GaussianOptics",

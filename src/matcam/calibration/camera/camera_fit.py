@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
 from matcam.calibration.camera.joint_fit import EdgeMeasurements, Unknowns, fit_jointly, in_profile_units
-from matcam.calibration.edge.free_fit import FREQUENCIES
+from matcam.calibration.edge.free_curve import FREQUENCIES
 from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, lens_model
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics

@@ -11,12 +11,12 @@ import numpy as np
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
-from matcam.calibration.edge.edge_result import EdgeMTF
+from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
-from matcam.calibration.search.photograph_edges import edge_remarks, measured_edges
+from matcam.calibration.search.photograph_edges import edge_remarks, found_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.core.errors import FitError
@@ -40,7 +40,7 @@ class EdgeTable(NamedTuple):
         sigma_std: (n,) its standard deviation, px.
         mtf50: (n,) cycles/px, free of a model.
         mtf50_std: (n,) its standard deviation, cycles/px.
-        mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
+        mtf: (n, 81) MTF at `free_curve.FREQUENCIES`, free of a model.
         mtf_std: (n, 81) its standard deviation.
         source: (n,) names of pictures.
     """
@@ -93,7 +93,7 @@ class Finding(NamedTuple):
     channel: str
     source: str
     f_number: float | None
-    edges: EdgeMTF | None
+    edges: EdgeStack | None
     samples: tuple[MTFSamples, ...]
 
 
@@ -124,7 +124,7 @@ class PicturePlan:
         remarks: list[Remark] = []
         for plane in planes:
             remarks = remarks or list(plane.remarks)
-            result: EdgeMTF | None = None
+            result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
@@ -132,7 +132,7 @@ class PicturePlan:
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
             if edges is not None:
                 try:
-                    result = measured_edges(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
+                    result = found_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
                 except FitError:
                     if not samples:
                         raise
@@ -160,7 +160,7 @@ class Evidence:
 
     def measurements(self, lens_at: LensAt) -> Measurements:
         """Return everything as the joint fit takes it."""
-        groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in range(_good(edges).size)]
+        groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [f"{s.source} ({s.kind})" if s.source else s.kind for s in self._samples]
         return Measurements(
             edge_measurements([(edges, lens_at(f_number)) for edges, _, f_number in self._stacks]),
@@ -172,15 +172,10 @@ class Evidence:
         """Return all edges without problems; None if there are no edges."""
         rows = []
         for edges, source, _ in self._stacks:
-            fit, good = edges.parametric, _good(edges)
+            fit, good = edges.parametric, edges.good
             columns = (
                 *edges.place, edges.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), edges.mtf50,
                 edges.mtf50_std, edges.mtf, edges.mtf_std,
             )  # fmt: skip
             rows.append((*(np.asarray(column)[good] for column in columns), np.full(good.size, source)))
         return EdgeTable(*(np.concatenate(columns) for columns in zip(*rows, strict=True))) if rows else None
-
-
-def _good(edges: EdgeMTF) -> np.ndarray:
-    """Return the indices of edges without problems."""
-    return np.flatnonzero([not problem for problem in edges.problems])

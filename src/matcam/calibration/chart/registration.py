@@ -18,8 +18,8 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
-from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.calibration.photograph.region import local_mean
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -233,7 +233,7 @@ def _balanced(mosaic: FloatArray) -> FloatArray:
 
 def _find_marks(picture: FloatArray) -> list[_Mark]:
     """Find all concentric dark discs and rings of a picture."""
-    smooth = smoothed(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]

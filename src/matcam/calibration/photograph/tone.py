@@ -1,4 +1,4 @@
-"""Tone curves: from a picture's codes to light. MTFs exist for linear values only (MODEL 7)."""
+"""Tone curves: from a picture's codes to light. MTFs exist for linear values only (docs/model.md 7)."""
 
 from __future__ import annotations
 

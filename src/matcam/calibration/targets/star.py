@@ -17,8 +17,8 @@ from scipy.interpolate import BSpline
 
 from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
@@ -156,8 +156,8 @@ def star_mtf(
     else:
         picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
         found = find_star(picture.values, cycles)
-    if problem := region.flaw(picture.values):
-        raise FitError(problem)
+    if problem := flaw(picture.values):
+        raise FitError(str(problem))
     fit, edges = _fit_star(picture.values, found)
     return _star_result(picture, found, fit, edges, contrast)
 
