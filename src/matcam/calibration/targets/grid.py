@@ -45,6 +45,12 @@ class BlurField:
         covariance: (6, 6) of `coefficients`.
         middle: (x, y) of the grid's middle, px.
         half: half the grid's extent, px.
+
+    Example:
+        >>> from matcam.calibration.targets.grid import BlurField
+        >>> field = BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
+        >>> np.round(field.sigma_at([100, 150], [80, 80])[0], 3)
+        array([0.5, 0.6])
     """
 
     coefficients: FloatArray
@@ -56,7 +62,14 @@ class BlurField:
     def through(cls, x: FloatArray, y: FloatArray, variance: FloatArray, std: FloatArray) -> BlurField:
         """Return the field through the variances of dots.
 
-        x, y: (n,) px. variance, std: (n,) of the lens at each dot, px^2.
+        Args:
+            x: (n,) columns, px.
+            y: (n,) rows, px.
+            variance: (n,) variance of the lens at each dot, px^2.
+            std: (n,) standard deviations of `variance`, px^2.
+
+        Returns:
+            The field; a constant if there are fewer than 24 dots.
         """
         middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
@@ -71,7 +84,15 @@ class BlurField:
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and its standard deviation at places, px."""
+        """Return sigma anywhere in the picture.
+
+        Args:
+            x: columns, px.
+            y: rows, px.
+
+        Returns:
+            Sigma and its standard deviation, px, in the shape of `x` and `y`.
+        """
         terms = _terms(
             (np.asarray(x, float) - self.middle[0]) / self.half, (np.asarray(y, float) - self.middle[1]) / self.half
         )
