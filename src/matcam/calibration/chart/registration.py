@@ -48,6 +48,12 @@ class Registration:
         shape: height and width of the picture, px.
         residual: root mean square distance that the fit leaves at the fiducials, px.
         found: number of fiducials found.
+
+    Example:
+        >>> from matcam.calibration.chart.registration import Registration
+        >>> where = Registration(np.diag([2.0, 2.0, 1.0]), (0.0, 0.0), (101, 101), 0.0, 8)  # 2 px per mm, squarely
+        >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
+        (array([[70., 60.]]), 2.0)
     """
 
     homography: FloatArray

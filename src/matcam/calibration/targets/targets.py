@@ -29,6 +29,12 @@ class Targets:
         grids: blur over the field, of every grid of dots.
         problems: targets that could not be measured, and why, as remarks.
         registration: where the chart lies.
+
+    Example:
+        >>> chart = matcam.design_chart(["dots"], pixels_across=300)
+        >>> found = matcam.measure_targets(np.random.default_rng(0).normal(9, 1, (213, 300)), chart, registration=lambda mm: mm)
+        >>> print(found.problems[0])
+        dots 11: ...
     """
 
     samples: tuple[MTFSamples, ...]
