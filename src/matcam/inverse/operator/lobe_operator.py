@@ -1,4 +1,4 @@
-"""What a rig records of D G in chosen cells: one compiled function of lobe and camera for every material.
+"""The record of D G in chosen cells: one compiled function of lobe and camera for every material.
 
 `record` is the integral of docs/model.md 3 without F. A table reads F(theta_d) times it, because a slice of a distant sphere
 under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and
@@ -222,9 +222,9 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
     ]
 
     def full(part: np.ndarray) -> np.ndarray:
-        whole = np.zeros((cells.x.size, *part.shape[1:]))
-        whole[flat] = part[: flat.size]
-        return whole.reshape(-1, 2, *part.shape[1:])
+        result = np.zeros((cells.x.size, *part.shape[1:]))
+        result[flat] = part[: flat.size]
+        return result.reshape(-1, 2, *part.shape[1:])
 
     columns: list[list[np.ndarray]] = []
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
