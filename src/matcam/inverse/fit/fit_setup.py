@@ -118,7 +118,8 @@ class FitSetup:
         return self._result(go_on(self._vector(start), weight, before.noise))
 
     def _result(self, solution: Solution) -> MaterialFit:
-        return material_fit(solution, self.rig and self.rig.camera, noise_given=self.noise is not None)
+        camera = self.rig.camera if self.rig is not None else None
+        return material_fit(solution, camera, noise_given=self.noise is not None)
 
     def _vector(self, start: MaterialFit) -> np.ndarray:
         """Return the parameters of a start in this setup's order; what the start has not is 0."""
