@@ -83,6 +83,10 @@ class LobeOperator(eqx.Module):
         """
         return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
 
+    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean."""
+        return 2 * jnp.sum(self._weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
+
     def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
         """Return the same of D times each of some functions of theta; shape (functions, slices, cells).
 
