@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import Correction, PixelNoise, Rig, Sphere, limits
+from matcam import Rig, Sphere, limits
+from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
+from matcam.inverse import Correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import PixelNoise, Rig, Sampled, Sphere, fit
+from matcam import Rig, Sphere, fit
+from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import texts
+from matcam.material import Sampled
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor

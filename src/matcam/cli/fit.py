@@ -1,4 +1,4 @@
-"""`matcam fit`: a material's numbers, estimated through the camera that recorded it."""
+"""`matcam fit`: a material's parameters, estimated through the camera that recorded it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
-from matcam.core.workspace import keep_rules
 
 Family = Annotated[
     Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
@@ -17,26 +16,34 @@ Family = Annotated[
 
 
 def command(
-    files: Annotated[list[Path], typer.Argument(help="MERL files: several of one rig are fitted with one camera.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="MERL files to read; several of one rig are fitted with one camera.")
+    ],
     ndf: Family = "ggx",
     fresnel: Annotated[
         Literal["conductor", "schlick", "dielectric", "free"],
-        typer.Option("--fresnel", help="n and k, f0, eta, or F free in every picture."),
+        typer.Option(
+            "--fresnel",
+            help="Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free).",
+        ),
     ] = "conductor",
     diffuse: Annotated[bool, typer.Option("--diffuse", help="Add a Lambertian part.")] = False,
-    per_channel: Annotated[bool, typer.Option("--per-channel", help="A lobe for each channel.")] = False,
+    per_channel: Annotated[bool, typer.Option("--per-channel", help="Fit a lobe for each channel.")] = False,
     lens: Annotated[
         Literal["auto", "fixed", "prior", "free"],
-        typer.Option("--lens", help="The camera: as the profile says, within its uncertainty, or its blur left free."),
+        typer.Option("--lens", help="Lens blur: fixed as in the profile, within its uncertainty (prior), or free."),
     ] = "auto",
     blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
     bend: Annotated[
-        float, typer.Option("--bend", help="How far the lobe may leave its family; 1: a non-parametric lobe.")
+        float,
+        typer.Option(
+            "--bend", help="How far the lobe may leave its family, 0 to 10 (no unit); 1 makes it non-parametric."
+        ),
     ] = 0.0,
     rival: Annotated[
         bool,
         typer.Option(
-            "--rival", help="Ask besides whether free shadowing explains the data better than the camera does."
+            "--rival", help="Compare with free shadowing: does it explain the data better than the camera does?"
         ),
     ] = False,
     every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.")] = 1,
@@ -49,7 +56,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Numbers of a microfacet material with their errors, estimated through the camera, all difference angles jointly.
+    """Fit the parameters of a microfacet material through the camera, all difference angles jointly, with their errors.
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """
@@ -57,12 +64,15 @@ def command(
     from matcam.core.io import check_output
 
     if blind and lens != "auto":
-        raise ArgumentError("--no-camera and --lens contradict each other")
+        raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
         raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
     if output:
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.files.merl import read_merl
     from matcam.inverse.fit.fit_setup import fit
 
@@ -79,6 +89,7 @@ def command(
             camera_parameters=None if lens == "auto" else lens,
             bend=bend,
             every=every,
+            workspace=Workspace.user(),
         )
     document = {"files": [str(file) for file in files], **found.to_dict()}
     if rival:
@@ -98,11 +109,12 @@ def command(
 
 
 def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
+    from matcam.core.workspace import Workspace
     from matcam.files.merl import read_merl
     from matcam.inverse.rival_fits import rivals
 
     with show.working(f"fitting {file} with free shadowing instead"):
-        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every).to_dict()
+        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every, workspace=Workspace.user()).to_dict()
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:

@@ -202,7 +202,7 @@ def tabulated_fresnel(
         ...     coords={"theta_d": theta_d, "channel": ["G"]},
         ...     attrs={"normalised_over": [0.17, 0.79]},
         ... )
-        >>> matcam.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
+        >>> matcam.inverse.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
         array([0.55, 0.65, 0.68])
     """
     channels = result.sizes["channel"]

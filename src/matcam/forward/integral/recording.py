@@ -25,9 +25,10 @@ from matcam.forward.integral.integrals import (
 from matcam.forward.integral.plan import IntegrationPlan, PlanPart, RecordPlaces
 from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.material.material import Material
-from matcam.numerics.interpolate import POINTS, interpolated
+from matcam.numerics.interpolate import POINTS, interpolated, lagrange_basis
 
 _GRADED, _ORDER = 6, 6
+_THREE_LAMPS = np.array([-1.0, 0.0, 1.0])
 # Places at a time: as many nodes as fit into a processor's cache
 _INSIDE, _NODES, _READ = 4096, 128, 8192
 
@@ -131,8 +132,8 @@ def _read_highlights(subject: _Subject, grid: _HighlightGrid, lamps: jax.Array, 
         if len(values) == 1:
             value = values[0]
         else:  # a parabola through the three lamps
-            t = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
-            value = values[0] * t * (t - 1) / 2 + values[1] * (1 - t) * (1 + t) + values[2] * t * (t + 1) / 2
+            between = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
+            value = sum(basis * one for basis, one in zip(lagrange_basis(_THREE_LAMPS, between), values, strict=True))
         return _over_flat_field(value, whole, blur)
 
     return _in_batches(read, tuple(jnp.asarray(a) for a in arrays), _READ)

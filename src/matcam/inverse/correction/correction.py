@@ -14,7 +14,7 @@ from matcam.core import checks
 from matcam.core.errors import FitError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.remark import Remark, to_attribute
-from matcam.core.workspace import Workspace, current_workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, rig_doubts
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, LobeRatio, lobe_ratio, seen_cells
 from matcam.inverse.correction.shape_correction import ShapeCorrection, no_correction, shape_correction
@@ -49,9 +49,9 @@ class Correction:
         remarks: what a reader should know of the correction.
 
     Example:
-        >>> done = matcam.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
+        >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
-        >>> list(matcam.Correction.__dataclass_fields__)
+        >>> list(matcam.inverse.Correction.__dataclass_fields__)
         ['table', 'fit', 'doubts', 'shape', 'remarks']
     """
 
@@ -96,7 +96,7 @@ class Correction:
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
-        workspace = workspace or current_workspace()
+        workspace = workspace or default_workspace()
         setup = free_setup([brdf], rig, masking=masking, noise=noise, workspace=workspace)
         best = family = likeliest(candidate_fits(setup, ndf))
         setup = setup.with_(ndf=family.family)
@@ -287,7 +287,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
     if not there.any():
-        raise FitError("no picture shows a highlight")
+        raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
     seen = found.theta_d[there]
     f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
     radius = sphere_radius(rig)

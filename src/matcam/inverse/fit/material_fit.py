@@ -63,7 +63,7 @@ class MaterialFit:
     Example:
         >>> found = matcam.fit(table, matcam.rigs.merl(), "ggx")  # doctest: +SKIP
         >>> found.params["alpha"], found.std["alpha"]  # doctest: +SKIP
-        >>> list(matcam.MaterialFit.__dataclass_fields__)[:3]
+        >>> list(matcam.inverse.MaterialFit.__dataclass_fields__)[:3]
         ['family', 'params', 'std']
     """
 

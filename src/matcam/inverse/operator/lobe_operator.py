@@ -20,7 +20,7 @@ import numpy as np
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp
-from matcam.core.workspace import Workspace, current_workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.integral.blur import blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.polar_rule import (
@@ -162,7 +162,7 @@ def lobe_operator(
     """
     if rig is None:
         return perfect_operator(sampling, every, _PERFECT_RADIUS, workspace)
-    workspace = workspace or current_workspace()
+    workspace = workspace or default_workspace()
     key = (rig_key(rig), sampling, every, axes)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
@@ -273,7 +273,7 @@ def perfect_operator(
         cells = chosen_cells(radius, sampling, every)
         return cells, point_operator(cells)
 
-    return (workspace or current_workspace()).remember("perfect operator", (sampling, every, radius), make)
+    return (workspace or default_workspace()).remember("perfect operator", (sampling, every, radius), make)
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
