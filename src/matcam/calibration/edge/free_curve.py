@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.camera import pixel as tilted_square
+from matcam.camera.kernel import edge_and_slopes
 from matcam.core.jax import AnyArray, jax, jnp
 
 PAIRS = 7
@@ -103,7 +103,7 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
     """
     places, width = _bumps(shape)
     blurred = jnp.sqrt(shape.sigma**2 + spread)
-    pilot, line, _ = tilted_square.edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
+    pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
     wide = jnp.sqrt(width**2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
@@ -126,7 +126,7 @@ def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
     normal = jax.scipy.stats.norm.pdf
 
     def line(x: jax.Array) -> jax.Array:
-        return tilted_square.edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
+        return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
 
     pilot, moved = jax.jvp(line, (distance,), (jnp.broadcast_to(line_width(shape), distance.shape),))
     right, left = (normal(distance, sign * places[:, None], width) for sign in (1, -1))

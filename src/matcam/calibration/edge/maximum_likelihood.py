@@ -143,8 +143,9 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     length = jnp.max(jnp.abs(aligned.y))
     powers = (aligned.y / length) ** jnp.arange(3)[:, None]
     normal = (powers * information) @ powers.T
+    normal = normal + 1e-9 * jnp.trace(normal) * jnp.eye(3) + 1e-300 * jnp.eye(3)
     units = length ** -jnp.arange(3.0)
-    covariance = scaled_inverse(normal, undetermined=1e300)
+    covariance = jnp.linalg.inv(normal)
     change = jnp.clip(covariance @ (powers @ score), -1.0, 1.0)
     rms = jnp.sqrt((residual**2).sum() / jnp.maximum(aligned.valid[:, near].sum(), 1.0))
     return CurveStep(curve + change * units, covariance * units[:, None] * units, rms)

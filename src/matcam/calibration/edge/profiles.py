@@ -19,8 +19,8 @@ import equinox as eqx
 
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
-from matcam.camera import pixel as tilted_square
 from matcam.camera.camera import Camera
+from matcam.camera.kernel import edge_and_slopes
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
@@ -343,7 +343,7 @@ def _gaussian_edge(
     """Return E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
     sigma = jnp.exp(log_sigma)
     wide = jnp.sqrt(sigma**2 + cells.spread)
-    edge, line, by_wide = tilted_square.edge_and_slopes(cells.distance, angle, half_width, wide)
+    edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
     return edge, line, by_wide * sigma**2 / wide
 
 
