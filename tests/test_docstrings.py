@@ -16,7 +16,6 @@ TO_DO = {
     # calibration
     "Calibration",
     "DotGrid",
-    "EdgeMTF",
     "GratingMTF",
     "MTFSamples",
     "StarMTF",
@@ -24,8 +23,6 @@ TO_DO = {
     "coltman",
     "design_chart",
     "dot_grid",
-    "edge_mtf",
-    "edge_mtf_stack",
     "grating_mtf",
     "measure_targets",
     "read_chart",
