@@ -66,7 +66,7 @@ class ParametricEdge(_LensNumbers[float]):
         >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
         >>> fit = matcam.edge_mtf(image).parametric
         >>> fit.names, np.round(fit.values, 2)
-        (('optics.sigma_px',), array([0.78]))
+        (('optics.sigma_px',), array([0.79]))
     """
 
     @property
