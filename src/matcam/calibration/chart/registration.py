@@ -18,8 +18,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
-from matcam.calibration.photograph.linear_image import LinearImage
-from matcam.calibration.photograph.region import local_mean
+from matcam.calibration.photograph.linear_image import LinearImage, local_mean
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 

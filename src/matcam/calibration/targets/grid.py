@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import LinearImage, region_of
-from matcam.calibration.photograph.region import flaw
+from matcam.calibration.photograph.linear_image import LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
