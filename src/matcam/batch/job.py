@@ -93,8 +93,14 @@ class Outcome(NamedTuple):
     Attributes:
         source: the job's input.
         seconds: time that it took, s.
-        reason: why it failed, in one line; None if it did not.
-        trace: traceback of a fault of matcam; None otherwise.
+        reason: why it failed, in one line; None: it did not. Default: None.
+        trace: traceback of a fault of matcam; None: there was none. Default: None.
+
+    Example:
+        >>> import pathlib
+        >>> outcome = matcam.batch.Outcome(pathlib.Path("gold.binary"), 12.5)
+        >>> outcome.reason is None
+        True
     """
 
     source: Path

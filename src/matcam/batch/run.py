@@ -40,7 +40,12 @@ class Progress(NamedTuple):
         corrected: materials that the run has corrected.
         failed: materials that failed.
         total: all materials of the run.
-        last: outcome of the last material; None at the start.
+        last: outcome of the last material; None: none is done yet.
+
+    Example:
+        >>> progress = matcam.batch.Progress(kept=3, corrected=2, failed=1, total=10, last=None)
+        >>> f"{progress.kept + progress.corrected} of {progress.total}"
+        '5 of 10'
     """
 
     kept: int
@@ -59,6 +64,11 @@ class Run:
         corrected: inputs that the run corrected.
         kept: inputs that were finished before.
         failures: outcomes of the inputs that failed, each with one line that says why.
+
+    Example:
+        >>> import pathlib
+        >>> matcam.batch.Run(pathlib.Path("out"), corrected=(), kept=(), failures=()).to_dict()["failed"]
+        []
     """
 
     folder: Path

@@ -1,5 +1,5 @@
 from .image import picture_values
-from .measurement import table_values
+from .measurement import table_values, true_table
 from .noisy_table import with_pixel_noise
 from .stamps import highlight_stamps
 from .texture import texture_contrast, textured_picture
@@ -10,5 +10,6 @@ __all__ = [
     "table_values",
     "texture_contrast",
     "textured_picture",
+    "true_table",
     "with_pixel_noise",
 ]
