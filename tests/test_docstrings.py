@@ -73,8 +73,6 @@ TO_DO = {
     "metals",
     "paper",
     "rigs",
-    # core
-    "MatcamError",
     # exchange
     "adaptive_grid",
     "camera_trace",
@@ -85,24 +83,6 @@ TO_DO = {
     "pbrt_material",
     "receiver",
     "rendered_sphere",
-    # files
-    "read_exr",
-    "read_float_tiff",
-    "read_merl",
-    "read_netcdf",
-    "read_rgl",
-    "read_samples",
-    "read_sidecar",
-    "read_zarr",
-    "sidecar_path",
-    "write_exr",
-    "write_float_tiff",
-    "write_merl",
-    "write_netcdf",
-    "write_rgl",
-    "write_samples",
-    "write_sidecar",
-    "write_zarr",
     # forward
     "highlight_stamps",
     "lobe_table",
