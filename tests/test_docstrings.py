@@ -32,47 +32,8 @@ TO_DO = {
     "register_chart",
     "star_mtf",
     "write_chart",
-    # camera, material, sample
-    "Adaptive",
-    "AnisotropicBeckmann",
-    "AnisotropicGGX",
-    "Beckmann",
-    "BoxPixel",
-    "Camera",
-    "Conductor",
-    "Constant",
-    "Cylinder",
-    "DefocusOptics",
-    "Dielectric",
-    "DiffractionOptics",
-    "EPD",
-    "Flat",
-    "GGX",
-    "GaussianNDF",
-    "GaussianOptics",
-    "HaloOptics",
-    "MeasuredOptics",
-    "Microfacet",
-    "PixelNoise",
-    "Provenance",
-    "Rig",
-    "SGD",
-    "Sampled",
-    "Schlick",
-    "Sensor",
-    "Sphere",
-    "Tabulated",
-    "Uncertainty",
-    "WindowedGaussianPixel",
-    "albedo",
-    "expose_bracket",
-    "fresnel_conductor",
-    "merge_bracket",
-    "metal",
-    "metal_sources",
-    "metals",
-    "paper",
-    "rigs",
+    # core
+    "MatcamError",
     # exchange
     "adaptive_grid",
     "camera_trace",
@@ -83,6 +44,24 @@ TO_DO = {
     "pbrt_material",
     "receiver",
     "rendered_sphere",
+    # files
+    "read_exr",
+    "read_float_tiff",
+    "read_merl",
+    "read_netcdf",
+    "read_rgl",
+    "read_samples",
+    "read_sidecar",
+    "read_zarr",
+    "sidecar_path",
+    "write_exr",
+    "write_float_tiff",
+    "write_merl",
+    "write_netcdf",
+    "write_rgl",
+    "write_samples",
+    "write_sidecar",
+    "write_zarr",
     # forward
     "highlight_stamps",
     "lobe_table",
@@ -169,6 +148,16 @@ def described(text):
     return found
 
 
+def inherited_description(cls, name):
+    """{parameter: its text} of a method; what a base class has said of a parameter need not be said again."""
+    found = {}
+    for base in reversed(cls.__mro__):
+        if name in vars(base):
+            member = vars(base)[name]
+            found |= described(inspect.getdoc(getattr(member, "__func__", member)) or "")
+    return found
+
+
 def summary_faults(text):
     first = text.split("\n")[0]
     words = first.split()
@@ -182,8 +171,7 @@ def summary_faults(text):
     return faults
 
 
-def parameter_faults(thing, text):
-    texts = described(text)
+def parameter_faults(thing, texts):
     for name, parameter in signature(thing).items():
         if not texts.get(name):
             yield f"parameter {name} is not described"
@@ -198,7 +186,7 @@ def faults(name, thing):
     text = inspect.getdoc(thing) or ""
     if isinstance(thing, types.ModuleType):
         return [f"{name}: no docstring"] if not text else []
-    found = [f"{name}: {fault}" for fault in (*summary_faults(text), *parameter_faults(thing, text))]
+    found = [f"{name}: {fault}" for fault in (*summary_faults(text), *parameter_faults(thing, described(text)))]
     if ">>>" not in "\n".join(sections(text).get("Example", [])) and not (
         inspect.isclass(thing) and issubclass(thing, BaseException)
     ):
@@ -208,7 +196,7 @@ def faults(name, thing):
             inner = inspect.getdoc(member) or ""
             inner_faults = summary_faults(inner)
             if not isinstance(member, property):
-                inner_faults += parameter_faults(member, inner)
+                inner_faults += parameter_faults(member, inherited_description(thing, member_name))
             found += [f"{name}.{member_name}: {fault}" for fault in inner_faults]
     return found
 

@@ -10,7 +10,6 @@ basis, a lens model) are constants, whoever asks: they stay in `functools.cache`
 from __future__ import annotations
 
 import hashlib
-import os
 import threading
 import zipfile
 from collections import OrderedDict
@@ -24,7 +23,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import replacing
+from matcam.core.io import replacing, user_cache_folder
 
 T = TypeVar("T")
 
@@ -148,13 +147,3 @@ def default_workspace() -> Workspace:
 @cache
 def _user_workspace(folder: Path) -> Workspace:
     return Workspace(folder)
-
-
-def user_cache_folder() -> Path:
-    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    if root:
-        return Path(root) / "matcam"
-    import pooch  # a fifth of a second that only programs should cost
-
-    return pooch.os_cache("matcam")

@@ -23,9 +23,8 @@ from matcam.files.float_pictures import read_exr
 from matcam.files.rgl import write_rgl
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
-from matcam.material.ndf.anisotropic import AnisotropicBeckmann, AnisotropicGGX
-from matcam.material.ndf.beckmann import Beckmann
-from matcam.material.ndf.ggx import GGX
+from matcam.material.ndf.beckmann import AnisotropicBeckmann, Beckmann
+from matcam.material.ndf.ggx import GGX, AnisotropicGGX
 from matcam.material.reflectance import Conductor, Constant
 
 _ELSE = "convert it to a .bsdf file instead"
@@ -53,7 +52,7 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
 
     Example:
         >>> gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
-        >>> facets = matcam.mitsuba_material(gold)
+        >>> facets = matcam.exchange.mitsuba_material(gold)
         >>> facets["type"], facets["distribution"], facets["alpha_u"]
         ('roughconductor', 'ggx', 0.1)
     """
@@ -106,7 +105,7 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
 
     Example:
         >>> gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
-        >>> print(matcam.pbrt_material(gold, name="gold").splitlines()[1])
+        >>> print(matcam.exchange.pbrt_material(gold, name="gold").splitlines()[1])
         MakeNamedMaterial "gold" "string type" "conductor"
     """
     _check(material)
@@ -195,9 +194,9 @@ def rendered_sphere(
 
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
-        >>> matcam.rendered_sphere(material, size=32, samples=4).shape  # doctest: +SKIP
+        >>> matcam.exchange.rendered_sphere(material, size=32, samples=4).shape  # doctest: +SKIP
         (32, 32, 3)
-        >>> matcam.rendered_sphere(material, size=8)
+        >>> matcam.exchange.rendered_sphere(material, size=8)
         Traceback (most recent call last):
         matcam.core.errors.ArgumentError: size must be a whole number from 16 to 4096, got 8
     """
