@@ -125,7 +125,7 @@ class CameraFit:
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
         >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
-        >>> star = matcam.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
         >>> fit = matcam.calibrate([], samples=[star]).channels["grey"]
         >>> fit.names, fit.measurements
         (('optics.sigma_px',), {'star': 1})

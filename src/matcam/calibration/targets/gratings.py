@@ -49,7 +49,7 @@ class GratingMTF:
 
     Example:
         >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
-        >>> result = matcam.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
+        >>> result = matcam.targets.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
         >>> round(result.contrast, 3)
         0.25
     """

@@ -121,7 +121,7 @@ class DotGrid:
         >>> page = np.full((90, 90), 1000.0)
         >>> for place in np.ndindex(7, 7):
         ...     page -= 900 * np.exp(-((x - 9 - 12 * place[0]) ** 2 + (y - 9 - 12 * place[1]) ** 2) / 2)
-        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
         >>> sigma, std = grid.sigma_at(45, 45)
         >>> round(float(sigma), 1), grid.to_dict()["field"]["place_px"][0]
         (0.9, [45.0, 45.0])

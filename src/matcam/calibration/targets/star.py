@@ -59,7 +59,7 @@ class StarMTF:
     Example:
         >>> y, x = np.mgrid[:110, :110] - 54.5
         >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)
-        >>> result = matcam.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
         >>> [round(place, 2) for place in result.centre], result.to_dict()["cycles"]
         ([54.5, 54.5], 20)
     """

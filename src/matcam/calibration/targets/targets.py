@@ -31,8 +31,9 @@ class Targets:
         registration: where the chart lies.
 
     Example:
-        >>> chart = matcam.design_chart(["dots"], pixels_across=300)
-        >>> found = matcam.measure_targets(np.random.default_rng(0).normal(9, 1, (213, 300)), chart, registration=lambda mm: mm)
+        >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
+        >>> noise = np.random.default_rng(0).normal(9, 1, (213, 300))
+        >>> found = matcam.targets.measure_targets(noise, chart, registration=lambda mm: mm)
         >>> print(found.problems[0])
         dots 11: ...
     """
