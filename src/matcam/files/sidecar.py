@@ -106,7 +106,7 @@ def sidecar_path(picture: str | Path) -> Path:
         The same name with ".json" appended.
 
     Example:
-        >>> matcam.sidecar_path("copper.exr").name
+        >>> matcam.io.sidecar_path("copper.exr").name
         'copper.exr.json'
     """
     picture = Path(picture)
@@ -158,8 +158,8 @@ def write_sidecar(
         ...     "lamp": {"angles_rad": [0.5], "radius_rad": 0.0}, "exposure": None, "material": {},
         ... }
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_sidecar(Path(folder) / "a.exr.json", **sections)
-        ...     matcam.read_sidecar(Path(folder) / "a.exr.json")["lamp"]["angles_rad"]
+        ...     matcam.io.write_sidecar(Path(folder) / "a.exr.json", **sections)
+        ...     matcam.io.read_sidecar(Path(folder) / "a.exr.json")["lamp"]["angles_rad"]
         [0.5]
     """
     document = {
@@ -198,7 +198,7 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
         FileFormatError: the file is no sidecar, or a field is missing, unknown or out of its range; the message names it.
 
     Example:
-        >>> matcam.read_sidecar("none.exr.json")
+        >>> matcam.io.read_sidecar("none.exr.json")
         Traceback (most recent call last):
         ...
         matcam.core.errors.FileFormatError: none.exr.json: no such file
