@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from matcam.batch.executors import Executor
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.jax import jax
+from matcam.core.workspace import default_workspace
 from matcam.inverse.fit.lobe_slopes import RecordBatch
 
 
@@ -34,8 +35,8 @@ class ThreadExecutor(Executor):
         with RecordBatch(seats) as batch:
 
             def attempt_in_batch(job: Job) -> Outcome:
-                with batch.serving():
-                    return attempt(job)
+                workspace = job.recipe.options.workspace or default_workspace()
+                return attempt(job, workspace.with_batch(batch))
 
             # what depends on the rig alone is computed by the first, and found by the others
             yield attempt_in_batch(jobs[0])

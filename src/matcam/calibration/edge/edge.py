@@ -219,7 +219,8 @@ def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):
-            raise ArgumentError("images must be regions of one shape, none of them of a mosaic")
+            shapes = ", ".join(f"{plane.shape}{' of a mosaic' if plane.cfa else ''}" for plane in planes)
+            raise ArgumentError(f"images must be regions of one shape, none of them of a mosaic, got {shapes:.100}")
         values, corners = np.stack([plane.values for plane in planes]), np.array([plane.corner for plane in planes])
     else:
         values = np.asarray(images)

@@ -19,7 +19,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import checked_table, sampling_of
-from matcam.core.workspace import Workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.fit.fit_parameters import FRESNEL_MODELS, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
@@ -143,7 +143,8 @@ class FitSetup:
         else:
             cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
         radius = self.radius if self.rig is None else sphere_radius(self.rig)
-        return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius)
+        batch = (self.workspace or default_workspace()).batch
+        return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius, batch)
 
     @cached_property
     def layout(self) -> Layout:
