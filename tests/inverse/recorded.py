@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, PixelNoise, Rig, Sphere, Uncertainty, rigs
+from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere, rigs
+from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.oracle import sphere_cells as oracle

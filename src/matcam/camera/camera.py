@@ -242,7 +242,7 @@ class Camera(eqx.Module):
             if not name.endswith("pixel_pitch_m") or not is_concrete(value) or not is_concrete(pitch):
                 continue
             if abs(float(value) / float(pitch) - 1) > 1e-6:
-                raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}")
+                raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}: give both the same")
 
     def __repr__(self) -> str:
         sensor = "" if self.sensor is None else f", {self.sensor!r}"

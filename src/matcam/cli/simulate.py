@@ -102,7 +102,7 @@ def command(
         from matcam.figures.style import check_picture
 
         if suffix in _TABLES:
-            raise ArgumentError("--preview shows a picture, and the output is a table")
+            raise ArgumentError("--preview shows a picture, and the output is a table: leave it out")
         check_picture(preview, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
 

@@ -82,7 +82,7 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
         >>> from matcam.exchange.contents import read
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
-        ...     matcam.write_exr(path, np.ones((2, 3, 3)))
+        ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
         ...     picture = read(path)
         >>> picture.shape
         (2, 3, 3)
@@ -98,9 +98,9 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
 
 def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
-    """Write a table, a result, a picture, a camera or a chart in the format that the file's name ends in.
+    """Write a thing in the format that the file's name ends in.
 
-    Every value is kept: nothing is resampled (see `convert`).
+    Things are tables, results, pictures, cameras and charts. Every value is kept: nothing is resampled (see `convert`).
 
     Args:
         path: file to write.
@@ -134,7 +134,10 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
 
 def contents_of(thing: Any) -> Contents:
-    """Wrap a table, a result or a picture as the contents of a file. ArgumentError for anything else."""
+    """Wrap a table, a result or a picture as contents.
+
+    ArgumentError for anything else.
+    """
     if isinstance(thing, Contents):
         return thing
     if isinstance(thing, xr.DataArray):
@@ -153,7 +156,10 @@ def contents_of(thing: Any) -> Contents:
 
 
 def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
-    """Write contents in the format that the name ends in. ArgumentError where it cannot hold them."""
+    """Write contents in the format that the name ends in.
+
+    ArgumentError where it cannot hold them.
+    """
     path = Path(path)
     form = format_for(path)
     writer = form.writer(contents.content)

@@ -25,7 +25,7 @@ REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 
 
 def inspect_contents(contents: Contents) -> dict[str, Any]:
-    """Report the contents of a file that holds measurements (see `read_contents`), as plain values (JSON).
+    """Report on contents (see `read_contents`), as plain values (JSON).
 
     The report has `holds`, and what there is of a table, samples, another result or a picture. RGL's fields are reported by
     their own grid, and by all that is reported of a table after resampling.
@@ -147,7 +147,7 @@ def _result_report(data: xr.Dataset) -> dict[str, Any]:
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
-        raise ArgumentError("every value of the picture is missing")
+        raise ArgumentError("every value of the picture is missing: there is nothing to inspect")
     return {
         "shape": list(picture.shape),
         "missing_share": float(missing.mean()),
@@ -156,7 +156,10 @@ def _picture_report(picture: np.ndarray) -> dict[str, Any]:
 
 
 def inspect_camera(path: str | Path) -> dict[str, Any]:
-    """Report parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance of a camera profile."""
+    """Report on a camera profile, as plain values (JSON).
+
+    Reported are its parameters, their standard deviations, MTF50 (cycles/px, along a row) and provenance.
+    """
     camera = Camera.load(path)
     frequency = np.linspace(0, 2, 4001)
     below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)

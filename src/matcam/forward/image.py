@@ -128,7 +128,7 @@ def picture_values(
 
     Example:
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
-        >>> matcam.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
+        >>> matcam.forward.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
         (3, 5, 1)
     """
     return _exact_record(material, _view(material, rig, lamp_angle, shape))
@@ -168,7 +168,10 @@ def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int,
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
-    """Return the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px."""
+    """Return the picture's (height, width), px.
+
+    It is the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px.
+    """
     if shape is not None:
         return picture_shape("shape", shape)
     if rig.crop is not None:

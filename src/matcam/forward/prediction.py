@@ -93,9 +93,10 @@ def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
 
 
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
-    """Predict the haze and the diffuse part that a lens's halo adds to a material (docs/model.md 2).
+    """Predict the haze and the diffuse part that a halo adds.
 
-    The angles lie across the plane of camera and lamp (phi_d = pi / 2), where light and view stay high.
+    Veiling glare makes them of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
+    (phi_d = pi / 2), where light and view stay high.
 
     Args:
         material: the material.
@@ -114,7 +115,7 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     if not isinstance(optics, HaloOptics):
         raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"false light is predicted for a Sphere, not for a {type(rig.sample).__name__}")
+        raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)

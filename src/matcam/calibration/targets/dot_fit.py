@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.region import local_mean
 from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
@@ -185,7 +185,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
             break
     if fit is None or not np.isfinite(fit.parameters).all():
-        raise FitError("the dots' pixels do not determine their blur")
+        raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
     return _without_outliers(fit)
 
 
@@ -194,7 +194,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
     """
-    smooth = smoothed(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
+    smooth = local_mean(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
@@ -230,7 +230,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     across = np.abs(steps @ np.array([-first[1], first[0]])) / (np.hypot(*steps.T) * np.hypot(*first))
     second = steps[int(np.argmax(across))]
     if np.abs(across).max() < 0.7 or not 0.5 < np.hypot(*second) / np.hypot(*first) < 2:
-        raise FitError("the spots in the region do not form a square grid")
+        raise FitError("the spots in the region do not form a square grid: give a region of dots alone")
     place: dict[int, tuple[int, int]] = {central: (0, 0)}
     basis: dict[int, FloatArray] = {central: np.stack([first, second])}
     queue = [central]
