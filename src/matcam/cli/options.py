@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
+from matcam.camera.registry import CFAS, LENSES, PARAMETRIC_LENSES
 from matcam.core.errors import MatcamError
+from matcam.material.registry import FAMILIES, FRESNEL_MODELS, MASKING_MODELS
 
 if TYPE_CHECKING:
     from matcam.rigs import Rig
@@ -68,10 +70,36 @@ LampRadius = Annotated[
         "--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc as seen from the sample, degrees."
     ),
 ]
-Masking = Annotated[
-    Literal["smith", "smith-separable", "van-ginneken", "none"],
-    typer.Option("--masking", help="Masking function G of the material."),
-]
+if TYPE_CHECKING:
+    Family = str
+    FamilyOrAuto = str
+    Masking = str
+    FresnelModel = str
+    Lens = str
+    EdgeLens = str
+    Mosaic = str | None
+else:  # Literal types, as typer wants them, of the registries' names
+
+    def _one_of(names: Iterable[str | None]) -> Any:
+        return Literal[tuple(name or "none" for name in names)]
+
+    _AUTO = "Family of the lobe; auto: ggx or epd, the likelier."
+    _FRESNEL = (
+        "Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free)."
+    )
+    Family = Annotated[_one_of(FAMILIES), typer.Option("--ndf", help="Family of the lobe.")]
+    FamilyOrAuto = Annotated[_one_of(["auto", *FAMILIES]), typer.Option("--ndf", help=_AUTO)]
+    Masking = Annotated[
+        _one_of([*MASKING_MODELS, None]), typer.Option("--masking", help="Masking function G of the material.")
+    ]
+    FresnelModel = Annotated[_one_of(FRESNEL_MODELS), typer.Option("--fresnel", help=_FRESNEL)]
+    Lens = Annotated[_one_of(LENSES), typer.Option("--model", help="Model of the lens.")]
+    EdgeLens = Annotated[_one_of(PARAMETRIC_LENSES), typer.Option("--model", help="Lens of the parametric estimate.")]
+    Mosaic = Annotated[
+        _one_of(CFAS) | None,
+        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
+    ]
+
 Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
