@@ -367,7 +367,7 @@ def test_coltmans_series_is_the_inverse_of_a_square_wave():
     series = np.pi / 4 * (contrast(f) + contrast(3 * f) / 3 - contrast(5 * f) / 5 + contrast(7 * f) / 7)
     assert series == pytest.approx(mtf(f), rel=1e-9)
     dense = np.arange(1, 150) * 0.014
-    assert matcam.coltman(dense, contrast(dense))[14] == pytest.approx(mtf(dense[14]), abs=2e-3)
+    assert matcam.targets.coltman(dense, contrast(dense))[14] == pytest.approx(mtf(dense[14]), abs=2e-3)
 
 
 def test_inverse_root_with_a_picture_gain():

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, metadata, rigs, solid_angles
+from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, rigs
 from matcam.core.errors import ArgumentError
+from matcam.exchange import metadata, solid_angles
 from matcam.exchange.receiver import effective_area
 
 

@@ -9,7 +9,6 @@ from scipy.special import erf
 from matcam import (
     EPD,
     GGX,
-    AnisotropicGGX,
     Beckmann,
     BoxPixel,
     Camera,
@@ -24,6 +23,7 @@ from matcam import (
 )
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax
+from matcam.material import AnisotropicGGX
 from tests.golden import rows
 
 FAMILIES = {"gaussian": GaussianNDF, "ggx": GGX, "beckmann": Beckmann, "epd": EPD}

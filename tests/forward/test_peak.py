@@ -22,14 +22,14 @@ from matcam import (
     paper,
     peak_response,
     rigs,
-    texture_contrast,
 )
 from matcam.camera.optics import fourier
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.forward import texture_contrast
 from matcam.forward.peaks.tangent_plane import lobe_record
 from matcam.forward.prediction import predict
-from matcam.material.ndf.families import ONE_WIDTH
+from matcam.material.registry import ONE_WIDTH
 from tests.golden import rows
 
 

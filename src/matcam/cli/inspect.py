@@ -1,4 +1,4 @@
-"""`matcam inspect`: what is in this file?"""
+"""`matcam inspect`: what a file holds."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ def command(
     sampling: Sampling = "centre",
     json: AsJson = False,
 ) -> None:
-    """Format, grid, missing share, reciprocity, albedo and lobe width against angle of a BRDF, whether a camera shows in it;
-    what any other result, picture or camera profile holds.
+    """Show what a file holds: a BRDF, another result, a picture or a camera profile.
+
+    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, and whether a camera shows in it.
 
     Example: `matcam inspect chrome.binary`
     """

@@ -20,7 +20,8 @@ from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_name
 from matcam.files.rgl import check_fields
 from matcam.files.samples import samples_of, table_of
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
         >>> from matcam.exchange.contents import read
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
-        ...     matcam.write_exr(path, np.ones((2, 3, 3)))
+        ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
         ...     picture = read(path)
         >>> picture.shape
         (2, 3, 3)

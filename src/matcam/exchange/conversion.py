@@ -22,7 +22,8 @@ from matcam.files.formats import Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 
@@ -65,7 +66,7 @@ def convert(
         >>> import tempfile, pathlib
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     picture = pathlib.Path(folder, "picture.exr")
-        ...     matcam.write_exr(picture, np.ones((4, 5)))
+        ...     matcam.io.write_exr(picture, np.ones((4, 5)))
         ...     report = matcam.convert(picture, picture.with_suffix(".tif"))
         >>> report["holds"], report["resampled"]
         ('a picture', None)

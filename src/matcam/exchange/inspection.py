@@ -17,7 +17,8 @@ from matcam.exchange.contents import Contents
 from matcam.exchange.trace import camera_trace, lobe_widths
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Tabulated, albedo
+from matcam.material.material import albedo
+from matcam.material.tabulated import Tabulated
 
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 """Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
@@ -146,7 +147,7 @@ def _result_report(data: xr.Dataset) -> dict[str, Any]:
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
-        raise ArgumentError("every value of the picture is missing")
+        raise ArgumentError("every value of the picture is missing: there is nothing to inspect")
     return {
         "shape": list(picture.shape),
         "missing_share": float(missing.mean()),

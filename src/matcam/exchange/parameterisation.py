@@ -70,7 +70,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
 
     Example:
-        >>> fields = matcam.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
         >>> fields["rgb"].dims, fields["rgb"].shape
         (('phi_i', 'theta_i', 'channel', 'row', 'column'), (1, 44, 3, 8, 8))
     """
@@ -89,7 +89,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     visible = _visible(u, facets)
     warp = Warp(visible)
     grid = np.linspace(0, 1, square)
-    place_u, place_v, tabulated_density = warp.placed(grid, grid[: square // 2])  # the other half mirrors it
+    place_u, place_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
     theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
     d = np.interp(place_u, u, facets)
@@ -205,7 +205,7 @@ def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tup
     reflected = np.asarray(material.reflected(local_shading(vector(*i), vector(*o))))
     reflected = reflected if reflected.ndim == 4 else reflected[..., None]
     if reflected.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"an RGL file holds {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
+        raise ArgumentError(f"an RGL file can hold {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
     above = (o[2] > 0) & (twice > 0)
     outgoing = np.broadcast_to(reflected / np.cos(light)[..., None], (*light.shape, len(CHANNELS)))
     missing = float(np.isnan(outgoing[above]).mean()) if above.any() else 0.0

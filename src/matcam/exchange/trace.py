@@ -48,7 +48,7 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> print(np.round(matcam.lobe_widths(table).across[:3], 3))
+        >>> print(np.round(matcam.exchange.lobe_widths(table).across[:3], 3))
         [0.065 0.065 0.065]
     """
     along = np.abs(np.cos(table["phi_d"].values))
@@ -80,7 +80,7 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> matcam.camera_trace(table)["visible"]
+        >>> matcam.exchange.camera_trace(table)["visible"]
         False
     """
     widths = lobe_widths(table)

@@ -128,7 +128,7 @@ def picture_values(
 
     Example:
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
-        >>> matcam.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
+        >>> matcam.forward.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
         (3, 5, 1)
     """
     return _exact_record(material, _view(material, rig, lamp_angle, shape))

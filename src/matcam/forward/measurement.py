@@ -77,7 +77,9 @@ def measure(material: Material, rig: Rig, workspace: Workspace | None = None) ->
     """
     recorded, pixels = table_values(material, rig, workspace)
     if recorded.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}")
+        raise ArgumentError(
+            f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
+        )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
@@ -106,7 +108,7 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
 
     Example:
         >>> flat = matcam.Rig(matcam.rigs.merl().camera, matcam.Flat())
-        >>> values, pixels = matcam.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
+        >>> values, pixels = matcam.forward.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
         >>> values.shape, pixels.shape
         ((90, 90, 180, 1), (90, 90, 180))
     """

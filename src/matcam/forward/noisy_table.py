@@ -57,13 +57,13 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> noisy = matcam.with_pixel_noise(table, matcam.rigs.merl(), matcam.PixelNoise(0.01, 0.0), seed=1)
+        >>> noisy = matcam.forward.with_pixel_noise(table, matcam.rigs.merl(), matcam.camera.PixelNoise(0.01, 0.0), seed=1)
         >>> bool(abs(noisy / table - 1).mean() < 0.01)
         True
     """
     noise.checked()
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+        raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     pixels = cell_pixels(rig.sample, sampling_of(checked_table(table)))
     values = table.values.copy()

@@ -115,7 +115,7 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     if not isinstance(optics, HaloOptics):
         raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"false light is predicted for a Sphere, not for a {type(rig.sample).__name__}")
+        raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)

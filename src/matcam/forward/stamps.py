@@ -67,7 +67,7 @@ def highlight_stamps(
 
     Example:
         >>> camera = matcam.Camera(matcam.GaussianOptics(0.5))
-        >>> stamps = matcam.highlight_stamps(camera, 9, flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
+        >>> stamps = matcam.forward.highlight_stamps(camera, 9, flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
         >>> print(stamps.shape, np.round(stamps.sum((1, 2)), 3))
         (2, 9, 9) [1. 1.]
     """

@@ -44,7 +44,7 @@ def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.
 
     Example:
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Flat())
-        >>> print(np.round(matcam.texture_contrast(rig, 0.2, np.radians([0, 60])), 3))
+        >>> print(np.round(matcam.forward.texture_contrast(rig, 0.2, np.radians([0, 60])), 3))
         [0.768 0.344]
     """
     return rig.camera.mtf(_flat_sample(rig).frequency_on_sensor(frequency, theta_o))
@@ -86,7 +86,7 @@ def textured_picture(
     Example:
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Flat())
         >>> stripes = np.tile([0.0, 0.0, 1.0, 1.0], (4, 2))
-        >>> image = matcam.textured_picture(stripes, rig, theta_o=0.5, texels="squares")
+        >>> image = matcam.forward.textured_picture(stripes, rig, theta_o=0.5, texels="squares")
         >>> image.shape, round(float(image.mean()), 2)
         ((4, 8), 0.5)
     """

@@ -30,7 +30,7 @@ _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
 class EdgeTable(NamedTuple):
-    """Hold the results of n measured edges over the field, one row each.
+    """Hold the results of n edges over the field.
 
     Attributes:
         x: (n,) px, of the middle.
@@ -58,13 +58,19 @@ class EdgeTable(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Return the weights (n, 81) of the edges in their mean MTF, by their variances; their sum is 1."""
+        """Return the weights (n, 81) of the edges in their mean MTF.
+
+        They go by the variances, and their sum is 1.
+        """
         weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
         return weight / weight.sum(0)
 
     @property
     def spread(self) -> float:
-        """Return the relative standard deviation of the edges' sigmas beyond their noise; 0 where noise explains it."""
+        """Return the relative standard deviation of sigma beyond its noise.
+
+        It is 0 where noise explains the scatter of the edges.
+        """
         if self.x.size < 3:
             return 0.0
         relative = self.sigma_std / self.sigma
@@ -118,7 +124,8 @@ class PicturePlan:
         remarks: list[Remark] = []
         for plane in planes:
             remarks = remarks or list(plane.remarks)
-            result, samples = None, ()
+            result: EdgeMTF | None = None
+            samples: tuple[MTFSamples, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 registration, samples = targets.registration, targets.samples
@@ -136,7 +143,10 @@ class PicturePlan:
 
 
 class Evidence:
-    """Hold all findings on one colour, in the order of the joint fit: edges first."""
+    """Hold all findings on one colour.
+
+    Edges come first, as in the joint fit.
+    """
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         findings = tuple(findings)

@@ -32,7 +32,7 @@ class Chart:
         ArgumentError: if an element's values contradict one another, or the fiducials cannot be found.
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
         >>> chart.page, len(chart.fiducials)
         ((297.0, 210.0), 8)
     """
@@ -108,7 +108,7 @@ class Grating:
         return (self.bright - self.dark) / (self.bright + self.dark)
 
     def harmonic(self, order: int) -> float:
-        """Return the signed amplitude of cos(order * phase) in the print, relative to the print's mean.
+        """Return the signed amplitude of a harmonic, over the print's mean.
 
         A perfect camera records it. A square wave has (4 / pi) contrast / order, alternating in sign, and no even orders.
 
@@ -127,7 +127,9 @@ class Grating:
 
 @dataclass(frozen=True)
 class Star:
-    """Describe a sinusoidal Siemens star: level = mean + amplitude cos(cycles * azimuth + phase) between two radii.
+    """Describe a sinusoidal Siemens star.
+
+    Between two radii its level is mean + amplitude cos(cycles * azimuth + phase).
 
     Attributes:
         centre: mm.
@@ -185,8 +187,9 @@ class Patch:
 
 @dataclass(frozen=True)
 class Fiducial:
-    """Describe a mark to find the chart by: a dark disc inside dark rings.
+    """Describe a mark to find the chart by.
 
+    It is a dark disc inside dark rings.
     Rings and the gaps between them are as wide as the disc's radius.
 
     Attributes:

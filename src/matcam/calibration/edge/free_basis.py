@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.camera import pixel as tilted_square
+from matcam.camera.kernel import edge_and_slopes
 from matcam.core.jax import jax, jnp
 
 PAIRS = 7
@@ -65,7 +65,7 @@ def edge_basis(shape: Shape, distance: jax.Array, spread: jax.Array) -> Basis:
     """As edge responses at `distance` px, over cells of a given spread (px^2)."""
     places, width = _bumps(shape)
     blurred = jnp.sqrt(shape.sigma**2 + spread)
-    pilot, line, _ = tilted_square.edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
+    pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
     wide = jnp.sqrt(width**2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
     reach = _TAIL * scale(shape)
@@ -88,7 +88,7 @@ def line_basis(shape: Shape, distance: jax.Array) -> Basis:
     normal = jax.scipy.stats.norm.pdf
 
     def line(x: jax.Array) -> jax.Array:
-        return tilted_square.edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
+        return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
 
     pilot, moved = jax.jvp(line, (distance,), (jnp.broadcast_to(scale(shape), distance.shape),))
     right, left = (normal(distance, sign * places[:, None], width) for sign in (1, -1))

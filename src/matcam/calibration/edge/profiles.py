@@ -20,8 +20,8 @@ import equinox as eqx
 
 from matcam.calibration.edge.geometry import Cells
 from matcam.calibration.edge.maximum_likelihood import Profile
-from matcam.camera import pixel as tilted_square
 from matcam.camera.camera import Camera
+from matcam.camera.kernel import edge_and_slopes
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
@@ -206,7 +206,7 @@ def _gaussian_edge(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     sigma = jnp.exp(log_sigma)
     wide = jnp.sqrt(sigma**2 + cells.spread)
-    edge, line, by_wide = tilted_square.edge_and_slopes(cells.distance, angle, half_width, wide)
+    edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
     return edge, line, by_wide * sigma**2 / wide
 
 

@@ -57,13 +57,13 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     if codes.dtype.kind not in "ui":
         raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
     if codes.size and codes.max() >= len(table):
-        raise ArgumentError(f"tone has {len(table)} entries, the image has the code {codes.max()}")
+        raise ArgumentError(f"tone has {len(table)} entries, the image needs one for its code {codes.max()}")
     if table.ndim == 1:
         return table[codes]
     if channel is not None:
         return table[codes, channel]
     if codes.ndim < 3 or codes.shape[-1] != 3:
-        raise ArgumentError("tone has three columns, the image one channel")
+        raise ArgumentError("tone has three columns, the image needs one: it has one channel")
     return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
 
 
@@ -102,7 +102,7 @@ def tone_from_patches(
     for x, y, width, height in patches:
         if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
             raise ArgumentError(
-                f"patch {(x, y, width, height)} does not lie inside {codes.shape[1]} x {codes.shape[0]} px"
+                f"patch {(x, y, width, height)} must lie inside the picture of {codes.shape[1]} x {codes.shape[0]} px"
             )
         part = codes[y : y + height, x : x + width]
         means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from matcam.camera.optics.gaussian_sum import gaussian_sum
+from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp

@@ -107,7 +107,9 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
     if isinstance(rig.sample, Flat):
         return jnp.ones_like(theta)
     if not isinstance(rig.sample, Curved):
-        raise ArgumentError(f"no exact peak is known for a {type(rig.sample).__name__}")
+        raise ArgumentError(
+            f"an exact peak needs a Sphere, a Cylinder or a Flat sample, not a {type(rig.sample).__name__}"
+        )
     imaging = imaging_of(rig)
     material = Microfacet(ndf, 1.0, masking=masking)
     groups = groups_of(imaging.blur, imaging.sample)

@@ -112,7 +112,7 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
     optics, pixel = rig.camera.optics, rig.camera.pixel
     if not (isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel)):
         raise ArgumentError(
-            "the peak of an EPD lobe is tabulated for GaussianOptics and BoxPixel, this camera has "
+            "the peak of an EPD lobe is tabulated only for GaussianOptics and BoxPixel, this camera has "
             f"{type(optics).__name__} and {type(pixel).__name__}"
         )
     lamp = _in_range("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
