@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from matcam import Conductor, Constant, Dielectric, Schlick, fresnel_conductor, metal, metals
+from matcam import Conductor, Dielectric, Schlick, fresnel_conductor, metal
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
+from matcam.material import Constant, metals
 from tests.golden import rows
 from tests.oracle.merl_lobe import conductor
 

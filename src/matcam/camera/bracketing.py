@@ -61,7 +61,7 @@ def expose_bracket(
 
     Example:
         >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
-        >>> matcam.expose_bracket(sensor, np.ones((2, 3)), [100.0, 1000.0], seed=1).shape
+        >>> matcam.camera.expose_bracket(sensor, np.ones((2, 3)), [100.0, 1000.0], seed=1).shape
         (2, 2, 3)
     """
     exposures, times = _checked(exposures, times)
@@ -95,7 +95,7 @@ def merge_bracket(
     Example:
         >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
         >>> pictures = sensor.black_level + np.array([[[500.0]], [[5000.0]]])  # without noise
-        >>> round(float(matcam.merge_bracket(sensor, pictures, [500.0, 5000.0]).radiance[0, 0]), 6)
+        >>> round(float(matcam.camera.merge_bracket(sensor, pictures, [500.0, 5000.0]).radiance[0, 0]), 6)
         1.0
     """
     exposures, times = _checked(exposures, times)

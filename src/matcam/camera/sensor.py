@@ -44,7 +44,7 @@ class PixelNoise(NamedTuple):
             `Sensor.gain`.)
 
     Example:
-        >>> matcam.PixelNoise(relative=0.02).checked()
+        >>> matcam.camera.PixelNoise(relative=0.02).checked()
         PixelNoise(relative=0.02, floor=0.0001, picture_gain=0.0)
     """
 

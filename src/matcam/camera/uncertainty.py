@@ -28,7 +28,7 @@ class Uncertainty(eqx.Module):
         ArgumentError: the shape does not fit, a name stands twice, or this is no covariance.
 
     Example:
-        >>> known = matcam.Uncertainty.of({"optics.sigma_px": 0.02})
+        >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
         >>> known.std()
         {'optics.sigma_px': 0.02}
     """
@@ -102,7 +102,7 @@ class Provenance:
         notes: anything else. Default: "".
 
     Example:
-        >>> matcam.Provenance(source="slanted edges, f/8").source
+        >>> matcam.camera.Provenance(source="slanted edges, f/8").source
         'slanted edges, f/8'
     """
 

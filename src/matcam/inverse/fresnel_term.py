@@ -113,7 +113,7 @@ def fresnel(
         found = setup.solve(start=found)
     if every < SEARCH_EVERY:
         found = setup.with_(every=every).solve(start=found)
-    remarks = (*found.remarks, *([shape.remark(found.family)] if found.bent else []))
+    remarks = (*found.remarks, *([shape.remark(found.family)] if found.is_bent else []))
     lobe, theta_d = found.ndf, found.theta_d
     term = _FresnelTerm(found, normalise)
     hidden = _mirror_masking(lobe, theta_d, masking)
@@ -161,7 +161,7 @@ def fresnel(
             "noise": "given" if noise else "estimated from the residuals",
             "camera_uncertainty": "stated" if rig.camera.uncertainty else "none stated: taken as exact",
             "width_determined": int(found.resolved),
-            "bent": int(found.bent),
+            "bent": int(found.is_bent),
             "sampling": brdf.attrs["sampling"],
             "source": str(brdf.attrs.get("source", "")),
             "remarks": to_attribute(remarks),
@@ -259,8 +259,8 @@ class _FresnelTerm:
         self.normalised = strength / mean
 
         there = np.isfinite(strength)
-        whole = np.where(there, strength, np.inf)
-        relative = [c / whole[:, :, None] / whole[:, None, :] for c in strengths[1:]]
+        divisor = np.where(there, strength, np.inf)
+        relative = [c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:]]
 
         # normalising subtracts the mean's own change
         share = np.where(used, strength, 0) / (count * mean)
@@ -270,9 +270,9 @@ class _FresnelTerm:
             for c in relative
         )
         std = np.sqrt(np.einsum("uss->us", strengths.noise_covariance + strengths.rig_covariance))
-        known = there & found.resolved
-        self.absolute = np.where(known, strength, np.nan)
-        self.absolute_std = np.where(known, std, np.nan)
+        resolved = there & found.resolved
+        self.absolute = np.where(resolved, strength, np.nan)
+        self.absolute_std = np.where(resolved, std, np.nan)
 
 
 def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What nobody can know from a rig's pictures: Cramer-Rao bounds, and blurs that look alike (docs/model.md 8)."""
+"""Bounds on what a rig's pictures can tell: Cramer-Rao bounds, and blurs that look alike (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -98,8 +98,8 @@ def limits(
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
     view = _View(rig, ndf, (noise or PixelNoise(picture_gain=0.01)).checked(), every, workspace)
-    known = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
-    relative = known / float(rig.camera.parameters()[LENS])
+    stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
+    relative = stated_std / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]
     rest: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]

@@ -186,7 +186,7 @@ class Adaptive(Material):
 
     Example:
         >>> white = matcam.Microfacet(matcam.GGX(0.5), 0.0, diffuse=0.5)
-        >>> material = matcam.Adaptive(matcam.adaptive_grid(white, square=8))
+        >>> material = matcam.material.Adaptive(matcam.exchange.adaptive_grid(white, square=8))
         >>> material.mirrored  # isotropic
         0
     """

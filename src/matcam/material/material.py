@@ -117,7 +117,7 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
 
     Example:
         >>> white = matcam.Microfacet(matcam.GGX(0.3), 0.0, diffuse=0.5)
-        >>> matcam.albedo(white, [0.0]).round(3)
+        >>> matcam.material.albedo(white, [0.0]).round(3)
         array([[0.5]])
     """
     angles = np.atleast_1d(np.asarray(checks.viewing_angle("theta", theta)))

@@ -52,7 +52,7 @@ def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
         refractiveindex.info database (Polyanskiy 2024), CC0; each table cites its measurement.
 
     Example:
-        >>> len(matcam.metals("Cr")["Cr"])
+        >>> len(matcam.material.metals("Cr")["Cr"])
         3
     """
     tables: dict[str, tuple[str, ...]] = {}

@@ -166,7 +166,7 @@ class Constant(Reflectance):
         ArgumentError: the value is out of range, or not one per channel.
 
     Example:
-        >>> float(matcam.Constant(0.5).at(1.0))
+        >>> float(matcam.material.Constant(0.5).at(1.0))
         0.5
     """
 
@@ -194,7 +194,7 @@ class Sampled(Reflectance):
         ArgumentError: shapes do not match, an entry is out of range, or theta does not ascend.
 
     Example:
-        >>> float(matcam.Sampled([0.0, 1.0], [0.5, 1.0]).at(0.5))
+        >>> float(matcam.material.Sampled([0.0, 1.0], [0.5, 1.0]).at(0.5))
         0.75
     """
 

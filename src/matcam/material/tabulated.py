@@ -41,7 +41,7 @@ class Tabulated(Material):
 
     Example:
         >>> from matcam.core.grid import brdf_table
-        >>> grey = matcam.Tabulated(brdf_table(np.full((90, 90, 180, 3), 0.25), "centre"))
+        >>> grey = matcam.material.Tabulated(brdf_table(np.full((90, 90, 180, 3), 0.25), "centre"))
         >>> np.asarray(grey.brdf(0.1, 0.5, 1.0))
         array([0.25, 0.25, 0.25])
     """

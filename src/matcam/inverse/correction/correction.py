@@ -1,4 +1,4 @@
-"""A whole table as a perfect camera would have measured it, with what is known of every entry (docs/model.md 8)."""
+"""A whole table as a perfect camera would have measured it, with the error of every entry (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, rig_doubts
-from matcam.inverse.correction.lobe_ratio import Corrections, LobeRatio, lobe_ratio, seen_cells
+from matcam.inverse.correction.lobe_ratio import CorrectionFits, LobeRatio, lobe_ratio, seen_cells
 from matcam.inverse.correction.shape_correction import ShapeCorrection, no_correction, shape_correction
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -105,7 +105,7 @@ class Correction:
         if shape.family_fails:  # too far for what is linear: the lobe itself is bent
             best = setup.with_(bend=_BEND, every=_BEND_EVERY).solve(start=family)
             shape = no_correction(best, shape.scale)
-        ratio = lobe_ratio(rig, sampling_of(brdf), Corrections(best, shape, family, doubts), workspace)
+        ratio = lobe_ratio(rig, sampling_of(brdf), CorrectionFits(best, shape, family, doubts), workspace)
         remarks = _correction_remarks(best, doubts, shape)
         table = _corrected_table(brdf, best, shape.noise, ratio, glare * _farthest_glare(brdf, rig, best), glare)
         table.attrs.update(
@@ -250,8 +250,8 @@ def _corrected_table(
     """Return the corrected table. scattered: most light of the highlight, 1/sr, that glare adds to each entry."""
     data = brdf.values
     body = found.diffuse / np.pi
-    known = seen_cells(sampling_of(brdf))[..., None]
-    ratio = np.where(known, np.exp(ratio_of_lobes.log)[..., None], 1.0)
+    seen = seen_cells(sampling_of(brdf))[..., None]
+    ratio = np.where(seen, np.exp(ratio_of_lobes.log)[..., None], 1.0)
     above = data - body
     lobe = above > 0
     corrected = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
@@ -261,11 +261,11 @@ def _corrected_table(
     variance = variance * np.where(lobe, ratio, 1.0) ** 2
     variance += np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
     variance += (scattered**2 + (glare * data) ** 2) * np.where(lobe, ratio, 1.0) ** 2
-    std = np.where(known & np.isfinite(data), np.sqrt(variance), np.nan)
+    std = np.where(seen & np.isfinite(data), np.sqrt(variance), np.nan)
     # of a bent lobe, the shape's own uncertainty says it
-    good = found.bent or found.determined or found.hwhm_std < SUPPORTED * found.hwhm
+    good = found.is_bent or found.determined or found.hwhm_std < SUPPORTED * found.hwhm
     with np.errstate(invalid="ignore"):
-        supported = known & (std < SUPPORTED * corrected) & good
+        supported = seen & (std < SUPPORTED * corrected) & good
     first = brdf.dims[:3]
     return xr.Dataset(
         {

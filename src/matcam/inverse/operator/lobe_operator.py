@@ -1,4 +1,4 @@
-"""What a rig records of D G in chosen cells: one compiled function of lobe and camera for every material.
+"""The record of D G in chosen cells: one compiled function of lobe and camera for every material.
 
 `record` is the integral of docs/model.md 3 without F. A table reads F(theta_d) times it, because a slice of a distant sphere
 under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and
@@ -82,6 +82,10 @@ class LobeOperator(eqx.Module):
         shifts: (axes,), coordinates along them.
         """
         return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+
+    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean."""
+        return 2 * jnp.sum(self._weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
     def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
         """Return the same of D times each of some functions of theta; shape (functions, slices, cells).
@@ -222,9 +226,9 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
     ]
 
     def full(part: np.ndarray) -> np.ndarray:
-        whole = np.zeros((cells.x.size, *part.shape[1:]))
-        whole[flat] = part[: flat.size]
-        return whole.reshape(-1, 2, *part.shape[1:])
+        result = np.zeros((cells.x.size, *part.shape[1:]))
+        result[flat] = part[: flat.size]
+        return result.reshape(-1, 2, *part.shape[1:])
 
     columns: list[list[np.ndarray]] = []
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]

@@ -79,7 +79,7 @@ class AnisotropicBeckmann(StretchedSlopes):
         Heitz (2014). Brushed and turned metal has such slopes.
 
     Example:
-        >>> brushed = matcam.AnisotropicBeckmann(0.05, 0.3)
+        >>> brushed = matcam.material.AnisotropicBeckmann(0.05, 0.3)
         >>> float(brushed.density(0.1, 0.0)) < float(brushed.density(0.0, 0.1))
         True
     """

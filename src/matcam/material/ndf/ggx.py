@@ -88,7 +88,7 @@ class AnisotropicGGX(StretchedSlopes):
         Heitz (2014). Brushed and turned metal has such slopes.
 
     Example:
-        >>> brushed = matcam.AnisotropicGGX(0.05, 0.3)
+        >>> brushed = matcam.material.AnisotropicGGX(0.05, 0.3)
         >>> float(brushed.density(0.1, 0.0)) < float(brushed.density(0.0, 0.1))
         True
     """
