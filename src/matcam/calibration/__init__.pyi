@@ -1,4 +1,5 @@
 from .camera.calibration import Calibration
-from .edge.edge_result import EdgeMTF, EdgeStack
+from .edge.edge_result import EdgeMTF, EdgeSamples, EdgeStack
+from .edge.parametric_result import ParametricEdge, ParametricStack
 
-__all__ = ["Calibration", "EdgeMTF", "EdgeStack"]
+__all__ = ["Calibration", "EdgeMTF", "EdgeSamples", "EdgeStack", "ParametricEdge", "ParametricStack"]

@@ -16,7 +16,7 @@ from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
-from matcam.calibration.search.photograph_edges import edge_remarks, found_edge_stack
+from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.core.errors import FitError
@@ -139,7 +139,7 @@ class PicturePlan:
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
             if edges is not None:
                 try:
-                    result = found_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
+                    result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
                 except FitError:
                     if not samples:
                         raise

@@ -10,7 +10,7 @@ from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.calibration.photograph.region import flaws
-from matcam.calibration.search.edge_search import FoundEdges
+from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.calibration.search.strips import regions_in_even_light, strip_regions, strips_along
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
@@ -21,8 +21,8 @@ _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # of the blur's variance; standard devia
 _FEW = 6  # edges, below which nothing is said of directions
 
 
-def found_edge_stack(
-    plane: LinearImage, edges: FoundEdges, half_width: float = 0.5, *, accept_sharpened: bool = False
+def plane_edge_stack(
+    plane: LinearImage, edges: EdgePlaces, half_width: float = 0.5, *, accept_sharpened: bool = False
 ) -> EdgeStack:
     """Measure the edges that were found, in one plane.
 

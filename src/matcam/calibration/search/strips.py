@@ -16,7 +16,7 @@ import numpy as np
 
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.linear_image import LinearImage
-from matcam.calibration.search.edge_search import FoundEdges
+from matcam.calibration.search.edge_search import EdgePlaces
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -58,7 +58,7 @@ class Strips(NamedTuple):
         return Strips(*(column[which] for column in self))
 
 
-def strips_along(edges: FoundEdges, shape: tuple[int, int]) -> Strips:
+def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
     """Return strips along the edges of a picture (height, width).
 
     Long edges get several, one after the other. Edges without room for a strip are left out.
