@@ -94,7 +94,7 @@ def test_lenses():
 
 def test_area_of_the_papers_kernel_and_its_solid_angle():
     one = quad(lambda u: kernel(u, 0.5, 0.5) ** 2, -8, 8)[0]
-    found = matcam.receiver(matcam.rigs.merl())
+    found = matcam.exchange.solid_angles(matcam.rigs.merl())
     assert 1 / one**2 == pytest.approx(4.23, abs=0.005)
     assert found["kernel_area_px2"] == pytest.approx(1 / one**2, rel=1e-3)
     assert found["equivalent_receiver_sr"] == pytest.approx(4 / one**2 / 256**2, rel=1e-3)

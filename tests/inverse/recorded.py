@@ -111,7 +111,9 @@ def bound(shot, lobe, n=CHROMIUM[0], k=CHROMIUM[1], noise=NOISE, sigmas=None):
     along = np.nan_to_num(at) * root
     product = np.einsum("psn,qsn->pq", columns, columns)
     with_gain = np.einsum("psn,sn->ps", columns, along)
-    product -= np.einsum("ps,qs,s->pq", with_gain, with_gain, 1 / (1 / max(noise.gain, 1e-9) ** 2 + (along**2).sum(-1)))
+    product -= np.einsum(
+        "ps,qs,s->pq", with_gain, with_gain, 1 / (1 / max(noise.picture_gain, 1e-9) ** 2 + (along**2).sum(-1))
+    )
     if sigmas:
         product[-1, -1] += 1 / sigmas[2] ** 2
     return np.linalg.inv(product)

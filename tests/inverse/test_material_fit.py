@@ -59,7 +59,7 @@ def test_noise_is_estimated():
     found = fit(noisy(oracle.GGX(0.01), 2), recorded.rig(), every=EVERY)
     assert found.noise.relative == pytest.approx(0.01, rel=0.15)
     assert found.noise.floor == pytest.approx(1e-4, rel=0.15)
-    assert found.noise.gain < 0.02
+    assert found.noise.picture_gain < 0.02
 
 
 def test_a_lens_with_a_prior_and_a_free_one():
@@ -83,7 +83,7 @@ def test_a_lens_with_a_prior_and_a_free_one():
 def test_free_reflectance_and_a_blind_fit():
     lobe = oracle.GGX(0.002)
     table = noisy(lobe, 4, gain=0.0)
-    found = fit(table, recorded.rig(), fresnel="free", noise=recorded.NOISE._replace(gain=0), every=EVERY)
+    found = fit(table, recorded.rig(), fresnel="free", noise=recorded.NOISE._replace(picture_gain=0), every=EVERY)
     truth = conductor(found.curves["theta_d"].values, *recorded.CHROMIUM)
     pull = (found.curves["fresnel"].values[:, 0] - truth) / found.curves["fresnel_std"].values[:, 0]
     assert np.nanmax(np.abs(pull)) < 4.5

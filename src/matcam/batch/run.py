@@ -28,7 +28,7 @@ from matcam.figures.run_index import INLINE, write_run_index
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 

@@ -1,4 +1,4 @@
 from .camera.calibration import Calibration
-from .edge.edge_result import EdgeMTF
+from .edge.edge_result import EdgeMTF, EdgeStack
 
-__all__ = ["Calibration", "EdgeMTF"]
+__all__ = ["Calibration", "EdgeMTF", "EdgeStack"]

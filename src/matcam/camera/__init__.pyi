@@ -1,4 +1,5 @@
-from .sensor import Merged, PixelNoise, expose_bracket, merge_bracket
+from .bracketing import RadianceEstimate, expose_bracket, merge_bracket
+from .sensor import PixelNoise
 from .uncertainty import Provenance, Uncertainty
 
-__all__ = ["Merged", "PixelNoise", "Provenance", "Uncertainty", "expose_bracket", "merge_bracket"]
+__all__ = ["PixelNoise", "Provenance", "RadianceEstimate", "Uncertainty", "expose_bracket", "merge_bracket"]

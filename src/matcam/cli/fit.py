@@ -125,7 +125,7 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
     noise = summary["noise"]
     show.say(
         f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the picture's peak; of a picture's "
-        f"gain: {noise['gain']:.2%}"
+        f"gain: {noise['picture_gain']:.2%}"
     )
     show.say(
         f"sum of squared residuals over degrees of freedom: {summary['misfit']:.3f} ({summary['degrees_of_freedom']})"

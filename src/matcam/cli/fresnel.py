@@ -83,10 +83,10 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
     use_compilation_cache()
     from matcam.files.merl import read_merl
     from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
-    from matcam.material.metals import metal_sources
+    from matcam.material.metals import metals
 
     if metal is not None:
-        metal_sources(metal)  # an unknown name should cost nothing
+        metals(metal)  # an unknown name should cost nothing
     rig = rig_of(camera, radius, lamp)
     table = read_merl(file, sampling=sampling)
     result = fresnel(

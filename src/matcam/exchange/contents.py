@@ -20,7 +20,8 @@ from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_name
 from matcam.files.rgl import check_fields
 from matcam.files.samples import samples_of, table_of
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,9 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
 
 def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
-    """Write a table, a result, a picture, a camera or a chart in the format that the file's name ends in.
+    """Write a thing in the format that the file's name ends in.
 
-    Every value is kept: nothing is resampled (see `convert`).
+    Things are tables, results, pictures, cameras and charts. Every value is kept: nothing is resampled (see `convert`).
 
     Args:
         path: file to write.
@@ -133,7 +134,10 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
 
 def contents_of(thing: Any) -> Contents:
-    """Wrap a table, a result or a picture as the contents of a file. ArgumentError for anything else."""
+    """Wrap a table, a result or a picture as contents.
+
+    ArgumentError for anything else.
+    """
     if isinstance(thing, Contents):
         return thing
     if isinstance(thing, xr.DataArray):
@@ -152,7 +156,10 @@ def contents_of(thing: Any) -> Contents:
 
 
 def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
-    """Write contents in the format that the name ends in. ArgumentError where it cannot hold them."""
+    """Write contents in the format that the name ends in.
+
+    ArgumentError where it cannot hold them.
+    """
     path = Path(path)
     form = format_for(path)
     writer = form.writer(contents.content)

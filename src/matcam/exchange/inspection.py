@@ -17,14 +17,15 @@ from matcam.exchange.contents import Contents
 from matcam.exchange.trace import camera_trace, lobe_widths
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Tabulated, albedo
+from matcam.material.material import albedo
+from matcam.material.tabulated import Tabulated
 
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 """Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
 
 
 def inspect_contents(contents: Contents) -> dict[str, Any]:
-    """Report the contents of a file that holds measurements (see `read_contents`), as plain values (JSON).
+    """Report on contents (see `read_contents`), as plain values (JSON).
 
     The report has `holds`, and what there is of a table, samples, another result or a picture. RGL's fields are reported by
     their own grid, and by all that is reported of a table after resampling.
@@ -155,7 +156,10 @@ def _picture_report(picture: np.ndarray) -> dict[str, Any]:
 
 
 def inspect_camera(path: str | Path) -> dict[str, Any]:
-    """Report parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance of a camera profile."""
+    """Report on a camera profile, as plain values (JSON).
+
+    Reported are its parameters, their standard deviations, MTF50 (cycles/px, along a row) and provenance.
+    """
     camera = Camera.load(path)
     frequency = np.linspace(0, 2, 4001)
     below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)

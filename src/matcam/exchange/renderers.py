@@ -23,9 +23,8 @@ from matcam.files.float_pictures import read_exr
 from matcam.files.rgl import write_rgl
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
-from matcam.material.ndf.anisotropic import AnisotropicBeckmann, AnisotropicGGX
-from matcam.material.ndf.beckmann import Beckmann
-from matcam.material.ndf.ggx import GGX
+from matcam.material.ndf.beckmann import AnisotropicBeckmann, Beckmann
+from matcam.material.ndf.ggx import GGX, AnisotropicGGX
 from matcam.material.reflectance import Conductor, Constant
 
 _ELSE = "convert it to a .bsdf file instead"

@@ -109,7 +109,10 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
 
 
 def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
-    """Return the half width at each theta_d of values (theta_h, theta_d, phi_d, channel), linear between the angles."""
+    """Return the half width at each theta_d.
+
+    The values (theta_h, theta_d, phi_d, channel) are linear between the angles.
+    """
     present = np.isfinite(values)
     count = present.sum(axis=(2, 3))
     mean = np.where(count > 0, np.where(present, values, 0).sum(axis=(2, 3)) / np.maximum(count, 1), np.nan)

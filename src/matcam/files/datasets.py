@@ -70,8 +70,8 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> 
         >>> from pathlib import Path
         >>> data = xarray.Dataset({"raw": ("theta_d", [1.0, 2.0], {"units": "1/sr"})})
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_netcdf(Path(folder) / "a.nc", data)
-        ...     matcam.read_netcdf(Path(folder) / "a.nc")["raw"].attrs
+        ...     matcam.io.write_netcdf(Path(folder) / "a.nc", data)
+        ...     matcam.io.read_netcdf(Path(folder) / "a.nc")["raw"].attrs
         {'units': '1/sr'}
     """
     with replacing(path, force=force) as temporary:
@@ -97,8 +97,8 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         >>> import tempfile, xarray
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_netcdf(Path(folder) / "a.nc", xarray.Dataset({"raw": ("theta_d", [1.0, 2.0])}))
-        ...     matcam.read_netcdf(Path(folder) / "a.nc")["raw"].values
+        ...     matcam.io.write_netcdf(Path(folder) / "a.nc", xarray.Dataset({"raw": ("theta_d", [1.0, 2.0])}))
+        ...     matcam.io.read_netcdf(Path(folder) / "a.nc")["raw"].values
         array([1., 2.])
     """
     import netCDF4
@@ -143,8 +143,8 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         >>> from pathlib import Path
         >>> data = xarray.Dataset({"raw": ("theta_d", [1.0, 2.0], {"units": "1/sr"})})
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_zarr(Path(folder) / "a.zarr.zip", data)
-        ...     matcam.read_zarr(Path(folder) / "a.zarr.zip")["raw"].attrs
+        ...     matcam.io.write_zarr(Path(folder) / "a.zarr.zip", data)
+        ...     matcam.io.read_zarr(Path(folder) / "a.zarr.zip")["raw"].attrs
         {'units': '1/sr'}
     """
     held: dict[str, Any] = {}
@@ -177,8 +177,8 @@ def read_zarr(path: str | Path) -> xr.Dataset:
         >>> import tempfile, xarray
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_zarr(Path(folder) / "a.zarr.zip", xarray.Dataset({"raw": ("theta_d", [1.0, 2.0])}))
-        ...     matcam.read_zarr(Path(folder) / "a.zarr.zip")["raw"].values
+        ...     matcam.io.write_zarr(Path(folder) / "a.zarr.zip", xarray.Dataset({"raw": ("theta_d", [1.0, 2.0])}))
+        ...     matcam.io.read_zarr(Path(folder) / "a.zarr.zip")["raw"].values
         array([1., 2.])
     """
     import json

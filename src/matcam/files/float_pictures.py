@@ -94,8 +94,8 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
         >>> import tempfile
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_float_tiff(Path(folder) / "a.tif", np.ones((2, 3, 3)))
-        ...     matcam.read_float_tiff(Path(folder) / "a.tif").shape
+        ...     matcam.io.write_float_tiff(Path(folder) / "a.tif", np.ones((2, 3, 3)))
+        ...     matcam.io.read_float_tiff(Path(folder) / "a.tif").shape
         (2, 3, 3)
     """
     import tifffile
@@ -128,8 +128,8 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
         >>> import tempfile
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_float_tiff(Path(folder) / "a.tif", np.full((2, 3), 0.25))
-        ...     matcam.read_float_tiff(Path(folder) / "a.tif")[0]
+        ...     matcam.io.write_float_tiff(Path(folder) / "a.tif", np.full((2, 3), 0.25))
+        ...     matcam.io.read_float_tiff(Path(folder) / "a.tif")[0]
         array([0.25, 0.25, 0.25], dtype=float32)
     """
     import tifffile
@@ -199,8 +199,8 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
         >>> import tempfile
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_exr(Path(folder) / "a.exr", np.ones((2, 3, 3)))
-        ...     matcam.read_exr(Path(folder) / "a.exr").shape
+        ...     matcam.io.write_exr(Path(folder) / "a.exr", np.ones((2, 3, 3)))
+        ...     matcam.io.read_exr(Path(folder) / "a.exr").shape
         (2, 3, 3)
     """
     import OpenEXR
@@ -230,8 +230,8 @@ def read_exr(path: str | Path) -> np.ndarray:
         >>> import tempfile
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_exr(Path(folder) / "a.exr", np.full((2, 3), 0.25))
-        ...     matcam.read_exr(Path(folder) / "a.exr")[0]
+        ...     matcam.io.write_exr(Path(folder) / "a.exr", np.full((2, 3), 0.25))
+        ...     matcam.io.read_exr(Path(folder) / "a.exr")[0]
         array([0.25, 0.25, 0.25], dtype=float32)
     """
     import OpenEXR

@@ -87,10 +87,10 @@ def read_rgl(path: str | Path) -> xr.Dataset:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> fields = matcam.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=16)
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=16)
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     matcam.write_rgl(Path(folder) / "grey.bsdf", fields)
-        ...     sorted(matcam.read_rgl(Path(folder) / "grey.bsdf").data_vars)[:4]
+        ...     matcam.io.write_rgl(Path(folder) / "grey.bsdf", fields)
+        ...     sorted(matcam.io.read_rgl(Path(folder) / "grey.bsdf").data_vars)[:4]
         ['description', 'jacobian', 'luminance', 'ndf']
     """
     path = Path(path)
@@ -118,10 +118,10 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> fields = matcam.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=16)
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=16)
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "grey.bsdf"
-        ...     matcam.write_rgl(path, fields)
+        ...     matcam.io.write_rgl(path, fields)
         ...     path.read_bytes()[:11]
         b'tensor_file'
     """

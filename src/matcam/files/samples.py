@@ -94,7 +94,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "a.csv"
         ...     _ = path.write_text(text)
-        ...     matcam.write_samples(path, matcam.read_samples(path), force=True)
+        ...     matcam.io.write_samples(path, matcam.io.read_samples(path), force=True)
         ...     print(path.read_text().splitlines()[0])
         theta_h_rad,theta_d_rad,phi_d_rad,Y_per_sr
     """
@@ -126,7 +126,7 @@ def read_samples(path: str | Path) -> xr.DataArray:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "a.csv"
         ...     _ = path.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n")
-        ...     samples = matcam.read_samples(path)
+        ...     samples = matcam.io.read_samples(path)
         >>> samples.values, samples["theta_d"].values.round(4)
         (array([[0.25]]), array([0.5236]))
     """

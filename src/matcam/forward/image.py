@@ -168,7 +168,10 @@ def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int,
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
-    """Return the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px."""
+    """Return the picture's (height, width), px.
+
+    It is the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px.
+    """
     if shape is not None:
         return picture_shape("shape", shape)
     if rig.crop is not None:

@@ -130,12 +130,15 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
-    """Return the table of a material itself, at each cell's centre or edge: any camera's, of a flat sample."""
+    """Return the table of a material itself.
+
+    It is sampled at each cell's centre or edge, and is any camera's table of a flat sample.
+    """
     return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Return the point of its cell at which a table of this kind is sampled."""
+    """Return the point of a cell at which a table is sampled."""
     return "edge" if cell_value == "edge" else "centre"
 
 
@@ -185,7 +188,10 @@ def _table_plan(
 
 
 def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | None) -> TableCells:
-    """Find the cells of a table in the pictures of a sphere, of which the sensor shows `crop` (height, width), px."""
+    """Find the cells of a table in the pictures of a sphere.
+
+    The sensor shows `crop`, (height, width), px; None stands for all.
+    """
     n_h, n_d, n_p = GRID_SHAPE
     points = np.array(_POINTS[cell_value])
     share = (np.arange(n_h)[:, None] + points) / n_h
@@ -217,7 +223,10 @@ def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | N
 
 
 def cell_means(radiance: jax.Array, cells: TableCells) -> jax.Array:
-    """Average the radiance at the places of each cell, both ways, as a BRDF; NaN where none is seen."""
+    """Average the BRDF over the places of each cell, both ways.
+
+    It is NaN where none is seen.
+    """
     channels = radiance.shape[-1]
     spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.flat_index].set(radiance)
     spread = spread.reshape(*cells.cos_i.shape, channels)
@@ -233,7 +242,10 @@ def _other_way(one_way):  # type: ignore[no-untyped-def]
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
-    """Return the values of a flat sample, tilted so that each cell is seen, both ways: even light has no blur."""
+    """Return the values of a flat sample, both ways.
+
+    It is tilted so that each cell is seen. Even light has no blur.
+    """
     if rig.cell_value == "mean":
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
     sampling = cell_sampling(rig.cell_value)

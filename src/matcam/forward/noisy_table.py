@@ -92,7 +92,7 @@ class CellPixels(NamedTuple):
 
 
 def cell_pixels(sphere: Sphere, sampling: Sampling) -> CellPixels:
-    """Number the pixels behind the cells of a table that pictures of a sphere fill."""
+    """Number the pixels of a sphere's pictures behind the cells."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     place = jax.jit(lambda sphere, *angles: sphere.place(*angles))

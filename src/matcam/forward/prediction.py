@@ -93,9 +93,10 @@ def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
 
 
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
-    """Predict the haze and the diffuse part that a lens's halo adds to a material (docs/model.md 2).
+    """Predict the haze and the diffuse part that a halo adds.
 
-    The angles lie across the plane of camera and lamp (phi_d = pi / 2), where light and view stay high.
+    Veiling glare makes them of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
+    (phi_d = pi / 2), where light and view stay high.
 
     Args:
         material: the material.

@@ -135,7 +135,10 @@ class _AxisWaves(NamedTuple):
 
 
 def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: float, band: float | None) -> _AxisWaves:
-    """Return the waves along an axis, up to `band` (cycles/px) for squares; None stands for a band-limited signal."""
+    """Return the waves along an axis.
+
+    Those of squares go up to `band`, cycles/px. None stands for a band-limited signal.
+    """
     at = (texels - 1) / 2 + (jnp.arange(pixels) - (pixels - 1) / 2) / (pitch * foreshortening)
     if band is None:
         k = np.arange(-(texels // 2), texels // 2 + 1)
@@ -148,7 +151,10 @@ def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: floa
 
 @eqx.filter_jit
 def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
-    """Sum the waves that the camera leaves of a texture (H, W, channels); transfer: at the wave numbers from 0 on."""
+    """Sum the waves that the camera leaves of a texture (H, W, channels).
+
+    The transfer function is given at the wave numbers from 0 on.
+    """
     transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
     spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")
     spectrum = spectrum[(across.k % across.texels)[:, None], along.k % along.texels]

@@ -22,10 +22,10 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.metals import metal as metal_index
-from matcam.material.metals import metal_sources, metals
+from matcam.material.metals import metals
 from matcam.material.ndf.distribution import NDF
-from matcam.material.ndf.families import FAMILIES
 from matcam.material.reflectance import fresnel_conductor
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05
@@ -191,7 +191,7 @@ def tabulated_fresnel(
         ArgumentError: there is no such metal, or not one wavelength for each channel.
 
     Source:
-        `metal_sources` names the source of each table.
+        `metals` lists the tables.
 
     Example:
         >>> import xarray as xr
@@ -212,7 +212,7 @@ def tabulated_fresnel(
     low, high = result.attrs["normalised_over"]
     inside = (theta_d >= low) & (theta_d <= high)
     judged = (theta_d[:, None] >= low) & (theta_d[:, None] <= result["supported_angle"].values)
-    tables = [(name, source) for name in (metals() if metal is None else [metal]) for source in metal_sources(name)]
+    tables = [(name, source) for name, sources in metals(metal).items() for source in sources]
     indices = [metal_index(name, wavelengths, source) for name, source in tables]
     n, k = (np.stack([getattr(index, part) for index in indices])[:, None, :] for part in ("n", "k"))
     *curves, f0 = np.asarray(fresnel_conductor(np.append(theta_d, 0.0)[:, None], n, k)).transpose(1, 0, 2)

@@ -1,9 +1,11 @@
 from .adaptive import Adaptive
-from .material import Tabulated, albedo
-from .metals import metal_sources, metals
-from .ndf.anisotropic import AnisotropicBeckmann, AnisotropicGGX
+from .material import albedo
+from .metals import metals
+from .ndf.beckmann import AnisotropicBeckmann
 from .ndf.distribution import MixtureNDF
+from .ndf.ggx import AnisotropicGGX
 from .reflectance import Constant, Sampled
+from .tabulated import Tabulated
 
 __all__ = [
     "Adaptive",
@@ -14,6 +16,5 @@ __all__ = [
     "Sampled",
     "Tabulated",
     "albedo",
-    "metal_sources",
     "metals",
 ]

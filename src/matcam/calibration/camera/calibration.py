@@ -43,6 +43,14 @@ class Calibration:
         failed: pictures that could not be used, and why.
         remarks: what was assumed, and what a photographer should know.
         pictures: names of the pictures that were used.
+
+    Example:
+        >>> f = np.linspace(0.05, 0.5, 10)
+        >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> found = matcam.calibrate([], samples=[star])
+        >>> found.channel, list(found.to_dict()["channels"]["grey"]["parameters"])
+        ('grey', ['optics.sigma_px'])
     """
 
     channels: dict[str, CameraFit]

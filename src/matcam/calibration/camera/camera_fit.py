@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
 from matcam.calibration.camera.joint_fit import EdgeMeasurements, Unknowns, fit_jointly, in_profile_units
-from matcam.calibration.edge.free_fit import FREQUENCIES
+from matcam.calibration.edge.free_curve import FREQUENCIES
 from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, lens_model
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
@@ -80,6 +80,13 @@ class MeanCurve:
         mtf: (81,) mean of the edges, free of a model; NaN without edges.
         mtf_std: (81,) its standard deviation; NaN without edges.
         camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
+
+    Example:
+        >>> from matcam.calibration.camera.camera_fit import MeanCurve
+        >>> f = np.linspace(0, 1, 5)
+        >>> curve = MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
+        >>> [round(value, 3) for value in curve.misfit]
+        [0.05, 0.01]
     """
 
     frequency: np.ndarray
@@ -114,6 +121,14 @@ class CameraFit:
         edges: results of every edge; None without edges.
         curve: the edges' mean MTF, free of a model, and this camera's.
         measurements: number of measurements by picture and kind.
+
+    Example:
+        >>> f = np.linspace(0.05, 0.5, 10)
+        >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> fit = matcam.calibrate([], samples=[star]).channels["grey"]
+        >>> fit.names, fit.measurements
+        (('optics.sigma_px',), {'star': 1})
     """
 
     camera: Camera
@@ -187,7 +202,14 @@ class CameraFit:
         }
 
     def with_provenance(self, provenance: Provenance) -> CameraFit:
-        """Return the fit with a camera that says where it comes from."""
+        """Return the fit with a camera that says where it comes from.
+
+        Args:
+            provenance: source, date and software, for the camera's profile.
+
+        Returns:
+            The same fit.
+        """
         c = self.camera
         return replace(
             self, camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance)

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge.edge_result import EdgeMTF
-from matcam.calibration.edge.geometry import Cells
-from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model
+from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.calibration.edge.geometry import EdgeCells
+from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, edge_model
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.region import padded
+from matcam.calibration.photograph.region import program_size
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
@@ -46,7 +46,7 @@ class EdgeMeasurements(NamedTuple):
         lens: family of lenses; its arrays have leading axes, too.
     """
 
-    cells: Cells
+    cells: EdgeCells
     angle: AnyArray
     noise: Noise
     excess: AnyArray
@@ -234,15 +234,15 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
     raise FitError("the measurements do not determine the camera: no best fit was found")
 
 
-def edge_measurements(stacks: Sequence[tuple[EdgeMTF, LensModel]]) -> EdgeMeasurements | None:
+def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:
     """Return the edges of several stacks, each with its lens.
 
     Edges with problems are left out. None if there are no stacks.
     """
     parts = []
     for result, lens in stacks:
-        good = np.flatnonzero([not problem for problem in result.problems])
-        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result._found)
+        good = result.good
+        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result.fits)
         lenses = _stack_lenses([lens] * good.size)
         parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, found.state.linear, lenses))
     if not parts:
@@ -263,7 +263,7 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
     """
     if not sets:
         return None
-    most = padded(max(samples.frequency.size for samples, _ in sets))
+    most = program_size(max(samples.frequency.size for samples, _ in sets))
     weights = []
     for samples, _ in sets:
         std = samples.mtf_std
@@ -314,7 +314,7 @@ def _edge_shares(
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
-        at = model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
+        at = edge_model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
         weight = edge.cells.pixels / (edge.noise.variance(at.value) * edge.excess)
         residual = edge.cells.value - at.value
         normal, score = (at.design * weight) @ at.design.T, at.design @ (weight * residual)
@@ -370,7 +370,7 @@ def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
 
     Their number is then one that other calls have, too, so that one compiled program serves them all.
     """
-    more = padded(len(edges.angle)) - len(edges.angle)
+    more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:
         return full

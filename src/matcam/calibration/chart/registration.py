@@ -18,8 +18,8 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
-from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.calibration.photograph.region import local_mean
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -48,6 +48,12 @@ class Registration:
         shape: height and width of the picture, px.
         residual: root mean square distance that the fit leaves at the fiducials, px.
         found: number of fiducials found.
+
+    Example:
+        >>> from matcam.calibration.chart.registration import Registration
+        >>> where = Registration(np.diag([2.0, 2.0, 1.0]), (0.0, 0.0), (101, 101), 0.0, 8)  # 2 px per mm, squarely
+        >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
+        (array([[70., 60.]]), 2.0)
     """
 
     homography: FloatArray
@@ -233,7 +239,7 @@ def _balanced(mosaic: FloatArray) -> FloatArray:
 
 def _find_marks(picture: FloatArray) -> list[_Mark]:
     """Find all concentric dark discs and rings of a picture."""
-    smooth = smoothed(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]

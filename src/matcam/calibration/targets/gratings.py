@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
@@ -46,6 +46,12 @@ class GratingMTF:
         modulation_std: its standard deviations.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
+        >>> result = matcam.targets.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
+        >>> round(result.contrast, 3)
+        0.25
     """
 
     samples: MTFSamples
@@ -157,8 +163,8 @@ def grating_mtf(
         profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
     )
     picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := region.flaw(picture.values):
-        raise FitError(problem)
+    if problem := flaw(picture.values):
+        raise FitError(str(problem))
     fit, orders, wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
     # nobody said where the bright lines are: the camera does not turn the first harmonic round
     signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -45,6 +45,12 @@ class BlurField:
         covariance: (6, 6) of `coefficients`.
         middle: (x, y) of the grid's middle, px.
         half: half the grid's extent, px.
+
+    Example:
+        >>> from matcam.calibration.targets.grid import BlurField
+        >>> field = BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
+        >>> np.round(field.sigma_at([100, 150], [80, 80])[0], 3)
+        array([0.5, 0.6])
     """
 
     coefficients: FloatArray
@@ -56,7 +62,14 @@ class BlurField:
     def through(cls, x: FloatArray, y: FloatArray, variance: FloatArray, std: FloatArray) -> BlurField:
         """Return the field through the variances of dots.
 
-        x, y: (n,) px. variance, std: (n,) of the lens at each dot, px^2.
+        Args:
+            x: (n,) columns, px.
+            y: (n,) rows, px.
+            variance: (n,) variance of the lens at each dot, px^2.
+            std: (n,) standard deviations of `variance`, px^2.
+
+        Returns:
+            The field; a constant if there are fewer than 24 dots.
         """
         middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
@@ -71,7 +84,15 @@ class BlurField:
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and its standard deviation at places, px."""
+        """Return sigma anywhere in the picture.
+
+        Args:
+            x: columns, px.
+            y: rows, px.
+
+        Returns:
+            Sigma and its standard deviation, px, in the shape of `x` and `y`.
+        """
         terms = _terms(
             (np.asarray(x, float) - self.middle[0]) / self.half, (np.asarray(y, float) - self.middle[1]) / self.half
         )
@@ -94,6 +115,16 @@ class DotGrid:
         radius: mean of the dots' radii as they should be in the picture, px.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> y, x = np.mgrid[:90, :90]
+        >>> page = np.full((90, 90), 1000.0)
+        >>> for place in np.ndindex(7, 7):
+        ...     page -= 900 * np.exp(-((x - 9 - 12 * place[0]) ** 2 + (y - 9 - 12 * place[1]) ** 2) / 2)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
+        >>> sigma, std = grid.sigma_at(45, 45)
+        >>> round(float(sigma), 1), grid.to_dict()["field"]["place_px"][0]
+        (0.9, [45.0, 45.0])
     """
 
     x: FloatArray
@@ -212,8 +243,8 @@ def dot_grid(
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
         picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-        if problem := region.flaw(picture.values):
-            raise FitError(problem)
+        if problem := flaw(picture.values):
+            raise FitError(str(problem))
         lattice = square_lattice(*find_dots(picture.values))
     return _grid_result(picture, fit_dots(picture.values, lattice, size, half_width), half_width)
 

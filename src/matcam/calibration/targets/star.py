@@ -17,8 +17,8 @@ from scipy.interpolate import BSpline
 
 from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
@@ -55,6 +55,13 @@ class StarMTF:
         chi2: chi2 per degree of freedom (no unit); 1 but for what gain and read noise cannot explain.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> y, x = np.mgrid[:110, :110] - 54.5
+        >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> [round(place, 2) for place in result.centre], result.to_dict()["cycles"]
+        ([54.5, 54.5], 20)
     """
 
     samples: MTFSamples
@@ -149,8 +156,8 @@ def star_mtf(
     else:
         picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
         found = find_star(picture.values, cycles)
-    if problem := region.flaw(picture.values):
-        raise FitError(problem)
+    if problem := flaw(picture.values):
+        raise FitError(str(problem))
     fit, edges = _fit_star(picture.values, found)
     return _star_result(picture, found, fit, edges, contrast)
 

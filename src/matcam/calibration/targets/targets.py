@@ -29,6 +29,13 @@ class Targets:
         grids: blur over the field, of every grid of dots.
         problems: targets that could not be measured, and why, as remarks.
         registration: where the chart lies.
+
+    Example:
+        >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
+        >>> noise = np.random.default_rng(0).normal(9, 1, (213, 300))
+        >>> found = matcam.targets.measure_targets(noise, chart, registration=lambda mm: mm)
+        >>> print(found.problems[0])
+        dots 11: ...
     """
 
     samples: tuple[MTFSamples, ...]

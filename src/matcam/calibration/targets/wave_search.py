@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.region import local_mean
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
 
@@ -104,7 +104,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     values: (height, width), NaN where there are no data. FitError if there is no star.
     """
     # what is missing is filled by its neighbours
-    filled = smoothed(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
+    filled = local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
@@ -268,7 +268,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     values: (height, width), NaN where there are no data. FitError if there is no grating.
     near: its frequency (fx, fy), cycles/px, roughly, if it may lie beyond Nyquist: the nearest that looks the same is taken.
     """
-    filled = values if np.isfinite(values).all() else smoothed(values, 0.9)
+    filled = values if np.isfinite(values).all() else local_mean(values, 0.9)
     frequency = _strongest(filled, near)
     if near is not None:
         shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)

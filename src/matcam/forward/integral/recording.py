@@ -140,7 +140,10 @@ def _read_highlights(subject: _Subject, grid: _HighlightGrid, lamps: jax.Array, 
 
 
 def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> jax.Array:
-    """Drop the last channel, a flat field's; where the kernel is whole, divide by its error."""
+    """Divide records by the error of a flat field's, the last channel.
+
+    That is done where the kernel is whole; the last channel is dropped.
+    """
     values, flat = values[:, :-1], values[:, -1]
     if blur.blur.varies:
         return values  # each piece of surface is spread by its own kernel: a flat field need not read its radiance
@@ -148,7 +151,10 @@ def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> ja
 
 
 def _in_batches(function: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], size: int) -> jax.Array:
-    """Map over the leading axis in batches of one shape, so that memory stays small; the last batch is padded."""
+    """Map over the leading axis in batches of one shape.
+
+    So memory stays small. The last batch is padded.
+    """
     count = arrays[0].shape[0]
     size = min(size, count)
     batches = -(-count // size)

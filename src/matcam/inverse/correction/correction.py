@@ -22,7 +22,7 @@ from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, fre
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig, sphere_radius
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED = 0.05
@@ -257,7 +257,7 @@ def _corrected_table(
     corrected = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
 
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
-    variance = (noise.relative**2 + noise.gain**2) * data**2 + (noise.floor * peak) ** 2
+    variance = (noise.relative**2 + noise.picture_gain**2) * data**2 + (noise.floor * peak) ** 2
     variance = variance * np.where(lobe, ratio, 1.0) ** 2
     variance += np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
     variance += (scattered**2 + (glare * data) ** 2) * np.where(lobe, ratio, 1.0) ** 2

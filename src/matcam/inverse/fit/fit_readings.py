@@ -130,7 +130,7 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         return strength, np.sqrt(variance)
     own, slope = _strength_errors(solution)
     variance = own**2 + np.einsum("pus,pq,qus->us", slope, solution.covariance, slope)
-    variance += (solution.noise.gain * strength) ** 2
+    variance += (solution.noise.picture_gain * strength) ** 2
     seen = problem.data.used.any(-1)
     return np.where(seen, strength, np.nan), np.where(seen, np.sqrt(variance), np.nan)
 

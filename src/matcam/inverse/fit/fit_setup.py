@@ -28,8 +28,8 @@ from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
 from matcam.inverse.operator.rig_axes import LENS, free_axis, prior_axis
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 CameraParameters = Literal["fixed", "prior", "free"]
