@@ -11,8 +11,6 @@ import pytest
 import matcam
 
 TO_DO = {
-    # batch
-    "correct_all",
     # calibration
     "Calibration",
     "DotGrid",
