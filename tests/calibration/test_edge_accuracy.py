@@ -45,7 +45,7 @@ def test_esf_and_lsf(straight):
     assert np.all(esf.std > 0)
     samples = result.samples
     assert np.max(np.abs(samples.value - oracle.edge(samples.distance, np.radians(5), 0.5))) < 2e-3
-    with pytest.raises(TypeError, match="of one edge"):
+    with pytest.raises(TypeError, match="EdgeMTF"):
         len(result)
 
 

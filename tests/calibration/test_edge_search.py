@@ -5,29 +5,23 @@ import json
 import numpy as np
 import pytest
 
-from matcam.calibration.edge import edge as stack
-from matcam.calibration.edge.edge import edge_mtf_stack
-from matcam.calibration.edge.maximum_likelihood import Noise
-from matcam.calibration.edge.profiles import Gaussian
-from matcam.calibration.photograph import region
-from matcam.calibration.search import photograph_edges as strips
+from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_mtf_stack, edge_stack
+from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.calibration.photograph.region import flaws
 from matcam.calibration.search.edge_search import find_edges
+from matcam.calibration.search.strips import strip_regions, strips_along
 from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge, slanted_squares
 
 # one worker, because all strips are measured by one compiled program
 pytestmark = pytest.mark.xdist_group("strips")
 
-EVERY = np.ones((2, 2), bool)
-UNKNOWN = Noise(np.float64(np.nan), np.float64(np.nan))
 
-
-def measured(picture, sites=EVERY, mosaic=False):
-    along = strips.strips_along(find_edges(picture, mosaic=mosaic), picture.shape)
-    regions = strips.regions_of(along, lambda y, x: picture[y, x].astype(float), sites, stack.AT_ONCE)
-    return stack.measured(
-        [(r, region.flaws(r.value)) for r in regions], "gaussian", Gaussian(), UNKNOWN, 0.5, accept_sharpened=False
-    )
+def measured(picture, cfa=None, channel=None):
+    plane = LinearImage.of(picture, channel, cfa)
+    strips = strips_along(find_edges(picture, mosaic=cfa is not None), plane.shape)
+    regions = [rows for rows, _ in strip_regions(strips, plane, AT_ONCE)]
+    return edge_stack([(rows, flaws(rows.value)) for rows in regions], EdgeSettings())
 
 
 def matched(x, y, angle, sides):
@@ -105,7 +99,7 @@ def test_strips_of_a_mosaic_hold_one_colour(channel):
     planes = [slanted_squares.field((420, 440), 140, 74, 5, s, dark=0.25)[0] for s in sigmas.values()]
     cfa = "GRBG"
     picture = np.random.default_rng(4).poisson(slanted_squares.mosaic(planes, cfa) * 1e4).astype(float)
-    result = measured(picture, (np.array(list(cfa)) == channel).reshape(2, 2), mosaic=True)
+    result = measured(picture, cfa, channel)
     assert not any(result.problems)
     pulls = (result.mtf50 - slanted_edge.gaussian_half(sigmas[channel])) / result.mtf50_std
     assert abs(pulls.mean()) < 4 / np.sqrt(pulls.size)

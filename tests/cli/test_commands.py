@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, Uncertainty, write_merl
+from matcam import BoxPixel, Camera, GaussianOptics, write_merl
+from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from tests.oracle import epd_peak, merl_lobe
 

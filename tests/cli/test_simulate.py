@@ -7,7 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from matcam import read_exr, read_float_tiff, read_merl, read_sidecar, sidecar_path
+from matcam import read_merl
+from matcam.io import read_exr, read_float_tiff, read_sidecar, sidecar_path
 
 
 def run(*arguments, cwd):

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import Camera, GaussianOptics, design_chart, read_samples, write_sidecar
+from matcam import Camera, GaussianOptics
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import brdf_table
 from matcam.exchange.contents import read, read_contents, write
 from matcam.files.formats import CONTENTS, FORMATS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
+from matcam.io import read_samples, write_sidecar
+from matcam.targets import design_chart
 
 
 def table():

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, PixelNoise, Rig, Sphere, Uncertainty, rigs
+from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere, rigs
+from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.oracle import sphere_cells as oracle
@@ -110,7 +111,9 @@ def bound(shot, lobe, n=CHROMIUM[0], k=CHROMIUM[1], noise=NOISE, sigmas=None):
     along = np.nan_to_num(at) * root
     product = np.einsum("psn,qsn->pq", columns, columns)
     with_gain = np.einsum("psn,sn->ps", columns, along)
-    product -= np.einsum("ps,qs,s->pq", with_gain, with_gain, 1 / (1 / max(noise.gain, 1e-9) ** 2 + (along**2).sum(-1)))
+    product -= np.einsum(
+        "ps,qs,s->pq", with_gain, with_gain, 1 / (1 / max(noise.picture_gain, 1e-9) ** 2 + (along**2).sum(-1))
+    )
     if sigmas:
         product[-1, -1] += 1 / sigmas[2] ** 2
     return np.linalg.inv(product)

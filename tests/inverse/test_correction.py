@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import Correction, PixelNoise, Rig, Sphere, limits
+from matcam import Rig, Sphere, limits
+from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
+from matcam.inverse import Correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -152,8 +154,8 @@ def test_what_cannot_be_corrected_is_refused():
 
 @pytest.mark.slow
 def test_limits_of_a_rig():
-    """Bounds rise towards narrow lobes; jitter cannot be told from the lens; a lens stated to 3 % costs what MODEL 8 says in
-    kind: most where the lobe is narrowest."""
+    """Bounds rise towards narrow lobes; jitter cannot be told from the lens; a lens stated to 3 % costs what docs/model.md 8
+    says in kind: most where the lobe is narrowest."""
     found = limits(recorded.rig(std=0.015), roughness=[0.0005, 0.002, 0.05], every=18)
     exact, stated, free = (found[name].values for name in ("width_std", "width_std_stated", "width_std_free"))
     assert np.all(exact < stated)

@@ -121,7 +121,7 @@ def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     """F at 75 degrees, absolute: free in every picture without a gain error; as (n, k), every sixth picture, with it."""
     every = 10 if fresnel == "free" else 6
     random, shot = np.random.default_rng(81), recorded.pictures(every)
-    noise = recorded.NOISE._replace(gain=gain)
+    noise = recorded.NOISE._replace(picture_gain=gain)
     at = np.radians(75.5) if fresnel == "free" else recorded.SEVENTY_FIVE
     truth = float(conductor(at, *recorded.CHROMIUM))
     errors = []
@@ -133,6 +133,6 @@ def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     print(f"F at 75 degrees, {fresnel}, gain error {gain:g}: rms {rms(errors):.4f} of {len(errors)}")
     assert rms(errors) <= allowed
     if gain:
-        told = fit(table, recorded.rig(), recorded.family(lobe), every=every).noise.gain
+        told = fit(table, recorded.rig(), recorded.family(lobe), every=every).noise.picture_gain
         print(f"gain error as estimated from {shot.cells.theta_d.size} pictures: {told:.4f}")
         assert 0.006 < told < 0.015

@@ -14,6 +14,7 @@ import xarray as xr
 
 from matcam.core.grid import Sampling
 from matcam.core.json import plain
+from matcam.core.workspace import Workspace
 from matcam.figures.correction_page import write_correction_page
 from matcam.inverse.correction.correction import Correction
 from matcam.material.masking import Masking
@@ -29,11 +30,13 @@ class Options(NamedTuple):
         ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd".
         masking: masking function, or None for none.
         glare: share of light that the lens may scatter without its profile saying so (no unit).
+        workspace: keeps what depends on the rig alone; None: the process's own. It changes no result.
     """
 
     ndf: str = "auto"
     masking: Masking = "smith"
     glare: float = 1e-3
+    workspace: Workspace | None = None
 
 
 class CorrectedTable(NamedTuple):
@@ -56,7 +59,9 @@ Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
 
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
     """Correct a table for its camera. Errors as `correct`'s."""
-    done = Correction.of(table, rig, options.ndf, masking=options.masking, glare=options.glare)
+    done = Correction.of(
+        table, rig, options.ndf, masking=options.masking, glare=options.glare, workspace=options.workspace
+    )
     document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
 
     def write_page(path: Path, name: str, force: bool) -> None:

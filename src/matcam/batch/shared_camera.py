@@ -32,7 +32,9 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     chosen = _narrowest(inputs, recipe.sampling)
     tables = [table for _, table in chosen]
     options = recipe.options
-    setup = free_setup(tables, recipe.rig, masking=options.masking, camera_parameters="free")
+    setup = free_setup(
+        tables, recipe.rig, masking=options.masking, camera_parameters="free", workspace=options.workspace
+    )
     best = likeliest(candidate_fits(setup, options.ndf))
     value, std = best.params[LENS], best.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)

@@ -51,7 +51,7 @@ def command(
     if metadata:
         check_output(metadata, force=force, inputs=[source, *([camera] if camera else [])])
         if metadata.absolute() == target.absolute():
-            raise OutputError(f"output {metadata} is asked for twice")
+            raise OutputError(f"output {metadata} is asked for twice: give two names")
         document = about(rig_of(camera, radius, lamp), table=target.name)
     with show.working("converting"):
         report = convert(source, target, sampling=sampling, square=square, force=force)

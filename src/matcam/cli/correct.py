@@ -89,9 +89,11 @@ def command(
         )
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
-    from matcam.core.workspace import keep_rules
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
 
-    keep_rules()
+    use_compilation_cache()
+    workspace = Workspace.user()
     rig = rig_of(camera, radius, lamp, cell_value=sampling)
     how: dict[str, Any] = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
     if alone:
@@ -104,7 +106,7 @@ def command(
         for path in job.files:
             check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
         with show.working(f"{paths[0]}: correcting"):
-            document = write_corrected(job)
+            document = write_corrected(job, workspace)
         _print_table({**document, "files": [str(path) for path in job.files]}, paths[0].name, json)
         return
     from matcam.batch.run import correct_all
@@ -118,7 +120,7 @@ def command(
 
         run = correct_all(
             paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, zarr=zarr,
-            fit_camera=fit_camera, force=force, watch=show_progress, **how,
+            fit_camera=fit_camera, force=force, watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip
     _print_run(run, json)
     if run.failures:

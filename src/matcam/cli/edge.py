@@ -89,7 +89,7 @@ def command(
         )
         _write(result, photograph.values, roi, picture.name, output, force)
     if json:
-        show.as_json(_document(result, output))
+        show.as_json(result.to_dict() | {"files": [str(output), str(output.with_suffix(".csv"))]})
     else:
         _print(result, output)
 
@@ -101,45 +101,6 @@ def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bo
 
     write_columns(output.with_suffix(".csv"), result.dataset(), force=force)
     save(edge_figure(result, image, roi, name), output, force=force)
-
-
-def _document(result: Any, output: Path) -> dict[str, Any]:
-    import numpy as np
-
-    fit = result.parametric
-    return {
-        "mtf50_cycles_per_px": result.mtf50,
-        "mtf50_std": result.mtf50_std,
-        "core_mtf50_cycles_per_px": result.core_mtf50,
-        "core_mtf50_std": result.core_mtf50_std,
-        "glare_fraction": result.glare_fraction,
-        "glare_fraction_std": result.glare_fraction_std,
-        "glare_radius_px": result.glare_radius,
-        "angle_deg": np.degrees(result.angle),
-        "angle_std_deg": np.degrees(result.angle_std),
-        "bow_px": result.bow,
-        "light_per_px": result.light,
-        "levels": [result.dark, result.bright],
-        "gain": result.gain,
-        "read_noise": result.read_noise,
-        "excess": result.excess,
-        "overshoot": result.overshoot,
-        "parametric": {
-            "model": fit.model,
-            "mtf50_cycles_per_px": fit.mtf50,
-            "mtf50_std": fit.mtf50_std,
-            "parameters": dict(zip(fit.names, fit.values, strict=True)),
-            "covariance": fit.covariance,
-            "chi2": fit.chi2,
-            "degrees": fit.degrees,
-            "misfit_probability": fit.misfit_probability,
-            "consistent": bool(fit.consistent),
-        },
-        "frequency_cycles_per_px": result.frequency,
-        "mtf": result.mtf,
-        "mtf_std": result.mtf_std,
-        "files": [str(output), str(output.with_suffix(".csv"))],
-    }
 
 
 def _print(result: Any, output: Path) -> None:
@@ -165,8 +126,6 @@ def _print(result: Any, output: Path) -> None:
             f"glare: {result.glare_fraction:.1%} ± {result.glare_fraction_std:.1%} of the light, "
             f"radius {result.glare_radius:.0f} px"
         )
-    if result.overshoot > 0.02:
-        show.say(f"the edge overshoots by {result.overshoot:.1%}: a sharpened picture; this is not the lens alone")
-    if result.excess > 1:
-        show.say(f"the picture scatters more than its noise: errors were raised by {np.sqrt(result.excess):.1f}")
+    for remark in result.remarks:
+        show.say(remark.text)
     show.say(f"picture: {output}")

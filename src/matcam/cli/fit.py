@@ -9,7 +9,6 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
-from matcam.core.workspace import keep_rules
 
 Family = Annotated[
     Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
@@ -65,12 +64,15 @@ def command(
     from matcam.core.io import check_output
 
     if blind and lens != "auto":
-        raise ArgumentError("--no-camera and --lens contradict each other")
+        raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
         raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
     if output:
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.files.merl import read_merl
     from matcam.inverse.fit.fit_setup import fit
 
@@ -87,6 +89,7 @@ def command(
             camera_parameters=None if lens == "auto" else lens,
             bend=bend,
             every=every,
+            workspace=Workspace.user(),
         )
     document = {"files": [str(file) for file in files], **found.to_dict()}
     if rival:
@@ -106,11 +109,12 @@ def command(
 
 
 def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
+    from matcam.core.workspace import Workspace
     from matcam.files.merl import read_merl
     from matcam.inverse.rival_fits import rivals
 
     with show.working(f"fitting {file} with free shadowing instead"):
-        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every).to_dict()
+        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every, workspace=Workspace.user()).to_dict()
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
@@ -121,7 +125,7 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
     noise = summary["noise"]
     show.say(
         f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the picture's peak; of a picture's "
-        f"gain: {noise['gain']:.2%}"
+        f"gain: {noise['picture_gain']:.2%}"
     )
     show.say(
         f"sum of squared residuals over degrees of freedom: {summary['misfit']:.3f} ({summary['degrees_of_freedom']})"

@@ -9,7 +9,6 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
-from matcam.core.workspace import keep_rules
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -78,13 +77,16 @@ def command(
 def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise, every):  # type: ignore[no-untyped-def]
     import math
 
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.files.merl import read_merl
     from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
-    from matcam.material.metals import metal_sources
+    from matcam.material.metals import metals
 
     if metal is not None:
-        metal_sources(metal)  # an unknown name should cost nothing
+        metals(metal)  # an unknown name should cost nothing
     rig = rig_of(camera, radius, lamp)
     table = read_merl(file, sampling=sampling)
     result = fresnel(
@@ -94,6 +96,7 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
         masking=None if masking == "none" else masking,
         normalise=(math.radians(normalise[0]), math.radians(normalise[1])),
         every=every,
+        workspace=Workspace.user(),
     )
     return result, tabulated_fresnel(result, metal)
 

@@ -8,7 +8,6 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, rig_of
-from matcam.core.workspace import keep_rules
 
 
 def command(
@@ -31,13 +30,18 @@ def command(
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
     rig = rig_of(camera, radius, lamp)
     with show.working("bounds"):
-        found = limits(rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01))
+        found = limits(
+            rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01), workspace=Workspace.user()
+        )
     if json:
         show.as_json({**found.attrs, **{str(name): found[name].values for name in [*found.data_vars, *found.coords]}})
     else:

@@ -72,12 +72,12 @@ def command(
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.forward.prediction import predict
-    from matcam.material.ndf.families import ndf_of
+    from matcam.material.registry import family_ndf
 
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
-        lobes = [ndf_of(ndf, value, power) for value in values]
+        lobes = [family_ndf(ndf, value, power) for value in values]
         data = predict(rig, lobes, dims, exact)
     false = _false_light(rig, lobes) if glare else []
     if output:
@@ -149,10 +149,10 @@ def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, 
     from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
     from matcam.forward.prediction import predict
-    from matcam.material.ndf.families import ndf_of
+    from matcam.material.registry import family_ndf
 
     with show.working("drawing the plane"):
-        data = predict(rig, [ndf_of(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
+        data = predict(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
         write_columns(path.with_suffix(".csv"), data, force=force)
         save(plane_figure(data, f"Peak kept, relative to 0°: {rig.sample!r}"), path, force=force)
 

@@ -54,7 +54,7 @@ def command(
     from matcam.files.float_pictures import write_exr
 
     if len(files) > 2:
-        raise ArgumentError(f"one file is rendered, or two side by side; got {len(files)}")
+        raise ArgumentError(f"one file can be rendered, or two side by side, got {len(files)}")
     if not (exposure > 0 and math.isfinite(exposure)):
         raise ArgumentError(f"--exposure must be above 0, got {exposure:g}")
     target = Path(f"{files[0].name.split('.')[0]}-render.png") if output is None else output

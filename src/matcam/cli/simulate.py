@@ -103,7 +103,7 @@ def command(
         from matcam.figures.style import check_picture
 
         if suffix in _TABLES:
-            raise ArgumentError("--preview shows a picture, and the output is a table")
+            raise ArgumentError("--preview shows a picture, and the output is a table: leave it out")
         check_picture(preview, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
 
@@ -127,18 +127,18 @@ def command(
 def _material(table, sampling, ndf, roughness, power, metal, source, diffuse):  # type: ignore[no-untyped-def]
     if table:
         from matcam.files.merl import read_merl
-        from matcam.material.material import Tabulated
+        from matcam.material.tabulated import Tabulated
 
         return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.metals import metal as constants
     from matcam.material.microfacet import Microfacet
-    from matcam.material.ndf.families import ndf_of
     from matcam.material.reflectance import Conductor
+    from matcam.material.registry import family_ndf
 
     n, k, used = constants(metal, CHANNEL_WAVELENGTHS, *([source] if source else []))
     described = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": used, "diffuse": diffuse}
-    return Microfacet(ndf_of(ndf, roughness, power), Conductor(n, k), diffuse), described
+    return Microfacet(family_ndf(ndf, roughness, power), Conductor(n, k), diffuse), described
 
 
 def _table(material, rig, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]

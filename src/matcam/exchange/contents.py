@@ -20,12 +20,13 @@ from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_name
 from matcam.files.rgl import check_fields
 from matcam.files.samples import samples_of, table_of
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 
 @dataclass(frozen=True)
 class Contents:
-    """Hold what is in a file; one field besides `format` is not None.
+    """The contents of a file; one field besides `format` is not None.
 
     Attributes:
         format: short name of the file's format; "": it was not read from a file.
@@ -55,7 +56,7 @@ class Contents:
 
     @property
     def kind(self) -> str:
-        """Say in words what it is."""
+        """Return the kind of the contents, in words."""
         return CONTENTS[self.content]
 
 
@@ -81,7 +82,7 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
         >>> from matcam.exchange.contents import read
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
-        ...     matcam.write_exr(path, np.ones((2, 3, 3)))
+        ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
         ...     picture = read(path)
         >>> picture.shape
         (2, 3, 3)
@@ -97,9 +98,9 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
 
 def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
-    """Write a table, a result, a picture, a camera or a chart in the format that the file's name ends in.
+    """Write a thing in the format that the file's name ends in.
 
-    Every value is kept: nothing is resampled (see `convert`).
+    Things are tables, results, pictures, cameras and charts. Every value is kept: nothing is resampled (see `convert`).
 
     Args:
         path: file to write.
@@ -133,7 +134,10 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
 
 def contents_of(thing: Any) -> Contents:
-    """Return what a table, a result or a picture is to a file. ArgumentError for anything else."""
+    """Wrap a table, a result or a picture as contents.
+
+    ArgumentError for anything else.
+    """
     if isinstance(thing, Contents):
         return thing
     if isinstance(thing, xr.DataArray):
@@ -151,24 +155,32 @@ def contents_of(thing: Any) -> Contents:
     )
 
 
-def write_contents(path: str | Path, held: Contents, *, force: bool = False) -> None:
-    """Write contents in the format that the name ends in. ArgumentError where it cannot hold them."""
+def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
+    """Write contents in the format that the name ends in.
+
+    ArgumentError where it cannot hold them.
+    """
     path = Path(path)
     form = format_for(path)
-    writer = form.writer(held.content)
+    writer = form.writer(contents.content)
     check_output(path, force=force)
-    data = held.data
-    if form.name == "csv" and held.content == "table":
+    data = contents.data
+    if form.name == "csv" and contents.content == "table":
         data = samples_of(data)
     elif form.name in ("netcdf", "zarr") and isinstance(data, xr.DataArray):
-        data = data.to_dataset(name="brdf" if held.content == "table" else "samples")
+        data = data.to_dataset(name="brdf" if contents.content == "table" else "samples")
     writer(path, data, force=force)
 
 
 def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
-    """Read a file of any format that holds measurements.
+    """Read a file of any format that holds measurements. FileFormatError for anything else.
 
-    sampling: of a MERL file, see `read_merl`. FileFormatError for anything else.
+    Args:
+        path: file to read.
+        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. Default: "centre".
+
+    Returns:
+        The contents, with the name of the format.
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
@@ -196,7 +208,7 @@ def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
 
 
 def material_of(contents: Contents) -> Material:
-    """The material that a file describes. ArgumentError where it describes none."""
+    """Return the material that a file describes. ArgumentError where it describes none."""
     if contents.table is not None:
         return Tabulated(contents.table)
     if contents.fields is not None:

@@ -22,7 +22,8 @@ from matcam.files.formats import Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 
@@ -42,9 +43,8 @@ def convert(
     Args:
         source: input: MERL, RGL, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
         target: output: .binary, .bsdf, .csv, .nc, .zarr.zip, .exr, .tif or .tiff.
-        sampling: point of its cell, "centre" or "edge", at which a MERL file's values are sampled, and those of the
-            table that an RGL file is resampled to. Default: "centre"; loaders of MERL files disagree, see
-            `read_merl`.
+        sampling: point of its cell at which a MERL file's values are sampled, "centre" or "edge", see `read_merl`. The table
+            that an RGL file is resampled to has the same. Default: "centre"; loaders of MERL files disagree.
         square: nodes along each side of the square of an RGL file that is made, see `adaptive_grid`. Default: 192; fewer
             make a smaller file.
         force: True to replace an existing output. Default: False.
@@ -66,7 +66,7 @@ def convert(
         >>> import tempfile, pathlib
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     picture = pathlib.Path(folder, "picture.exr")
-        ...     matcam.write_exr(picture, np.ones((4, 5)))
+        ...     matcam.io.write_exr(picture, np.ones((4, 5)))
         ...     report = matcam.convert(picture, picture.with_suffix(".tif"))
         >>> report["holds"], report["resampled"]
         ('a picture', None)
@@ -81,7 +81,7 @@ def convert(
         "format": contents.format,
         "holds": contents.kind,
     }
-    contents, details = _resampled(contents, form, sampling, square)
+    contents, details = _resample(contents, form, sampling, square)
     form.writer(contents.content)
     if contents.picture is not None:
         details |= _write_sidecar(source, target, force)
@@ -90,10 +90,11 @@ def convert(
 
 
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
-    """Compare two materials' BRDFs at 4096 pairs of random directions up to 80 degrees from the normal.
+    """Compare two materials' BRDFs at random pairs of directions.
 
-    The relative difference is the largest of the channels. Returned are its `median`, `p99` (exceeded by 1 %) and
-    `largest`, and `known`, the share of pairs where the first material has a value.
+    There are 4096 pairs, up to 80 degrees from the normal. The relative difference is the largest of the channels.
+    Returned are its `median`, `p99` (exceeded by 1 %) and `largest`, and `known`, the share of pairs where the first
+    material has a value.
     """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
@@ -114,8 +115,11 @@ def _directions(random: np.random.Generator) -> Vector:
     return vector(sin * np.cos(phi), sin * np.sin(phi), cos)
 
 
-def _resampled(contents: Contents, form: Format, sampling: Sampling, square: int) -> tuple[Contents, dict[str, Any]]:
-    """Resample a BRDF whose grid the format does not have. Return the contents, and what the report says of it."""
+def _resample(contents: Contents, form: Format, sampling: Sampling, square: int) -> tuple[Contents, dict[str, Any]]:
+    """Resample a BRDF whose grid the format does not have.
+
+    Return the contents, and the details that the report adds.
+    """
     if contents.table is not None and form.holds == ("fields",):
         material = material_of(contents)
         fields = adaptive_grid(material, description=str(_source(contents)), square=square)
@@ -131,7 +135,7 @@ def _resampled(contents: Contents, form: Format, sampling: Sampling, square: int
 
 
 def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[str, Any]]:
-    """Return RGL's fields on the MERL grid."""
+    """Resample RGL's fields to the MERL grid."""
     material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
         raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot hold it")

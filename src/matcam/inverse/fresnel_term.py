@@ -22,10 +22,10 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.metals import metal as metal_index
-from matcam.material.metals import metal_sources, metals
+from matcam.material.metals import metals
 from matcam.material.ndf.distribution import NDF
-from matcam.material.ndf.families import FAMILIES
 from matcam.material.reflectance import fresnel_conductor
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05
@@ -113,7 +113,7 @@ def fresnel(
         found = setup.solve(start=found)
     if every < SEARCH_EVERY:
         found = setup.with_(every=every).solve(start=found)
-    remarks = (*found.remarks, *([shape.remark(found.family)] if found.bent else []))
+    remarks = (*found.remarks, *([shape.remark(found.family)] if found.is_bent else []))
     lobe, theta_d = found.ndf, found.theta_d
     term = _FresnelTerm(found, normalise)
     hidden = _mirror_masking(lobe, theta_d, masking)
@@ -161,7 +161,7 @@ def fresnel(
             "noise": "given" if noise else "estimated from the residuals",
             "camera_uncertainty": "stated" if rig.camera.uncertainty else "none stated: taken as exact",
             "width_determined": int(found.resolved),
-            "bent": int(found.bent),
+            "bent": int(found.is_bent),
             "sampling": brdf.attrs["sampling"],
             "source": str(brdf.attrs.get("source", "")),
             "remarks": to_attribute(remarks),
@@ -191,7 +191,7 @@ def tabulated_fresnel(
         ArgumentError: there is no such metal, or not one wavelength for each channel.
 
     Source:
-        `metal_sources` names the source of each table.
+        `metals` lists the tables.
 
     Example:
         >>> import xarray as xr
@@ -202,7 +202,7 @@ def tabulated_fresnel(
         ...     coords={"theta_d": theta_d, "channel": ["G"]},
         ...     attrs={"normalised_over": [0.17, 0.79]},
         ... )
-        >>> matcam.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
+        >>> matcam.inverse.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
         array([0.55, 0.65, 0.68])
     """
     channels = result.sizes["channel"]
@@ -212,7 +212,7 @@ def tabulated_fresnel(
     low, high = result.attrs["normalised_over"]
     inside = (theta_d >= low) & (theta_d <= high)
     judged = (theta_d[:, None] >= low) & (theta_d[:, None] <= result["supported_angle"].values)
-    tables = [(name, source) for name in (metals() if metal is None else [metal]) for source in metal_sources(name)]
+    tables = [(name, source) for name, sources in metals(metal).items() for source in sources]
     indices = [metal_index(name, wavelengths, source) for name, source in tables]
     n, k = (np.stack([getattr(index, part) for index in indices])[:, None, :] for part in ("n", "k"))
     *curves, f0 = np.asarray(fresnel_conductor(np.append(theta_d, 0.0)[:, None], n, k)).transpose(1, 0, 2)
@@ -259,8 +259,8 @@ class _FresnelTerm:
         self.normalised = strength / mean
 
         there = np.isfinite(strength)
-        whole = np.where(there, strength, np.inf)
-        relative = [c / whole[:, :, None] / whole[:, None, :] for c in strengths[1:]]
+        divisor = np.where(there, strength, np.inf)
+        relative = [c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:]]
 
         # normalising subtracts the mean's own change
         share = np.where(used, strength, 0) / (count * mean)
@@ -270,9 +270,9 @@ class _FresnelTerm:
             for c in relative
         )
         std = np.sqrt(np.einsum("uss->us", strengths.noise_covariance + strengths.rig_covariance))
-        known = there & found.resolved
-        self.absolute = np.where(known, strength, np.nan)
-        self.absolute_std = np.where(known, std, np.nan)
+        resolved = there & found.resolved
+        self.absolute = np.where(resolved, strength, np.nan)
+        self.absolute_std = np.where(resolved, std, np.nan)
 
 
 def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What nobody can know from a rig's pictures: Cramer-Rao bounds, and blurs that look alike (docs/model.md 8)."""
+"""Bounds on what a rig's pictures can tell: Cramer-Rao bounds, and blurs that look alike (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, prior_axis
-from matcam.material.ndf.families import ONE_WIDTH
+from matcam.material.registry import ONE_WIDTH
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
@@ -97,9 +97,9 @@ def limits(
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
-    view = _View(rig, ndf, (noise or PixelNoise(gain=0.01)).checked(), every, workspace)
-    known = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
-    relative = known / float(rig.camera.parameters()[LENS])
+    view = _View(rig, ndf, (noise or PixelNoise(picture_gain=0.01)).checked(), every, workspace)
+    stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
+    relative = stated_std / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]
     rest: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]

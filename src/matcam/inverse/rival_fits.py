@@ -61,7 +61,7 @@ class Rivals(NamedTuple):
     Example:
         >>> found = matcam.rivals(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> found.difference > 0  # doctest: +SKIP
-        >>> matcam.Rivals._fields
+        >>> matcam.inverse.Rivals._fields
         ('camera', 'shadowing')
     """
 

@@ -43,6 +43,14 @@ class Calibration:
         failed: pictures that could not be used, and why.
         remarks: what was assumed, and what a photographer should know.
         pictures: names of the pictures that were used.
+
+    Example:
+        >>> f = np.linspace(0.05, 0.5, 10)
+        >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> found = matcam.calibrate([], samples=[star])
+        >>> found.channel, list(found.to_dict()["channels"]["grey"]["parameters"])
+        ('grey', ['optics.sigma_px'])
     """
 
     channels: dict[str, CameraFit]
@@ -52,7 +60,10 @@ class Calibration:
 
     @property
     def channel(self) -> str:
-        """Return the channel that stands for all: green, luminance or grey, whichever there is; else the first."""
+        """Return the channel that stands for all.
+
+        It is green, luminance or grey, whichever there is, or else the first.
+        """
         return next((c for c in ("G", "Y", "grey") if c in self.channels), next(iter(self.channels)))
 
     @property
@@ -119,7 +130,7 @@ def calibrate(
     channels: Sequence[str] | None = None,
     accept_sharpened: bool = False,
 ) -> Calibration:
-    """Find a camera from pictures of slanted edges, and from any other measurements of its MTF.
+    """Find a camera from pictures of slanted edges and other targets.
 
     One bad picture among many is left out, and listed in `failed`.
 
@@ -157,7 +168,7 @@ def calibrate(
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
         >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
-        >>> star = matcam.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
         >>> found = matcam.calibrate([], samples=[star])
         >>> round(float(found.camera.optics.sigma), 3)
         0.6
@@ -190,7 +201,7 @@ def calibrate(
 
 @dataclass
 class _Pictures:
-    """Hold what all pictures say, filled picture by picture, and what became of each.
+    """Hold what all pictures say, and what became of each.
 
     Attributes:
         findings: one for each colour of each picture.
@@ -209,7 +220,10 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, plan: PicturePlan) -> None:
-        """Measure a picture; a file goes by its own name. One that cannot be used is put down as failed."""
+        """Measure a picture, or put it down as failed.
+
+        name: of a picture that is no file.
+        """
         name = str(picture) if isinstance(picture, str | Path) else name
         short = Path(name).name
         try:
@@ -231,7 +245,10 @@ class _Pictures:
             self.remarks += [Remark(remark.code, f"{short}: {remark.text}") for remark in remarks]
 
     def check(self) -> None:
-        """Raise ArgumentError if pictures are of different cameras; the first error if no picture could be used."""
+        """Raise an error if the pictures cannot make one camera.
+
+        It is ArgumentError if they are of different cameras, and the first picture's error if none could be used.
+        """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
             raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
@@ -250,7 +267,10 @@ class _Pictures:
 
 
 def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
-    """Return one f-number for each picture; None where the file's own is to be taken."""
+    """Return one f-number for each picture.
+
+    None stands for the file's own.
+    """
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)

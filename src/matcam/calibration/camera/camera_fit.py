@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
 from matcam.calibration.camera.joint_fit import EdgeMeasurements, Unknowns, fit_jointly, in_profile_units
-from matcam.calibration.edge.free_fit import FREQUENCIES
+from matcam.calibration.edge.free_curve import FREQUENCIES
 from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, lens_model
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
@@ -46,7 +46,10 @@ class CameraRequest:
     pixel_pitch: float | None
 
     def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
-        """Return the family to be fitted, by a picture's f-number. ArgumentError if something is missing for it."""
+        """Return the family to be fitted, by a picture's f-number.
+
+        ArgumentError if something is missing for it.
+        """
         wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
         both = wavelength is not None and self.pixel_pitch is not None
         if self.model in ("diffraction", "defocus") and not both:
@@ -60,7 +63,9 @@ class CameraRequest:
             lens = lens_model(name, wavelength, self.pixel_pitch)
             return lambda _: lens
         if both and any(number is None for number in f_numbers):
-            raise ArgumentError("diffraction is to be taken into account, but not every picture's f-number is known")
+            raise ArgumentError(
+                "diffraction needs f-numbers, but not every picture's f-number is known: give f_numbers: give f_numbers"
+            )
         if not both:
             return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
         return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(self.pixel_pitch))
@@ -68,13 +73,20 @@ class CameraRequest:
 
 @dataclass(frozen=True, eq=False)
 class MeanCurve:
-    """Hold the mean MTF of all edges, and a camera's in the same directions.
+    """Hold the mean MTF of all edges, and a camera's.
 
     Attributes:
         frequency: (81,) cycles/px.
         mtf: (81,) mean of the edges, free of a model; NaN without edges.
         mtf_std: (81,) its standard deviation; NaN without edges.
         camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
+
+    Example:
+        >>> from matcam.calibration.camera.camera_fit import MeanCurve
+        >>> f = np.linspace(0, 1, 5)
+        >>> curve = MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
+        >>> [round(value, 3) for value in curve.misfit]
+        [0.05, 0.01]
     """
 
     frequency: np.ndarray
@@ -84,7 +96,10 @@ class MeanCurve:
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Return the largest difference below Nyquist, and its standard deviation; NaN without edges."""
+        """Return the largest difference below Nyquist, and its standard deviation.
+
+        Both are NaN without edges.
+        """
         off = np.abs(self.mtf - self.camera_mtf)
         below = (self.frequency > 0) & (self.frequency <= 0.5)
         worst = int(np.argmax(np.where(below, off, -1)))
@@ -106,6 +121,14 @@ class CameraFit:
         edges: results of every edge; None without edges.
         curve: the edges' mean MTF, free of a model, and this camera's.
         measurements: number of measurements by picture and kind.
+
+    Example:
+        >>> f = np.linspace(0.05, 0.5, 10)
+        >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> fit = matcam.calibrate([], samples=[star]).channels["grey"]
+        >>> fit.names, fit.measurements
+        (('optics.sigma_px',), {'star': 1})
     """
 
     camera: Camera
@@ -126,7 +149,7 @@ class CameraFit:
 
     @property
     def misfit(self) -> float:
-        """Return the largest difference below Nyquist between the edges' mean MTF and this camera's (no unit).
+        """Return the largest difference from the edges' mean MTF below Nyquist.
 
         NaN without edges.
         """
@@ -139,7 +162,10 @@ class CameraFit:
 
     @property
     def consistent(self) -> bool:
-        """Return False if the camera misses the edges' mean MTF by more than 0.005 and 4 standard deviations."""
+        """Return whether the camera explains the edges' mean MTF.
+
+        It does not if it misses it by more than 0.005 and 4 standard deviations.
+        """
         return not (self.misfit > _MISSED and self.misfit > _SIGNIFICANT * self.misfit_std)
 
     @property
@@ -176,7 +202,14 @@ class CameraFit:
         }
 
     def with_provenance(self, provenance: Provenance) -> CameraFit:
-        """Return the same fit, with a camera that says where it comes from."""
+        """Return the fit with a camera that says where it comes from.
+
+        Args:
+            provenance: source, date and software, for the camera's profile.
+
+        Returns:
+            The same fit.
+        """
         c = self.camera
         return replace(
             self, camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance)
@@ -250,7 +283,7 @@ class _FittedLens:
 
 
 def _within_the_pitch(parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the best parameters of a camera whose pixel is no wider than the pitch."""
+    """Return the best parameters whose pixel is no wider than the pitch."""
     over = parameters[1] - 0.5
     return parameters - covariance[:, 1] / covariance[1, 1] * over if over > 0 else parameters
 
@@ -270,7 +303,10 @@ def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
 
 
 def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None) -> MeanCurve:
-    """Return the edges' mean MTF, with errors by their scatter, and the same mean of the fitted camera's."""
+    """Return the mean MTF of the edges, and the fitted camera's.
+
+    Its errors are those of the edges' scatter.
+    """
     theta, half = jnp.asarray(found.parameters), jnp.asarray(found.half)
     if table is None:
         nothing = np.full(FREQUENCIES.size, np.nan)
@@ -294,8 +330,9 @@ def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
 
 
 def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> Camera:
-    """Return a lens with the edges' mean MTF, divided by the pixel's, as far as it is known.
+    """Return a lens with the edges' mean MTF, freed of the pixel.
 
+    It is followed as far as it is known.
     Beyond, the curve goes on as that of the fitted Gaussian.
     """
     mean, std = curve.mtf, curve.mtf_std
@@ -326,7 +363,10 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
 
 
 def _separated_camera(found: _FittedLens) -> Camera:
-    """Return core and pixel; where the lens has an f-number, core and diffraction as one curve."""
+    """Return core and pixel as a camera.
+
+    Where the lens has an f-number, core and diffraction make one curve.
+    """
     lens, theta = found.lens, jnp.asarray(found.parameters)
     assert isinstance(lens, Separable)
     core = lens.optics(theta)
@@ -347,5 +387,5 @@ def _separated_camera(found: _FittedLens) -> Camera:
 
 
 def _uncertainty(names: tuple[str, ...], covariance: np.ndarray) -> Uncertainty:
-    """Return the uncertainty of named values; a covariance is symmetric but for rounding."""
+    """Return the uncertainty of named values, freed of rounding's asymmetry."""
     return Uncertainty(names, (covariance + covariance.T) / 2)

@@ -11,12 +11,12 @@ import numpy as np
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
-from matcam.calibration.edge.edge_result import EdgeMTF
+from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
-from matcam.calibration.search.photograph_edges import edge_remarks, measured_edges
+from matcam.calibration.search.photograph_edges import edge_remarks, found_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.core.errors import FitError
@@ -30,7 +30,7 @@ _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
 class EdgeTable(NamedTuple):
-    """Hold the results of n measured edges over the field, one row each.
+    """Hold the results of n edges over the field.
 
     Attributes:
         x: (n,) px, of the middle.
@@ -43,6 +43,13 @@ class EdgeTable(NamedTuple):
         mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
         mtf_std: (n, 81) its standard deviation.
         source: (n,) names of pictures.
+
+    Example:
+        >>> from matcam.calibration.camera.evidence import EdgeTable
+        >>> one, mtf = np.ones(4), np.full((4, 81), 0.5)
+        >>> table = EdgeTable(one, one, one, 0.5 * one, 0.01 * one, one, one, mtf, mtf / 10, np.array(["a.png"] * 4))
+        >>> float(table.weights[0, 0]), table.spread
+        (0.25, 0.0)
     """
 
     x: np.ndarray
@@ -58,13 +65,19 @@ class EdgeTable(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Return the weights (n, 81) of the edges in their mean MTF, by their variances; their sum is 1."""
+        """Return the weights (n, 81) of the edges in their mean MTF.
+
+        They go by the variances, and their sum is 1.
+        """
         weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
         return weight / weight.sum(0)
 
     @property
     def spread(self) -> float:
-        """Return the relative standard deviation of the edges' sigmas beyond their noise; 0 where noise explains it."""
+        """Return the relative standard deviation of sigma beyond its noise.
+
+        It is 0 where noise explains the scatter of the edges.
+        """
         if self.x.size < 3:
             return 0.0
         relative = self.sigma_std / self.sigma
@@ -87,7 +100,7 @@ class Finding(NamedTuple):
     channel: str
     source: str
     f_number: float | None
-    edges: EdgeMTF | None
+    edges: EdgeStack | None
     samples: tuple[MTFSamples, ...]
 
 
@@ -118,14 +131,15 @@ class PicturePlan:
         remarks: list[Remark] = []
         for plane in planes:
             remarks = remarks or list(plane.remarks)
-            result, samples = None, ()
+            result: EdgeStack | None = None
+            samples: tuple[MTFSamples, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 registration, samples = targets.registration, targets.samples
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
             if edges is not None:
                 try:
-                    result = measured_edges(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
+                    result = found_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
                 except FitError:
                     if not samples:
                         raise
@@ -136,7 +150,10 @@ class PicturePlan:
 
 
 class Evidence:
-    """Hold all findings on one colour, in the order of the joint fit: edges first."""
+    """Hold all findings on one colour.
+
+    Edges come first, as in the joint fit.
+    """
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         findings = tuple(findings)
@@ -150,7 +167,7 @@ class Evidence:
 
     def measurements(self, lens_at: LensAt) -> Measurements:
         """Return everything as the joint fit takes it."""
-        groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in range(_good(edges).size)]
+        groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [f"{s.source} ({s.kind})" if s.source else s.kind for s in self._samples]
         return Measurements(
             edge_measurements([(edges, lens_at(f_number)) for edges, _, f_number in self._stacks]),
@@ -162,15 +179,10 @@ class Evidence:
         """Return all edges without problems; None if there are no edges."""
         rows = []
         for edges, source, _ in self._stacks:
-            fit, good = edges.parametric, _good(edges)
+            fit, good = edges.parametric, edges.good
             columns = (
                 *edges.place, edges.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), edges.mtf50,
                 edges.mtf50_std, edges.mtf, edges.mtf_std,
             )  # fmt: skip
             rows.append((*(np.asarray(column)[good] for column in columns), np.full(good.size, source)))
         return EdgeTable(*(np.concatenate(columns) for columns in zip(*rows, strict=True))) if rows else None
-
-
-def _good(edges: EdgeMTF) -> np.ndarray:
-    """Return the indices of edges without problems."""
-    return np.flatnonzero([not problem for problem in edges.problems])

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge.edge_result import EdgeMTF
-from matcam.calibration.edge.geometry import Cells
-from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, model
+from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.calibration.edge.geometry import EdgeCells
+from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, edge_model
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.region import padded
+from matcam.calibration.photograph.region import program_size
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
@@ -33,7 +33,9 @@ _DOUBT = 1e-3  # probability below which noise alone does not explain the scatte
 
 
 class EdgeMeasurements(NamedTuple):
-    """Hold n edges as they enter the fit; arrays have a leading axis of n.
+    """Hold n edges as they enter the fit.
+
+    All arrays have a leading axis of n.
 
     Attributes:
         cells: samples.
@@ -44,7 +46,7 @@ class EdgeMeasurements(NamedTuple):
         lens: family of lenses; its arrays have leading axes, too.
     """
 
-    cells: Cells
+    cells: EdgeCells
     angle: AnyArray
     noise: Noise
     excess: AnyArray
@@ -53,7 +55,9 @@ class EdgeMeasurements(NamedTuple):
 
 
 class ValueMeasurements(NamedTuple):
-    """Hold n sets of MTF values, each filled up to m with values of no weight.
+    """Hold n sets of m MTF values.
+
+    Shorter sets are filled up with values of no weight.
 
     Attributes:
         frequency: (n, m) cycles/px.
@@ -115,7 +119,7 @@ class Shares(NamedTuple):
 
 
 class JointFit(NamedTuple):
-    """Hold the most likely parameters, and judge whether the measurements agree on them.
+    """Hold the most likely parameters, and judge the measurements' agreement.
 
     The first parameter is the logarithm of the blur's scale: contradictions are looked for in it.
 
@@ -132,7 +136,10 @@ class JointFit(NamedTuple):
     precision: np.ndarray
 
     def excess(self) -> tuple[float, float]:
-        """Return chi2 per degree of freedom of the blur's scale between measurements, and the probability of more by noise."""
+        """Return the scatter of the blur's scale between measurements.
+
+        It is chi2 per degree of freedom, and the probability that noise makes as much.
+        """
         from scipy.special import chdtrc
 
         information, score = self.shares.information[:, 0, 0], self.shares.score[:, 0]
@@ -142,8 +149,9 @@ class JointFit(NamedTuple):
         return chi2 / degrees, float(chdtrc(degrees, chi2))
 
     def observed_covariance(self) -> np.ndarray:
-        """Return the parameters' covariance (k, k), wider than the noise's where the measurements scatter more than that.
+        """Return the parameters' covariance (k, k), as the measurements scatter.
 
+        It is the noise's where noise explains the scatter.
         The sandwich estimator takes each measurement for one draw.
         """
         _, probability = self.excess()
@@ -159,7 +167,7 @@ class JointFit(NamedTuple):
         return (grown + grown.T) / 2
 
     def contradiction(self, groups: Sequence[str]) -> str:
-        """Say in one line which group of measurements contradicts the others; empty if none does.
+        """Say which group of measurements contradicts the others, if any does.
 
         groups: picture and kind of every measurement.
         """
@@ -183,7 +191,7 @@ class JointFit(NamedTuple):
         return f"{names[worst]} sees a blur {difference:+.0%} against that of {others}"
 
     def _excess_within(self, members: np.ndarray, shift: float) -> float:
-        """Return chi2 per degree of freedom inside one group about its own blur, at least 1."""
+        """Return chi2 per degree of freedom inside one group, at least 1."""
         information = self.shares.information[members, 0, 0]
         residual = self.shares.score[members, 0] - shift * information
         return max((residual**2 / np.maximum(information, 1e-300)).sum() / max(members.sum() - 1, 1), 1.0)
@@ -214,25 +222,28 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
         misfit = shares.chi2.sum() + prior @ theta**2
         if not misfit <= _WORSE * lowest:  # too far: half of the last step
             step = step / 2
-            theta, edges = _moved(*best, step, best_response)
+            theta, edges = _after_step(*best, step, best_response)
             continue
         lowest, best, best_response = misfit, (theta, edges), response
         covariance = _inverse(shares.information.sum(0) + np.diag(prior))
         wanted = covariance @ (shares.score.sum(0) - prior * theta)
         step = np.clip(wanted, -longest, longest)
-        theta, edges = _moved(theta, edges, step, response)
+        theta, edges = _after_step(theta, edges, step, response)
         if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)
     raise FitError("the measurements do not determine the camera: no best fit was found")
 
 
-def edge_measurements(stacks: Sequence[tuple[EdgeMTF, LensModel]]) -> EdgeMeasurements | None:
-    """Return the edges without problems of several stacks, each with its lens; None if there are no stacks."""
+def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:
+    """Return the edges of several stacks, each with its lens.
+
+    Edges with problems are left out. None if there are no stacks.
+    """
     parts = []
     for result, lens in stacks:
-        good = np.flatnonzero([not problem for problem in result.problems])
-        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result._found)
-        lenses = _stacked([lens] * good.size)
+        good = result.good
+        found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result.fits)
+        lenses = _stack_lenses([lens] * good.size)
         parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, found.state.linear, lenses))
     if not parts:
         return None
@@ -246,10 +257,13 @@ def edge_measurements(stacks: Sequence[tuple[EdgeMTF, LensModel]]) -> EdgeMeasur
 
 
 def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMeasurements | None:
-    """Return sets of MTF values, each with its lens, as the fit takes them; None if there are none."""
+    """Return sets of MTF values, each with its lens.
+
+    None if there are none.
+    """
     if not sets:
         return None
-    most = padded(max(samples.frequency.size for samples, _ in sets))
+    most = program_size(max(samples.frequency.size for samples, _ in sets))
     weights = []
     for samples, _ in sets:
         std = samples.mtf_std
@@ -260,27 +274,30 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
         np.stack([np.pad(getattr(samples, name), (0, most - samples.mtf.size)) for samples, _ in sets])
         for name in ("frequency", "direction", "mtf")
     )
-    return ValueMeasurements(frequency, direction, mtf, np.stack(weights), _stacked([lens for _, lens in sets]))
+    return ValueMeasurements(frequency, direction, mtf, np.stack(weights), _stack_lenses([lens for _, lens in sets]))
 
 
 def in_profile_units(lens: LensModel, parameters: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a lens's parameters in the units of their names in a profile, and their covariance."""
+    """Return a lens's parameters in a profile's units, and their covariance."""
     at = jnp.asarray(parameters)
     by = np.asarray(jax.jacfwd(lens.numbers)(at))
     return np.asarray(lens.numbers(at)), by @ covariance @ by.T
 
 
 def _difference(shift: np.ndarray, error: np.ndarray, one: int) -> tuple[float, float]:
-    """Return the difference between one group and the mean of all others, and its standard deviation."""
+    """Return a group's difference from all others, and its standard deviation."""
     rest = np.arange(shift.size) != one
     weight = error[rest] ** -2 / (error[rest] ** -2).sum()
     return float(shift[one] - weight @ shift[rest]), float(np.hypot(error[one], (error[rest] ** -2).sum() ** -0.5))
 
 
-def _moved(
+def _after_step(
     theta: np.ndarray, edges: EdgeMeasurements | None, step: np.ndarray, response: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, EdgeMeasurements | None]:
-    """Return the parameters after a step, and the edges with their own parameters as these respond."""
+    """Return the parameters and the edges after a step.
+
+    The edges' own parameters respond to it.
+    """
     if edges is not None and response is not None:
         edges = edges._replace(linear=edges.linear + response[0] - np.einsum("eij,j->ei", response[1], step))
     return theta + step, edges
@@ -290,11 +307,14 @@ def _moved(
 def _edge_shares(
     edges: EdgeMeasurements, theta: jax.Array, half_width: jax.Array
 ) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Return shares, and how each edge's own five parameters move: by themselves, and with the shared ones."""
+    """Return shares, and how each edge's own five parameters respond.
+
+    They move by themselves, and with the shared parameters.
+    """
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
-        at = model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
+        at = edge_model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
         weight = edge.cells.pixels / (edge.noise.variance(at.value) * edge.excess)
         residual = edge.cells.value - at.value
         normal, score = (at.design * weight) @ at.design.T, at.design @ (weight * residual)
@@ -340,14 +360,17 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return scaled_inverse(information)
 
 
-def _stacked(lenses: Sequence[LensModel]) -> LensModel:
-    """Return lenses of one family as one, whose arrays have a leading axis."""
+def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
+    """Return lenses of one family as one with a leading axis."""
     return jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *lenses)
 
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
-    """Return edges and empty ones, up to a number that other calls have, too: one compiled program serves them all."""
-    more = padded(len(edges.angle)) - len(edges.angle)
+    """Return edges filled up with empty ones.
+
+    Their number is then one that other calls have, too, so that one compiled program serves them all.
+    """
+    more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:
         return full

@@ -32,7 +32,7 @@ class Chart:
         ArgumentError: if an element's values contradict one another, or the fiducials cannot be found.
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
         >>> chart.page, len(chart.fiducials)
         ((297.0, 210.0), 8)
     """
@@ -61,6 +61,11 @@ class Square:
     Attributes:
         corners: mm, one after the other round the square.
         level: linear level of the square, relative to the paper (no unit).
+
+    Example:
+        >>> square = matcam.targets.design_chart(["squares"], pixels_across=1500).elements[-1]
+        >>> len(square.corners), square.level
+        (4, 0.25)
     """
 
     corners: tuple[Point, Point, Point, Point]
@@ -81,6 +86,11 @@ class Grating:
         dark: lowest linear level (no unit).
         bright: highest linear level (no unit).
         duty: bright share of a period (no unit). Default: 0.5, which only lines may change.
+
+    Example:
+        >>> bars = matcam.targets.design_chart(["bars"], pixels_across=1500).elements[-1]
+        >>> bars.profile, bars.contrast, round(bars.harmonic(1), 3), round(bars.harmonic(3), 3)
+        ('bars', 0.6, 0.764, -0.255)
     """
 
     profile: str
@@ -108,7 +118,7 @@ class Grating:
         return (self.bright - self.dark) / (self.bright + self.dark)
 
     def harmonic(self, order: int) -> float:
-        """Return the signed amplitude of cos(order * phase) in the print, relative to the print's mean.
+        """Return the signed amplitude of a harmonic, over the print's mean.
 
         A perfect camera records it. A square wave has (4 / pi) contrast / order, alternating in sign, and no even orders.
 
@@ -127,7 +137,9 @@ class Grating:
 
 @dataclass(frozen=True)
 class Star:
-    """Describe a sinusoidal Siemens star: level = mean + amplitude cos(cycles * azimuth + phase) between two radii.
+    """Describe a sinusoidal Siemens star.
+
+    Between two radii its level is mean + amplitude cos(cycles * azimuth + phase).
 
     Attributes:
         centre: mm.
@@ -137,6 +149,11 @@ class Star:
         phase: phase at azimuth 0, rad.
         dark: lowest linear level (no unit).
         bright: highest linear level (no unit).
+
+    Example:
+        >>> star = matcam.targets.design_chart(["star"], pixels_across=1500).elements[-1]
+        >>> star.cycles, round(star.contrast, 3)
+        (144, 0.583)
     """
 
     centre: Point
@@ -162,6 +179,11 @@ class Dots:
         radius: mm.
         pitch: distance between neighbours, mm.
         level: linear level of the dots, relative to the paper around them (no unit).
+
+    Example:
+        >>> dots = matcam.targets.design_chart(["dots"], pixels_across=1500).elements[-1]
+        >>> round(dots.radius / dots.pitch, 4)
+        0.0929
     """
 
     centres: tuple[Point, ...]
@@ -177,6 +199,11 @@ class Patch:
     Attributes:
         corners: mm, one after the other round the rectangle.
         level: linear level, relative to the paper (no unit).
+
+    Example:
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
+        >>> [element.level for element in chart.elements[:3]]
+        [0.05, 0.1, 0.15]
     """
 
     corners: tuple[Point, Point, Point, Point]
@@ -185,14 +212,20 @@ class Patch:
 
 @dataclass(frozen=True)
 class Fiducial:
-    """Describe a mark to find the chart by: a dark disc inside dark rings.
+    """Describe a mark to find the chart by.
 
+    It is a dark disc inside dark rings.
     Rings and the gaps between them are as wide as the disc's radius.
 
     Attributes:
         centre: mm.
         radius: radius of the disc, mm: ring n lies between 2n and 2n + 1 radii.
         rings: 1, or 2 for the mark that tells which way is up.
+
+    Example:
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
+        >>> sorted(mark.rings for mark in chart.fiducials)
+        [1, 1, 1, 1, 1, 1, 1, 2]
     """
 
     centre: Point

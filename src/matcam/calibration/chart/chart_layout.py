@@ -38,7 +38,7 @@ def design_chart(
     page: Point | str = "a4",
     pixels_across: float = 3000.0,
 ) -> Chart:
-    """Design a chart with one panel for each kind of target, side by side.
+    """Design a chart with one panel for each kind of target.
 
     Eleven tone patches and eight fiducials are added. Sizes follow from the camera's pixels: bars, lines and dots are as fine,
     squares as large, as these need them.
@@ -61,7 +61,7 @@ def design_chart(
         docs/targets.md; ISO 12233 for slanted edges and the Siemens star.
 
     Example:
-        >>> chart = matcam.design_chart(["squares", "star"], pixels_across=2000)
+        >>> chart = matcam.targets.design_chart(["squares", "star"], pixels_across=2000)
         >>> sorted({type(element).__name__ for element in chart.elements})
         ['Patch', 'Square', 'Star']
     """
@@ -97,14 +97,15 @@ def design_chart(
 
 
 def _shorter_side(columns: int, count: int, room: Point) -> float:
-    """Return the shorter side of each of `count` panels in so many columns, mm."""
+    """Return the shorter side of a panel in so many columns, mm."""
     rows = math.ceil(count / columns)
     return min(room[0] / columns, room[1] / rows)
 
 
 def _fiducials(width: float, height: float, margin: float, radius: float) -> Iterator[Fiducial]:
-    """Yield the fiducials all round the page, the one with two rings in the upper left corner.
+    """Yield the fiducials, all round the page.
 
+    The one with two rings stands in the upper left corner.
     Those between the corners stand where neither a mirror image nor any turn looks like the page seen from aside.
     """
     near, far = (margin, margin), (width - margin, height - margin)
@@ -124,7 +125,10 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 
 
 def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
-    """Yield row, column and centre of as many cells of one pitch as fit, centred in the panel."""
+    """Yield row, column and centre of as many cells as fit.
+
+    All are of one pitch and centred in the panel.
+    """
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     if columns * rows > _LARGEST:
         raise ArgumentError(f"{columns * rows} elements on one page are too many: fewer pixels_across")
@@ -173,7 +177,7 @@ def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
 
 
 def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
-    """Fill a panel with one grid of dots, if at least nine fit."""
+    """Fill a panel with dots, if at least nine fit."""
     # turned a little, so that its dots fall differently on the pixels
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)

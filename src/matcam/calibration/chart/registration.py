@@ -18,8 +18,8 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
-from matcam.calibration.photograph.light import smoothed
 from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.calibration.photograph.region import local_mean
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -38,7 +38,7 @@ _WORST = 3.0  # px: root mean square of what the fit may leave
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Map points of a chart's page, mm, to places in a photograph, px.
+    """Map points of a chart's page to places in a photograph.
 
     Calling it with points (n, 2) on the page returns their places (n, 2), with pixel centres on whole numbers.
 
@@ -48,6 +48,12 @@ class Registration:
         shape: height and width of the picture, px.
         residual: root mean square distance that the fit leaves at the fiducials, px.
         found: number of fiducials found.
+
+    Example:
+        >>> from matcam.calibration.chart.registration import Registration
+        >>> where = Registration(np.diag([2.0, 2.0, 1.0]), (0.0, 0.0), (101, 101), 0.0, 8)  # 2 px per mm, squarely
+        >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
+        (array([[70., 60.]]), 2.0)
     """
 
     homography: FloatArray
@@ -101,14 +107,14 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         docs/targets.md; R. Hartley and A. Zisserman, Multiple View Geometry, 2nd ed., section 4.1 (direct linear transform).
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=400)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=400)
         >>> y, x = np.mgrid[:300, :420]
         >>> page = np.ones((300, 420))
         >>> for mark in chart.fiducials:
         ...     column, row = 1.35 * np.array(mark.centre) + 8
         ...     radius = np.hypot(x - column, y - row) / (1.35 * mark.radius)
         ...     page[(radius < 1) | ((radius > 2) & (radius < 3)) | ((mark.rings == 2) & (radius > 4) & (radius < 5))] = 0.1
-        >>> where = matcam.register_chart(page, chart)
+        >>> where = matcam.targets.register_chart(page, chart)
         >>> where.found, [round(float(v)) for v in where(np.array([[100.0, 50.0]]))[0]]
         (8, [143, 75])
     """
@@ -131,24 +137,30 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         )
     places = np.array([chart.fiducials[i].centre for i, _ in best.pairs])
     seen = np.array([marks[j][:2] for _, j in best.pairs])
-    return _fitted_registration(places, seen, picture.shape)
+    return _registration_through(places, seen, picture.shape)
 
 
 def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:
-    """Raise ArgumentError if only one of a chart's element, the argument `name`, and a projection is given."""
+    """Raise ArgumentError if only one of element and projection is given.
+
+    name: the argument for the element.
+    """
     if (element is None) != (projection is None):
         raise ArgumentError(f"{name} and projection must be given together, or neither")
 
 
 def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
-    """Return the region (x, y, width, height) of a picture that holds points (n, 2) px and a margin, px, around them."""
+    """Return the region (x, y, width, height) that holds points, px.
+
+    points: (n, 2) px. shape: (height, width) of the picture. margin: px around the points.
+    """
     low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
     high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
 class _Mark(NamedTuple):
-    """Hold the place of a fiducial in the picture, px, and its number of rings."""
+    """Hold the place of a fiducial, px, and its rings."""
 
     x: float
     y: float
@@ -172,10 +184,13 @@ class _Match(NamedTuple):
         return len(self.pairs), -self.distance
 
 
-def _fitted_registration(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> Registration:
-    """Return the camera that puts places of the page, mm, where they were seen, px. FitError if none does."""
+def _registration_through(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> Registration:
+    """Return the camera that puts places, mm, where they were seen, px.
+
+    FitError if none does.
+    """
     free = 10 if len(places) >= 7 else 9 if len(places) >= 6 else 8
-    start = np.append(_homography(places, _centred(seen, shape)).ravel()[:8], [0.0, 0.0])
+    start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], [0.0, 0.0])
     size = np.maximum(np.abs(start), 1e-6)
     size[8:] = 0.1
 
@@ -197,7 +212,10 @@ def _fitted_registration(places: FloatArray, seen: FloatArray, shape: tuple[int,
 
 
 def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return px of points on the page, mm. parameters: eight of the homography, two of the distortion."""
+    """Return px of points on the page, mm.
+
+    parameters: eight of the homography, two of the distortion.
+    """
     h = np.append(parameters[:8], 1.0).reshape(3, 3)
     u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
     u, v = u / w, v / w
@@ -206,7 +224,7 @@ def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...])
     return np.stack([u * bent + (shape[1] - 1) / 2, v * bent + (shape[0] - 1) / 2], axis=-1)
 
 
-def _centred(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Return px counted from the picture's middle."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
@@ -221,7 +239,7 @@ def _balanced(mosaic: FloatArray) -> FloatArray:
 
 def _find_marks(picture: FloatArray) -> list[_Mark]:
     """Find all concentric dark discs and rings of a picture."""
-    smooth = smoothed(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
@@ -257,10 +275,13 @@ def _find_marks(picture: FloatArray) -> list[_Mark]:
 
 
 def _best_match(chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, ...]) -> _Match:
-    """Return the match of most marks, and of the closest, if `top` is the fiducial with two rings."""
+    """Return the match of most marks, and of the closest.
+
+    top: the mark that is taken for the fiducial with two rings.
+    """
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     places = np.array([fiducial.centre for fiducial in chart.fiducials])
-    seen = _centred(np.array([mark[:2] for mark in marks]), shape)
+    seen = _from_middle(np.array([mark[:2] for mark in marks]), shape)
     start = marks.index(top)
     others = _in_turn(places, first)
     settled = False
@@ -293,15 +314,16 @@ def _best_match(chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, 
 
 
 def _in_turn(points: FloatArray, start: int) -> list[int]:
-    """Return the other points' indices in the order of a turn round the middle, from `start` on."""
+    """Return the other points' indices in a turn from `start` on."""
     turn = np.arctan2(*(points - points.mean(0)).T[::-1])
     after = np.mod(turn - turn[start], 2 * np.pi)
     return [int(i) for i in np.argsort(after) if i != start]
 
 
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the homography (3, 3), last entry 1, from points (n >= 4, 2) to points, by least squares.
+    """Return the homography (3, 3) from points (n >= 4, 2) to points.
 
+    It is that of least squares, with 1 as its last entry.
     LinAlgError if they do not determine it.
     """
     scale = np.abs(source).max()

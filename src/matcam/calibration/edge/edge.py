@@ -1,67 +1,50 @@
-"""Many edges at once: the same program on ten of them side by side, over and over.
+"""The slanted edge (ISO 12233): a camera's MTF from one picture of one edge, or from many side by side, with error bars.
 
-The slanted edge (ISO 12233): a camera's MTF from one picture of one edge, with error bars.
+Many edges run through one compiled program, ten of them at once, over and over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.calibration.edge.edge_result import EdgeMTF, result_of
-from matcam.calibration.edge.maximum_likelihood import Noise
-from matcam.calibration.edge.measurement import fit_lens, measure, measure_stack
-from matcam.calibration.edge.profiles import MODELS, LensModel, lens_model
-from matcam.calibration.photograph import region
-from matcam.calibration.photograph import region as verdict
+from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
+from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
+from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
+from matcam.calibration.edge.profiles import MODELS, Gaussian, LensModel, lens_model
+from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
-from matcam.calibration.photograph.region import Frame, Region
+from matcam.calibration.photograph.region import flaws
 from matcam.calibration.photograph.tone import Tone
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax
+from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
 """Edges that run side by side: they fit into the processor's cache."""
+_WHOLE = 0.5  # px: half width of a pixel that is sensitive all over
 
 
-def measured(
-    regions: Iterable[tuple[Region, list[str]]], model: str, lens: LensModel, noise: Noise, half_width: float, *,
-    accept_sharpened: bool,
-) -> EdgeMTF:  # fmt: skip
-    """Result of all edges in regions of one shape, each of at most `AT_ONCE`, with what is wrong with each picture of
-    theirs beforehand ("": nothing)."""
-    half = np.float64(half_width)
-    chunks, frames = [], []
-    problems: list[str] = []
-    for rows, flaws in regions:
-        count = len(rows.value)
-        # always as many at once, so that one compiled program serves every stack; what fills the last one up is thrown away
-        y, start = (np.broadcast_to(a, (count, a.shape[-1])) for a in (rows.y, rows.start))
-        value, y, start = (_filled(a) for a in (rows.value, y, start))
-        found = measure_stack(value, y, start, noise, half, step=rows.step, turns=rows.turns)
-        if model != "gaussian":
-            found = found._replace(parametric=jax.vmap(fit_lens, in_axes=(0, None, None))(found, half, lens))
-        # one after the other: programs that are queued on a processor compete for its threads
-        found = jax.tree.map(np.asarray, found)
-        chunks.append(jax.tree.map(lambda a: a[:count], found))  # noqa: B023
-        refusals = verdict.refusals(chunks[-1], rows, accept_sharpened=accept_sharpened)
-        problems += [flaw or refusal for flaw, refusal in zip(flaws, refusals, strict=True)]
-        frames.append(Frame(*(np.broadcast_to(column, count) for column in rows.frame)))
-    found = jax.tree.map(lambda *a: np.concatenate(a), *chunks)
-    frame = Frame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
-    return result_of(found, frame, model, lens, half_width, tuple(problems))
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Say how edges are measured.
 
+    Attributes:
+        lens: family of the parametric estimate.
+        noise: of the pixels; NaN where it is to be estimated.
+        half_width: px, of the pixel.
+        accept_sharpened: whether sharpened pictures are measured all the same.
+    """
 
-def _filled(rows: np.ndarray) -> np.ndarray:
-    return np.concatenate([rows, np.repeat(rows[:1], AT_ONCE - len(rows), axis=0)])
-
-
-_FULL = 0.5  # px: a pixel that is sensitive all over
-_UNKNOWN = Noise(np.float64(np.nan), np.float64(np.nan))
+    lens: LensModel = field(default_factory=Gaussian)
+    noise: Noise = UNKNOWN_NOISE
+    half_width: float = _WHOLE
+    accept_sharpened: bool = False
 
 
 def edge_mtf(
@@ -79,45 +62,68 @@ def edge_mtf(
     read_noise: float | None = None,
     accept_sharpened: bool = False,
 ) -> EdgeMTF:
-    """MTF of lens and pixel along the normal of the one slanted edge in a region (MODEL 7, ISO 12233).
+    """Measure the MTF of lens and pixel across one slanted edge.
 
-    image: (height, width), or (height, width, 3) for R, G, B; linear, NaN where there are no data. roi: (x, y, width,
-    height) px; None: all of it. At least 16 x 16 px; better 80 across the edge and 160 along it. The edge may be bowed by
-    a few px and lit unevenly, at any angle whose pixels see it in different phases: not along the grid, nor at 45 degrees.
+    It is measured along the edge's normal, free of a model and as a lens model.
+    The edge may be bowed by a few px and lit unevenly. It may lie at any angle whose pixels see it in different phases: not
+    along the grid, nor at 45 degrees. Method, accuracy and their tests stand in `docs/edge.md`.
 
-    model: of the parametric estimate: "gaussian", "diffraction", "defocus" (diffraction and defocus) or "halo" (Gaussian
-    with veiling glare). wavelength, pixel_pitch: m; needed by "diffraction" and "defocus". half_width: of the pixel's
-    sensitive area, px, (0, 0.5].
-    cfa: colours of the picture's first 2 x 2 px, row by row ("RGGB", ...): the image is a mosaic, and the sites of
-    `channel` ("R", "G", "B") are samples as they are; nothing is demosaiced. channel with a colour image: "R", "G", "B"
-    or "Y", their luminance (default).
-    tone: "linear"; "srgb": undone; a gamma; a table of linear values by code, one or three columns; or "auto".
-    gain, read_noise: a pixel's variance is gain * value + read_noise^2, in the linear image's units (counts of
-    photo-electrons have gain 1); None: estimated.
-    accept_sharpened: measure a sharpened picture all the same: lens and sharpening together.
+    Args:
+        image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN where there are no
+            data.
+        roi: region (x, y, width, height) that holds one edge, px. At least 16 x 16 px; better 80 across the edge and 160 along
+            it. Default: None, all of the image.
+        model: lens of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus", diffraction and defocus; or
+            "halo", a Gaussian with veiling glare. Change it where the result says that the model is wrong. Default: "gaussian".
+        wavelength: wavelength of the light, m; needed by "diffraction" and "defocus". Default: None.
+        pixel_pitch: distance of pixels, m; needed by "diffraction" and "defocus". Default: None.
+        half_width: half the side of a pixel's sensitive area, (0, 0.5] px. The free estimate hardly depends on it.
+            Default: 0.5.
+        cfa: colours of the image's first 2 x 2 px, row by row, if it is a mosaic: "RGGB", ... (no unit). The sites of `channel`
+            are samples as they are; nothing is demosaiced. Default: None, no mosaic.
+        channel: "R", "G", "B" of a mosaic or a colour image, or "Y" for its luminance (no unit). Default: None, luminance.
+        tone: what the codes are, as in `LinearImage.of` (no unit). Default: "linear".
+        gain: system gain: a pixel's variance is gain * value + read_noise^2, in the linear image's units (counts of
+            photo-electrons have gain 1). Default: None, both are estimated.
+        read_noise: standard deviation of the read noise, in the linear image's units. Default: None, both are estimated.
+        accept_sharpened: measure a sharpened picture all the same: lens and sharpening together (no unit). Default: False.
 
-    Returns `EdgeMTF`. Raises ArgumentError for bad arguments, FitError where the region holds no edge that can be
-    measured; each says why. Method, accuracy and their tests: docs/edge.md.
+    Returns:
+        Both estimates with their standard deviations.
+
+    Raises:
+        ArgumentError: an argument is bad.
+        FitError: the region holds no edge that can be measured, and why.
+
+    Source:
+        ISO 12233; docs/model.md 7.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+        >>> result = matcam.edge_mtf(image)
+        >>> print(f"{result.mtf50:.2f} cycles/px, normal at {np.degrees(result.angle):.1f} degrees")
+        0.22 cycles/px, normal at -5.7 degrees
     """
-    lens, noise, half = _checked(model, wavelength, pixel_pitch, half_width, gain, read_noise)
-    picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    values = picture.values[None]
-    if problem := region.flaws(values)[0]:
-        raise FitError(problem)
-    rows = region.rows_of(values, mosaic=picture.cfa is not None)
-    found = measure(rows.value[0], rows.y, rows.start, noise, half, step=rows.step, turns=rows.turns)
+    settings = _settings(model, wavelength, pixel_pitch, half_width, gain, read_noise, accept_sharpened)
+    region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+    values = region.values[None]
+    if problem := flaws(values)[0]:
+        raise FitError(problem.text)
+    rows = edge_regions(values, mosaic=region.cfa is not None)
+    half = np.float64(settings.half_width)
+    fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
     if model != "gaussian":
-        found = found._replace(parametric=fit_lens(found, half, lens))
-    found = jax.tree.map(np.asarray, found)
-    if problem := verdict.refusals(jax.tree.map(lambda a: a[None], found), rows, accept_sharpened=accept_sharpened)[0]:
-        raise FitError(problem)
-    corner = picture.corner
-    frame = rows.frame._replace(x=rows.frame.x + corner[0], y=rows.frame.y + corner[1])
-    return result_of(found, frame, model, lens, half_width, ())
+        fits = fits._replace(parametric=lens_fit(fits, half, settings.lens))
+    fits = jax.tree.map(lambda a: np.asarray(a)[None], fits)
+    if problem := refusals(fits, rows, accept_sharpened=accept_sharpened)[0]:
+        raise FitError(problem.text)
+    frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
+    return stack_result(fits, frame, settings.lens, settings.half_width, (None,))[0]
 
 
 def edge_mtf_stack(
-    images: ArrayLike,
+    images: ArrayLike | Sequence[LinearImage],
     *,
     model: str = "gaussian",
     wavelength: float | None = None,
@@ -126,35 +132,111 @@ def edge_mtf_stack(
     gain: float | None = None,
     read_noise: float | None = None,
     accept_sharpened: bool = False,
-) -> EdgeMTF:
-    """`edge_mtf` for a stack of grey, linear regions (n, height, width), several times faster than one at a time.
+) -> EdgeStack:
+    """Measure the MTF across the edges of many equal regions.
 
-    All edges lie alike: all nearer to vertical, or all nearer to horizontal. Other arguments: those of `edge_mtf`. Every
-    number of the result has a leading axis of n; `result[i]` is one edge's. An edge that cannot be measured is NaN, and
-    `result.problems[i]` says why. Raises ArgumentError.
+    This is several times faster than `edge_mtf` one at a time. All edges lie alike: all nearer to vertical, or all nearer to
+    horizontal.
+
+    Args:
+        images: regions, each with one edge: array (n, height, width) of linear values, or `LinearImage`s of one shape without a
+            mosaic. Sides are at least 16 px.
+        model: lens of the parametric estimate, as in `edge_mtf` (no unit). Default: "gaussian".
+        wavelength: wavelength of the light, m; needed by "diffraction" and "defocus". Default: None.
+        pixel_pitch: distance of pixels, m; needed by "diffraction" and "defocus". Default: None.
+        half_width: half the side of a pixel's sensitive area, (0, 0.5] px. Default: 0.5.
+        gain: system gain, as in `edge_mtf`. Default: None, estimated edge by edge.
+        read_noise: standard deviation of the read noise, in the images' units. Default: None, estimated edge by edge.
+        accept_sharpened: measure sharpened pictures all the same (no unit). Default: False.
+
+    Returns:
+        The results; an edge that cannot be measured is NaN, and `problems` says why.
+
+    Raises:
+        ArgumentError: an argument is bad, or the edges do not lie alike.
+
+    Source:
+        ISO 12233; docs/model.md 7.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> images = [100 + 800 / (1 + np.exp(-2 * (x - slope * y))) for slope in (0.1, 0.15)]
+        >>> stack = matcam.edge_mtf_stack(images)
+        >>> np.round(np.degrees(stack.angle), 1)
+        array([-5.7, -8.5])
     """
-    lens, noise, _ = _checked(model, wavelength, pixel_pitch, half_width, gain, read_noise)
-    values = np.asarray(images)
+    settings = _settings(model, wavelength, pixel_pitch, half_width, gain, read_noise, accept_sharpened)
+    values, corners = _stacked(images)
+    regions = []
+    for i in range(0, len(values), AT_ONCE):
+        some = values[i : i + AT_ONCE].astype(np.float64)
+        rows = edge_regions(some)
+        x, y = corners[i : i + AT_ONCE].T
+        regions.append((rows._replace(frame=rows.frame._replace(x=rows.frame.x + x, y=rows.frame.y + y)), flaws(some)))
+        if rows.frame.transposed != regions[0][0].frame.transposed:
+            raise ArgumentError(
+                f"images must hold edges that lie alike: those from number {i} on lie across the first ones"
+            )
+    return edge_stack(regions, settings)
+
+
+def edge_stack(regions: Iterable[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings) -> EdgeStack:
+    """Return the results of edges in regions of one shape.
+
+    Each item holds at most `AT_ONCE` regions, and what is known beforehand to be wrong with each of them.
+    """
+    half = np.float64(settings.half_width)
+    chunks: list[EdgeFits] = []
+    frames: list[RegionFrame] = []
+    problems: list[Remark | None] = []
+    for rows, known in regions:
+        count = len(rows.value)
+        # always as many at once, so that one compiled program serves every stack; what is repeated is thrown away
+        y, start = (np.broadcast_to(a, (count, a.shape[-1])) for a in (rows.y, rows.start))
+        value, y, start = (
+            np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, y, start)
+        )
+        fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns)
+        if settings.lens.name != "gaussian":
+            parametric = jax.vmap(lens_fit, in_axes=(0, None, None))(fits, half, settings.lens)
+            fits = fits._replace(parametric=parametric)
+        # one after the other: programs that are queued on a processor compete for its threads
+        fits = jax.tree.map(np.asarray, fits)
+        chunks.append(jax.tree.map(lambda a: a[:count], fits))  # noqa: B023
+        found = refusals(chunks[-1], rows, accept_sharpened=settings.accept_sharpened)
+        problems += [flaw or refusal for flaw, refusal in zip(known, found, strict=True)]
+        frames.append(RegionFrame(*(np.broadcast_to(column, count) for column in rows.frame)))
+    fits = jax.tree.map(lambda *a: np.concatenate(a), *chunks)
+    frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
+    return stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
+
+
+def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
+    """Return regions (n, height, width) and their places.
+
+    A place (n, 2) is that of the first pixel in the photograph.
+    """
+    planes = list(images) if isinstance(images, list | tuple) else []
+    if planes and all(isinstance(plane, LinearImage) for plane in planes):
+        if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):
+            raise ArgumentError("images must be regions of one shape, none of them of a mosaic")
+        values, corners = np.stack([plane.values for plane in planes]), np.array([plane.corner for plane in planes])
+    else:
+        values = np.asarray(images)
+        corners = np.zeros((len(values) if values.ndim else 0, 2), int)
     if values.dtype.kind not in "uif" or values.ndim != 3 or min(values.shape[1:]) < SMALLEST or not len(values):
         raise ArgumentError(
             f"images must be numbers of shape (n, height, width), n >= 1, sides >= {SMALLEST}, got {values.dtype} "
             f"{values.shape}"
         )
-    regions = []
-    for i in range(0, len(values), AT_ONCE):
-        some = values[i : i + AT_ONCE].astype(np.float64)
-        regions.append((region.rows_of(some), region.flaws(some)))
-        if regions[-1][0].frame.transposed != regions[0][0].frame.transposed:
-            raise ArgumentError(
-                f"images must hold edges that lie alike: those from number {i} on lie across the first ones"
-            )
-    return measured(regions, model, lens, noise, half_width, accept_sharpened=accept_sharpened)
+    return values, corners
 
 
-def _checked(
+def _settings(
     model: str, wavelength: float | None, pixel_pitch: float | None, half_width: float, gain: float | None,
-    read_noise: float | None,
-) -> tuple[LensModel, Noise, np.float64]:  # fmt: skip
+    read_noise: float | None, accept_sharpened: bool,
+) -> EdgeSettings:  # fmt: skip
+    """Return the public functions' arguments, checked, as one object."""
     checks.choice("model", model, MODELS)
     if model in ("diffraction", "defocus"):
         for name, value in (("wavelength", wavelength), ("pixel_pitch", pixel_pitch)):
@@ -162,18 +244,15 @@ def _checked(
                 raise ArgumentError(f"{name} must be given for the {model} model, m")
         checks.within("wavelength", float(wavelength or 0), 1e-9, 1e-3, "m (550 nm is 550e-9)")
         checks.within("pixel_pitch", float(pixel_pitch or 0), 1e-8, 1e-2, "m (5 um is 5e-6)")
-    half = np.float64(_FULL)
-    if half_width != _FULL:
-        half = np.float64(
-            checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
-        )
+    if half_width != _WHOLE:
+        checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):
         raise ArgumentError("gain and read_noise must be given together, or neither: then both are estimated")
-    noise = _UNKNOWN
+    noise = UNKNOWN_NOISE
     if gain is not None and read_noise is not None:
         checks.within("gain", gain, 0, np.inf, open_high=True)
         checks.within("read_noise", read_noise, 0, np.inf, open_high=True)
         if not (gain > 0 or read_noise > 0):
             raise ArgumentError("gain and read_noise must not both be 0: no picture is without noise")
         noise = Noise(np.float64(gain), np.float64(read_noise))
-    return lens_model(model, wavelength, pixel_pitch), noise, half
+    return EdgeSettings(lens_model(model, wavelength, pixel_pitch), noise, float(half_width), accept_sharpened)

@@ -1,159 +1,180 @@
-"""What `edge_mtf` returns: both estimates of one edge, or of a stack of them, with their standard deviations."""
+"""Results of slanted edges: both estimates of one edge, or of a stack of them, with their standard deviations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.calibration.edge import free_fit as curves
-from matcam.calibration.edge.free_basis import GLARE
-from matcam.calibration.edge.free_fit import FREQUENCIES
+from matcam.calibration.edge import free_curve
+from matcam.calibration.edge.free_curve import FREQUENCIES, GLARE, SampledCurve
+from matcam.calibration.edge.measurement import EdgeFits
+from matcam.calibration.edge.parametric_result import (
+    Number,
+    ParametricEdge,
+    ParametricStack,
+    parametric_stack,
+    with_nan,
+)
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.region import Frame
-from matcam.camera.camera import Camera
-from matcam.camera.pixel import BoxPixel
-from matcam.camera.uncertainty import Provenance, Uncertainty
+from matcam.calibration.edge.rows import RegionFrame
 from matcam.core import checks
-from matcam.core.jax import jax
+from matcam.core.jax import AnyArray, jax
+from matcam.core.remark import Remark
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _LENGTH = 512
-_WRONG = 1e-3  # probability below which a model is called wrong
-
-
-class Curve(NamedTuple):
-    """A curve and its standard deviation, of one shape."""
-
-    value: np.ndarray
-    std: np.ndarray
+_SHARPENED = 0.02  # overshoot of the step from which it is remarked on
 
 
 class EdgeSamples(NamedTuple):
-    """The picture as an edge response: means over cells of pixels at nearly one distance from the edge."""
+    """Hold the picture as an edge response.
 
-    distance: np.ndarray
-    """px, negative on the dark side."""
-    value: np.ndarray
-    """0 on the dark side, 1 on the bright one, light made even."""
-    std: np.ndarray
-    parametric: np.ndarray
-    """What the parametric fit expects of the same cells."""
+    Values are means over cells of pixels at nearly one distance from the edge.
 
-
-@dataclass(frozen=True, eq=False)
-class ParametricEdge:
-    """The maximum likelihood fit of a family of lenses behind the exact box of a pixel."""
-
-    model: str
-    """Name of the family."""
-    names: tuple[str, ...]
-    """Of the fitted numbers, as camera profiles name them: "optics.sigma_px"."""
-    values: np.ndarray
-    """(k,)"""
-    covariance: np.ndarray
-    """(k, k)"""
-    mtf: np.ndarray
-    """Total MTF at the `frequency` of the result it belongs to, signed."""
-    mtf_std: np.ndarray
-    mtf50: Any
-    """cycles/px."""
-    mtf50_std: Any
-    chi2: Any
-    """Of the cells, under the noise."""
-    degrees: Any
-    misfit_probability: Any
-    """How often the right model would leave as much structure in its residuals as this one has left."""
-    _lens: LensModel
-    _fitted: Any
-    _half_width: float
-
-    @property
-    def consistent(self) -> Any:
-        """False: the model is wrong (at 0.1 %)."""
-        return self.misfit_probability > _WRONG
-
-    @property
-    def camera(self) -> Camera:
-        """The camera that was found, with its covariance."""
-        return Camera(
-            self._lens.optics(self._fitted),
-            BoxPixel(self._half_width),
-            uncertainty=Uncertainty(self.names, self.covariance),
-            provenance=Provenance(source=f"slanted edge, {self.model} model"),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class EdgeMTF:
-    """The MTF of lens and pixel along an edge's normal, twice: free of a model, and as a lens model (`parametric`).
-
-    Standard deviations are those that repeated pictures with this noise would show. Of a stack of edges every number has
-    a leading axis; `result[i]` is one of them.
+    Attributes:
+        distance: px, negative on the dark side.
+        value: 0 on the dark side, 1 on the bright one, light made even (no unit).
+        std: standard deviation of `value` (no unit).
+        parametric: what the parametric fit expects of the same cells (no unit).
     """
 
+    distance: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    parametric: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _EdgeNumbers(Generic[Number]):
+    """Hold the numbers of one edge, or of a stack, with leading axes."""
+
     frequency: np.ndarray
-    """(81,) cycles/px along the normal, 0 to 1.25."""
     mtf: np.ndarray
     mtf_std: np.ndarray
-    mtf50: Any
-    """Lowest frequency, cycles/px, where the MTF is one half; NaN if there is none."""
-    mtf50_std: Any
+    mtf50: Number
+    mtf50_std: Number
     core_mtf: np.ndarray
-    """The MTF without its glare; the same where no glare was found."""
     core_mtf_std: np.ndarray
-    core_mtf50: Any
-    core_mtf50_std: Any
-    glare_fraction: Any
-    """Share of the light that is spread widely; 0 where none was found (at 5 sigma)."""
-    glare_fraction_std: Any
-    glare_radius: Any
-    """px, standard deviation of the glare as a Gaussian; NaN where none was found."""
-    angle: Any
-    """Direction of the edge's normal, towards its bright side, to the picture's rows: rad, x right, y down, (-pi, pi]."""
-    angle_std: Any
-    bow: Any
-    """px: how far the edge's middle lies from the chord of its ends, towards the bright side."""
-    place: tuple[Any, Any]
-    """(x, y) px of the edge's middle, pixel centres of the picture on whole numbers."""
-    dark: Any
-    bright: Any
-    """Levels on both sides, in the picture's (linear) units."""
-    light: tuple[Any, Any]
-    """Relative change of the light per px, along the picture's rows and columns."""
-    gain: Any
-    read_noise: Any
-    """Noise: a pixel's variance is gain * value + read_noise^2; given, or estimated from neighbours."""
-    excess: Any
-    """Factor by which variances were raised because the picture scatters more than the estimated noise; 1 if not."""
-    overshoot: Any
-    """Of the ESF beyond its levels, relative to the step; a lens has none, sharpening has."""
-    overshoot_std: Any
-    problems: tuple[str, ...]
-    """For each edge of a stack why it cannot be measured; empty where it can. Its numbers are NaN if it cannot."""
-    parametric: ParametricEdge
-    _found: Any
+    core_mtf50: Number
+    core_mtf50_std: Number
+    glare_fraction: Number
+    glare_fraction_std: Number
+    glare_radius: Number
+    angle: Number
+    angle_std: Number
+    bow: Number
+    place: tuple[Number, Number]
+    dark: Number
+    bright: Number
+    light: tuple[Number, Number]
+    gain: Number
+    read_noise: Number
+    excess: Number
+    overshoot: Number
+    overshoot_std: Number
 
-    def esf(self, distance: ArrayLike) -> Curve:
-        """Edge response, 0 to 1, at px from the edge (positive: bright side). Of one edge."""
+
+@dataclass(frozen=True, eq=False)
+class EdgeMTF(_EdgeNumbers[float]):
+    """Hold the MTF of lens and pixel across one edge.
+
+    It stands here twice: free of a model, and as a lens model (`parametric`). Standard
+    deviations are those that repeated pictures with this noise would show.
+
+    Attributes:
+        frequency: frequencies (81,) along the normal, 0 to 1.25 cycles/px.
+        mtf: MTF of lens and pixel (81,), free of a model (no unit).
+        mtf_std: its standard deviation (81,).
+        mtf50: lowest frequency where the MTF is one half, cycles/px; NaN if there is none.
+        mtf50_std: its standard deviation, cycles/px.
+        core_mtf: MTF without its glare (81,); the same where no glare was found (no unit).
+        core_mtf_std: its standard deviation (81,).
+        core_mtf50: lowest frequency where that is one half, cycles/px.
+        core_mtf50_std: its standard deviation, cycles/px.
+        glare_fraction: share of the light that is spread widely; 0 where none was found, at 5 sigma (no unit).
+        glare_fraction_std: its standard deviation (no unit).
+        glare_radius: standard deviation of the glare as a Gaussian, px; NaN where none was found.
+        angle: direction of the edge's normal, towards its bright side, to the picture's rows, rad; x right, y down, (-pi, pi].
+        angle_std: its standard deviation, rad.
+        bow: how far the edge's middle lies from the chord of its ends, towards the bright side, px.
+        place: (x, y) of the edge's middle, px, pixel centres of the picture on whole numbers.
+        dark: level of the dark side, in the picture's (linear) units.
+        bright: level of the bright side, in the picture's units.
+        light: relative change of the light per px, along the picture's rows and columns, 1/px.
+        gain: system gain: a pixel's variance is gain * value + read_noise^2; given, or estimated from neighbours.
+        read_noise: standard deviation of the read noise, in the picture's units; given, or estimated.
+        excess: factor by which variances were raised because the picture scatters more than the estimated noise; 1 if not.
+        overshoot: overshoot of the ESF beyond its levels, relative to the step; a lens has none, sharpening has (no unit).
+        overshoot_std: its standard deviation (no unit).
+        parametric: the fit of a family of lenses, a `ParametricEdge`.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+        >>> result = matcam.edge_mtf(image, gain=1.0, read_noise=0.0)
+        >>> result.glare_found, result.remarks
+        (False, ())
+        >>> esf = result.esf([-4.0, 0.0, 4.0])
+        >>> [round(float(value), 2) for value in esf.value]
+        [0.0, 0.5, 1.0]
+    """
+
+    parametric: ParametricEdge
+    _fits: EdgeFits
+
+    def esf(self, distance: ArrayLike) -> SampledCurve:
+        """Return the edge response, 0 to 1.
+
+        Args:
+            distance: distance from the edge, positive on the bright side, px, any shape.
+
+        Returns:
+            Value and standard deviation, of the same shape.
+        """
         return self._curve(_EDGE, distance)
 
-    def lsf(self, distance: ArrayLike) -> Curve:
-        """Line response, 1/px, at px from the edge. Of one edge."""
+    def lsf(self, distance: ArrayLike) -> SampledCurve:
+        """Return the line response, 1/px.
+
+        Args:
+            distance: distance from the edge, positive on the bright side, px, any shape.
+
+        Returns:
+            Value and standard deviation, of the same shape.
+        """
         return self._curve(_LINE, distance)
 
     @property
-    def glare_found(self) -> Any:
-        """Whether there is glare."""
+    def glare_found(self) -> bool:
+        """Return whether there is glare."""
         return self.glare_fraction != 0
 
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        """Return what a reader should know of this edge."""
+        remarks = []
+        if self.overshoot > _SHARPENED:
+            text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
+            remarks.append(Remark("sharpened", text))
+        if self.excess > 1:
+            raised = np.sqrt(self.excess)
+            text = f"the picture scatters more than its noise: errors were raised by {raised:.1f}"
+            remarks.append(Remark("scatter", text))
+        return tuple(remarks)
+
     def dataset(self) -> xr.Dataset:
-        """The MTFs over `frequency`, of one edge, as a Dataset with units and the other numbers as attributes."""
+        """Return the MTFs over `frequency`.
+
+        Returns:
+            A Dataset with units, and the other numbers as attributes.
+        """
         import xarray as xr
 
         columns = {
@@ -161,27 +182,49 @@ class EdgeMTF:
             "parametric_mtf": self.parametric.mtf, "parametric_mtf_std": self.parametric.mtf_std,
         }  # fmt: skip
         numbers = (
-            "mtf50",
-            "mtf50_std",
-            "angle",
-            "angle_std",
-            "bow",
-            "glare_fraction",
-            "glare_fraction_std",
-            "glare_radius",
-        )
+            "mtf50", "mtf50_std", "angle", "angle_std", "bow", "glare_fraction", "glare_fraction_std", "glare_radius",
+        )  # fmt: skip
         return xr.Dataset(
             {name: ("frequency", value) for name, value in columns.items()},
             {"frequency": ("frequency", self.frequency, {"units": "cycles/px"})},
             {name: getattr(self, name) for name in numbers},
         )
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON object, which `matcam edge --json` prints.
+
+        Returns:
+            Numbers by name, units in the names, angles in degrees.
+        """
+        return {
+            "mtf50_cycles_per_px": self.mtf50,
+            "mtf50_std": self.mtf50_std,
+            "core_mtf50_cycles_per_px": self.core_mtf50,
+            "core_mtf50_std": self.core_mtf50_std,
+            "glare_fraction": self.glare_fraction,
+            "glare_fraction_std": self.glare_fraction_std,
+            "glare_radius_px": self.glare_radius,
+            "angle_deg": np.degrees(self.angle),
+            "angle_std_deg": np.degrees(self.angle_std),
+            "bow_px": self.bow,
+            "light_per_px": self.light,
+            "levels": [self.dark, self.bright],
+            "gain": self.gain,
+            "read_noise": self.read_noise,
+            "excess": self.excess,
+            "overshoot": self.overshoot,
+            "parametric": self.parametric.to_dict(),
+            "frequency_cycles_per_px": self.frequency,
+            "mtf": self.mtf,
+            "mtf_std": self.mtf_std,
+        }
+
     @cached_property
     def samples(self) -> EdgeSamples:
-        """The picture's own edge response, sorted by distance. Of one edge."""
-        cells, fit, shift = self._found.cells, self._found.parametric, self._found.state.linear[4]
+        """Return the picture's own edge response, sorted by distance."""
+        cells, fit, shift = self._fits.cells, self._fits.parametric, self._fits.state.linear[4]
         used = np.asarray(cells.pixels) > 0
-        dark, bright, gx, gy = self._found.free.levels
+        dark, bright, gx, gy = self._fits.free.levels
         light = 1 + gx * cells.x + gy * cells.y
         unit = (bright - dark) * light
         variance = self.gain * np.maximum(fit.expected, 0) + self.read_noise**2
@@ -194,110 +237,134 @@ class EdgeMTF:
         )
         return EdgeSamples(*(np.asarray(column)[used][order] for column in columns))
 
-    def _curve(self, function: Any, distance: ArrayLike) -> Curve:
+    def _curve(self, function: Any, distance: ArrayLike) -> SampledCurve:
         at = checks.number("distance", np.asarray(distance))
         # always a multiple of some length, so that one compiled program serves most calls
         padded = np.pad(np.asarray(at).ravel(), (0, -at.size % _LENGTH))
-        found = function(self._found.free, padded)
-        value, std = (np.asarray(a)[: at.size].reshape(at.shape) for a in (found.value, found.std))
-        return Curve(value, std)
+        found = function(self._fits.free, padded)
+        return SampledCurve(*(np.asarray(a)[: at.size].reshape(at.shape) for a in found))
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeStack(_EdgeNumbers[np.ndarray]):
+    """Hold the results of n edges.
+
+    Attributes are those of `EdgeMTF` with a leading axis of n.
+    `stack[i]` is the `EdgeMTF` of one of them. Numbers of an edge that cannot be measured are NaN.
+
+    Attributes:
+        frequency: frequencies (81,) along the normal, cycles/px: the same for all.
+        problems: for each edge why it cannot be measured, None where it can.
+        parametric: the fits of a family of lenses, a `ParametricStack`.
+        fits: everything that was fitted, as the joint fit of many edges takes it.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+        >>> stack = matcam.edge_mtf_stack([image, np.zeros((160, 80))])
+        >>> [problem and problem.code for problem in stack.problems]
+        [None, 'flat']
+        >>> len(stack), stack.good, round(stack[0].mtf50, 2)
+        (2, array([0]), 0.22)
+    """
+
+    problems: tuple[Remark | None, ...]
+    parametric: ParametricStack
+    fits: EdgeFits
+
+    @property
+    def good(self) -> np.ndarray:
+        """Return the indices of the edges that could be measured."""
+        return np.flatnonzero([problem is None for problem in self.problems])
+
+    @property
+    def glare_found(self) -> np.ndarray:
+        """Return for each edge whether there is glare (n,)."""
+        return self.glare_fraction != 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the results as a JSON object.
+
+        Returns:
+            "edges": `EdgeMTF.to_dict` of each; "problems": why it cannot be measured, null where it can.
+        """
+        return {
+            "edges": [edge.to_dict() for edge in self],
+            "problems": [problem and problem.to_dict() for problem in self.problems],
+        }
 
     def __getitem__(self, index: int) -> EdgeMTF:
-        if not self.problems:
-            raise TypeError("this is the result of one edge, not of a stack")
-        one = {
-            name: _picked(value, index) for name, value in vars(self).items() if name not in ("frequency", "problems")
-        }
-        return EdgeMTF(frequency=self.frequency, problems=(), **one)
+        lens = {f.name: _of_one(getattr(self.parametric, f.name), index) for f in fields(ParametricEdge)}
+        numbers = {f.name: _of_one(getattr(self, f.name), index) for f in fields(_EdgeNumbers)}
+        numbers["frequency"] = self.frequency
+        fits = jax.tree.map(lambda a: a[index], self.fits)
+        return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), _fits=fits)
+
+    def __iter__(self) -> Iterator[EdgeMTF]:
+        return (self[i] for i in range(len(self)))
 
     def __len__(self) -> int:
-        if not self.problems:
-            raise TypeError("this is the result of one edge, not of a stack")
         return len(self.problems)
 
 
-_EDGE, _LINE = jax.jit(curves.edge_response), jax.jit(curves.line_response)
+_EDGE, _LINE = jax.jit(free_curve.edge_response), jax.jit(free_curve.line_response)
 
 
-def result_of(
-    found: Any, frame: Frame, model: str, lens: LensModel, half_width: float, problems: tuple[str, ...]
-) -> EdgeMTF:  # fmt: skip
-    """Result of a `Measurement` (as NumPy arrays) of one edge; of a stack, with leading axes, if there are `problems`."""
-    free, fit = found.free, found.parametric
-    glare, slope, bend = free.even[..., GLARE], found.curve[..., 1], found.curve[..., 2]
-    frame = frame if problems else frame._replace(mirrored=frame.mirrored[0])
-    bad = np.array([bool(p) for p in problems])
+def stack_result(
+    fits: EdgeFits, frame: RegionFrame, lens: LensModel, half_width: float, problems: tuple[Remark | None, ...]
+) -> EdgeStack:
+    """Return the fits of a stack in the picture's own coordinates.
 
-    def scalar(value: Any) -> Any:
-        return np.where(bad, np.nan, value) if problems else float(value)
+    All arrays of `fits` are NumPy's.
+    """
+    free = fits.free
+    glare = free.even[..., GLARE]
+    offset, slope, bend = np.moveaxis(np.asarray(fits.curve), -1, 0)
+    levels = np.moveaxis(np.asarray(free.levels), -1, 0)
+    bad = np.array([problem is not None for problem in problems])
 
-    def curve(value: np.ndarray) -> np.ndarray:
-        return np.where(bad.reshape(-1, *[1] * (value.ndim - 1)), np.nan, value) if problems else value
+    def numbers(values: AnyArray | np.float64) -> np.ndarray:
+        return with_nan(values, bad)
 
-    nx, ny = frame.turned(1.0, -slope)
-    x, y = frame.turned(found.curve[..., 0], 0.0)
-    gx, gy = frame.turned(free.levels[..., 2], free.levels[..., 3])
-    return EdgeMTF(
+    nx, ny = frame.in_picture(1.0, -slope)
+    x, y = frame.in_picture(offset, 0.0)
+    gx, gy = frame.in_picture(levels[2], levels[3])
+    return EdgeStack(
         frequency=FREQUENCIES,
-        mtf=curve(found.mtf.value),
-        mtf_std=curve(found.mtf.std),
-        mtf50=scalar(found.mtf50.value),
-        mtf50_std=scalar(found.mtf50.std),
-        core_mtf=curve(found.core_mtf.value),
-        core_mtf_std=curve(found.core_mtf.std),
-        core_mtf50=scalar(found.core_mtf50.value),
-        core_mtf50_std=scalar(found.core_mtf50.std),
-        glare_fraction=scalar(glare),
-        glare_fraction_std=scalar(np.sqrt(free.covariance[..., GLARE, GLARE])),
-        glare_radius=scalar(np.where(glare != 0, free.shape.radius, np.nan)),
-        angle=scalar(np.arctan2(ny, nx)),
-        angle_std=scalar(np.sqrt(found.curve_covariance[..., 1, 1]) / (1 + slope**2)),
+        mtf=numbers(fits.mtf.value),
+        mtf_std=numbers(fits.mtf.std),
+        mtf50=numbers(fits.mtf50.value),
+        mtf50_std=numbers(fits.mtf50.std),
+        core_mtf=numbers(fits.core_mtf.value),
+        core_mtf_std=numbers(fits.core_mtf.std),
+        core_mtf50=numbers(fits.core_mtf50.value),
+        core_mtf50_std=numbers(fits.core_mtf50.std),
+        glare_fraction=numbers(glare),
+        glare_fraction_std=numbers(np.sqrt(free.covariance[..., GLARE, GLARE])),
+        glare_radius=numbers(np.where(glare != 0, free.shape.radius, np.nan)),
+        angle=numbers(np.arctan2(ny, nx)),
+        angle_std=numbers(np.sqrt(fits.curve_covariance[..., 1, 1]) / (1 + slope**2)),
         # the curve x0(y) = ... + bend y^2 lies below its chord by bend (length / 2)^2, measured along x
-        bow=scalar(-bend * frame.length**2 / 4 / np.hypot(1, slope)),
-        place=(scalar(frame.x + x), scalar(frame.y + y)),
-        dark=scalar(free.levels[..., 0]),
-        bright=scalar(free.levels[..., 1]),
-        light=(scalar(gx), scalar(gy)),
-        gain=scalar(found.noise.gain),
-        read_noise=scalar(found.noise.read),
-        excess=scalar(found.excess),
-        overshoot=scalar(found.overshoot.value),
-        overshoot_std=scalar(found.overshoot.std),
+        bow=numbers(-bend * frame.length**2 / 4 / np.hypot(1, slope)),
+        place=(numbers(frame.x + x), numbers(frame.y + y)),
+        dark=numbers(levels[0]),
+        bright=numbers(levels[1]),
+        light=(numbers(gx), numbers(gy)),
+        gain=numbers(fits.noise.gain),
+        read_noise=numbers(fits.noise.read),
+        excess=numbers(fits.excess),
+        overshoot=numbers(fits.overshoot.value),
+        overshoot_std=numbers(fits.overshoot.std),
         problems=problems,
-        parametric=ParametricEdge(
-            model=model,
-            names=lens.names,
-            values=curve(fit.numbers),
-            covariance=curve(fit.numbers_covariance),
-            mtf=curve(fit.mtf.value),
-            mtf_std=curve(fit.mtf.std),
-            mtf50=scalar(fit.mtf50.value),
-            mtf50_std=scalar(fit.mtf50.std),
-            chi2=scalar(fit.chi2),
-            degrees=fit.degrees,
-            misfit_probability=scalar(_misfit_probability(*fit.structure)),
-            _lens=lens,
-            _fitted=fit.state.profile,
-            _half_width=half_width,
-        ),
-        _found=found,
+        parametric=parametric_stack(fits.parametric, bad, lens, half_width),
+        fits=fits,
     )
 
 
-def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Of a quadratic form of normal numbers with this mean and variance, as a scaled chi-square (Satterthwaite 1946)."""
-    from scipy.special import chdtrc  # needed here only
-
-    known = (variance > 0) & (mean > 0)  # not where there was nothing to be fitted
-    mean, variance = np.where(known, mean, 1.0), np.where(known, variance, 1.0)
-    return np.where(known, chdtrc(2 * mean**2 / variance, np.maximum(found, 0.0) * 2 * mean / variance), np.nan)
-
-
-def _picked(value: Any, index: int) -> Any:
-    """One edge of anything that holds a stack."""
-    if isinstance(value, ParametricEdge):
-        kept = ("model", "names", "_lens", "_half_width")
-        return ParametricEdge(**{n: v if n in kept else _picked(v, index) for n, v in vars(value).items()})
+def _of_one(value: Any, index: int) -> Any:
+    """Return one edge's part of a stack's attribute."""
+    if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+        return tuple(_of_one(part, index) for part in value)
     if isinstance(value, np.ndarray):
-        return float(value[index]) if value.ndim == 1 else value[index]
-    return jax.tree.map(partial(_picked, index=index), value)
+        return value[index].item() if value.ndim == 1 else value[index]
+    return value

@@ -1,27 +1,26 @@
-"""Lenses with parameters, and their edge profiles as a fit wants them: E, its slope and its derivatives, over cells.
+"""Families of lenses with parameters, and their edge profiles as a fit wants them: E, its slope and derivatives over cells.
 
 The edges are the camera's own: closed forms for Gaussians, and for other lenses one fast Fourier transform of the total
 MTF, from which cells are interpolated.
 
-A lens behind a pixel of unknown size, so that both can be told apart: diffraction x Gaussian core x square pixel (MODEL 7).
-
-The core and the pixel differ in nothing but the shape of their transforms: in a Gaussian's and a box's fourth cumulants,
-2 (half width)^4 / 15 for the pixel. A lens whose core is not quite Gaussian would pass for another pixel. Therefore the core
-may have an excess kurtosis, known to be 0 within a stated tolerance; the errors of core and pixel contain what that leaves
-open.
+`Separable` is a lens behind a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7). Core and
+pixel differ in nothing but the shape of their transforms, a Gaussian's and a box's fourth cumulants, 2 (half width)^4 / 15 for
+the pixel. A lens whose core is not quite Gaussian would pass for another pixel. Therefore the core may have an excess kurtosis,
+known to be 0 within a stated tolerance; the errors of core and pixel contain what that leaves open.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from functools import lru_cache
+from typing import NamedTuple
 
 import equinox as eqx
 
-from matcam.calibration.edge.geometry import Cells
+from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
-from matcam.camera import pixel as tilted_square
 from matcam.camera.camera import Camera
+from matcam.camera.kernel import edge_and_slopes
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
@@ -31,71 +30,114 @@ from matcam.core.jax import jax, jnp
 
 _PERIOD = 512  # px: the table repeats after it; a 1/d^2 tail then adds 1e-6 of the step
 _PER_PX = 16
+_NARROWEST = 0.05  # px: least standard deviation of a separable core
+MODELS = ("gaussian", "diffraction", "defocus", "halo")
+KURTOSIS = 0.02
+"""Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
 
 
 class LensModel(eqx.Module):
-    """A family of lenses. Its parameters are the numbers that are fitted, in forms that need no bounds."""
+    """Stand for a family of lenses.
+
+    Its fitted parameters have forms that need no bounds.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Return the family's name, as `edge_mtf` takes it."""
 
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """Of the fitted numbers, as the camera's profile names them: "optics.sigma_px"."""
+        """Return the parameters' names, as the camera's profile has them: "optics.sigma_px"."""
 
     @abstractmethod
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Parameters (k,) near a Gaussian lens of ln sigma px."""
+        """Return parameters (k,) near a Gaussian lens of ln sigma px."""
 
     @abstractmethod
     def optics(self, parameters: jax.Array) -> Optics:
-        """The lens."""
+        """Return the lens."""
 
     @abstractmethod
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """(k,) the fitted numbers in the units of their names."""
+        """Return the parameters (k,) in the units of their names."""
 
     @property
     @abstractmethod
     def longest(self) -> tuple[float, ...]:
-        """Longest step of each parameter."""
+        """Return the longest step of each parameter."""
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Edge profile at an angle to the grid."""
+        """Return the edge profile at an angle to the grid."""
         return lambda cells, parameters: _tabulated(self, angle, half_width, cells, parameters)
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
-        """Total MTF at f cycles/px, signed."""
+        """Return the total MTF at f cycles/px, signed."""
         return Camera(self.optics(parameters), BoxPixel(half_width)).mtf(f, angle)
 
 
+class LensAtEdge(NamedTuple):
+    """Hold a family of lenses behind the pixel, as one edge sees it.
+
+    Attributes:
+        lens: the family.
+        angle: rad, of the edge's normal to the grid.
+        half_width: px, of the pixel.
+    """
+
+    lens: LensModel
+    angle: jax.Array
+    half_width: jax.Array
+
+    @property
+    def profile(self) -> Profile:
+        """Return the edge profile."""
+        return self.lens.profile(self.angle, self.half_width)
+
+    def mtf(self, parameters: jax.Array, f: jax.Array) -> jax.Array:
+        """Return the total MTF at f cycles/px, signed."""
+        return self.lens.mtf(parameters, f, self.angle, self.half_width)
+
+
 class Gaussian(LensModel):
-    """Gaussian optics. Parameter: ln sigma."""
+    """Stand for Gaussian optics. Parameter: ln sigma."""
+
+    @property
+    def name(self) -> str:
+        """Return "gaussian"."""
+        return "gaussian"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the fitted numbers."""
+        """Return the parameters' names."""
         return ("optics.sigma_px",)
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Longest step."""
+        """Return the longest step."""
         return (0.7,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """ln sigma itself."""
+        """Return ln sigma itself."""
         return log_sigma[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Sigma, px."""
+        """Return sigma, px."""
         return jnp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """`GaussianOptics`."""
+        """Return `GaussianOptics`."""
         return GaussianOptics(jnp.exp(parameters[0]))
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Closed form; the spread of a cell is one more Gaussian blur, exactly."""
+        """Return a closed form.
 
-        def profile(cells: Cells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        The spread of a cell is one more Gaussian blur, exactly.
+        """
+
+        def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             edge, line, by_log = _gaussian_edge(cells, angle, half_width, parameters[0])
             return edge, line, by_log[None]
 
@@ -103,35 +145,43 @@ class Gaussian(LensModel):
 
 
 class GaussianWithHalo(LensModel):
-    """Gaussian core and veiling glare. Parameters: ln sigma, fraction, ln radius."""
+    """Stand for a Gaussian core and veiling glare.
+
+    Parameters: ln sigma, fraction, ln radius.
+    """
+
+    @property
+    def name(self) -> str:
+        """Return "halo"."""
+        return "halo"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the fitted numbers."""
+        """Return the parameters' names."""
         return ("optics.core.sigma_px", "optics.fraction", "optics.radius_px")
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Longest steps."""
+        """Return the longest steps."""
         return (0.3, 0.03, 0.3)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """A little glare, well beyond the core."""
+        """Return a little glare, well beyond the core."""
         return jnp.stack([log_sigma - 0.03, jnp.asarray(0.03), jnp.maximum(log_sigma + 1.5, jnp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Sigma px, fraction, radius px."""
+        """Return sigma px, fraction, radius px."""
         return jnp.stack([jnp.exp(parameters[0]), parameters[1], jnp.exp(parameters[2])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """`HaloOptics` round `GaussianOptics`."""
+        """Return `HaloOptics` round `GaussianOptics`."""
         sigma, fraction, radius = self.numbers(parameters)
         return HaloOptics(GaussianOptics(sigma), fraction, radius)
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Closed form."""
+        """Return a closed form."""
 
-        def profile(cells: Cells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             core = _gaussian_edge(cells, angle, half_width, parameters[0])
             halo = _gaussian_edge(cells, angle, half_width, parameters[2])
             fraction = parameters[1]
@@ -142,82 +192,173 @@ class GaussianWithHalo(LensModel):
 
 
 class Diffraction(LensModel):
-    """Diffraction-limited lens; its f-number is fitted. Parameter: ln f_number."""
+    """Stand for a diffraction-limited lens; its f-number is fitted. Parameter: ln f_number."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array
 
     @property
+    def name(self) -> str:
+        """Return "diffraction"."""
+        return "diffraction"
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Of the fitted numbers."""
+        """Return the parameters' names."""
         return ("optics.f_number",)
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Longest step."""
+        """Return the longest step."""
         return (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """The Airy pattern whose core is as wide: sigma = 0.45 wavelength f_number."""
+        """Return the Airy pattern whose core is as wide.
+
+        Its sigma is 0.45 wavelength f_number.
+        """
         return (log_sigma - jnp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """f-number."""
+        """Return the f-number."""
         return jnp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """`DiffractionOptics`."""
+        """Return `DiffractionOptics`."""
         return DiffractionOptics(jnp.exp(parameters[0]), self.wavelength, self.pixel_pitch)
 
 
 class Defocus(LensModel):
-    """Diffraction and defocus; both are fitted. Parameters: ln f_number, blur_diameter."""
+    """Stand for diffraction and defocus; both are fitted. Parameters: ln f_number, blur_diameter."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array
 
     @property
+    def name(self) -> str:
+        """Return "defocus"."""
+        return "defocus"
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Of the fitted numbers."""
+        """Return the parameters' names."""
         return ("optics.f_number", "optics.blur_diameter_px")
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Longest steps."""
+        """Return the longest steps."""
         return (0.3, 0.5)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Half of the blur's variance to each: a disc of diameter c has that of a Gaussian of c / 4."""
+        """Return half of the blur's variance for each.
+
+        A disc of diameter c has that of a Gaussian of c / 4.
+        """
         sigma = jnp.exp(log_sigma) / jnp.sqrt(2.0)
         return jnp.stack([jnp.log(sigma) - jnp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """f-number, blur_diameter px (its sign means nothing)."""
+        """Return f-number and blur_diameter px (its sign means nothing)."""
         return jnp.stack([jnp.exp(parameters[0]), jnp.abs(parameters[1])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """`DefocusOptics`."""
+        """Return `DefocusOptics`."""
         f_number, blur = self.numbers(parameters)
         return DefocusOptics(f_number, self.wavelength, self.pixel_pitch, blur)
 
 
+class Separable(LensModel):
+    """Stand for diffraction x Gaussian core x square pixel.
+
+    Parameters: ln of the standard deviation of core and pixel together (px), which every edge knows well; half width of the
+    pixel (px); excess kurtosis of the core.
+
+    Attributes:
+        f_number: of the picture; 0: no diffraction.
+        wavelength: m.
+        pixel_pitch: m.
+    """
+
+    f_number: jax.Array
+    wavelength: jax.Array
+    pixel_pitch: jax.Array
+
+    @property
+    def name(self) -> str:
+        """Return "separable"."""
+        return "separable"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the parameters' names."""
+        return ("optics.sigma_px", "pixel.half_width_px", "kurtosis")
+
+    @property
+    def longest(self) -> tuple[float, ...]:
+        """Return the longest steps."""
+        return (0.3, 0.08, 0.05)
+
+    def start(self, log_sigma: jax.Array) -> jax.Array:
+        """Return a pixel that is sensitive nearly all over, and a Gaussian core."""
+        half = jnp.full_like(log_sigma, 0.42)
+        return jnp.stack([jnp.log(jnp.exp(2 * log_sigma) + half**2 / 3) / 2, half, jnp.zeros_like(half)])
+
+    def numbers(self, parameters: jax.Array) -> jax.Array:
+        """Return sigma px, half width px, kurtosis."""
+        return parameters.at[0].set(jnp.sqrt(_variance(parameters)))
+
+    def optics(self, parameters: jax.Array) -> Optics:
+        """Return the core alone, as a Gaussian."""
+        return GaussianOptics(jnp.sqrt(_variance(parameters)))
+
+    def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
+        """Return the total MTF at f cycles/px, signed.
+
+        The half width is the fitted one, not the argument.
+        """
+        s2 = (2 * jnp.pi * f) ** 2 * _variance(parameters)
+        # Gram and Charlier's first term; a fourth cumulant in the exponent would grow without bound
+        core = jnp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
+        there = self.f_number > 0
+        lens = DiffractionOptics(jnp.where(there, self.f_number, 1.0), self.wavelength, self.pixel_pitch)
+        pixel = BoxPixel(parameters[1])
+        box = pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
+        return core * jnp.where(there, lens.mtf(f), 1.0) * box
+
+
+@lru_cache
+def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
+    """Return the family of one of these `MODELS`."""
+    if name == "gaussian":
+        return Gaussian()
+    if name == "halo":
+        return GaussianWithHalo()
+    family = {"diffraction": Diffraction, "defocus": Defocus}[name]
+    return family(jnp.asarray(wavelength, float), jnp.asarray(pixel_pitch, float))
+
+
 def _gaussian_edge(
-    cells: Cells, angle: jax.Array, half_width: jax.Array, log_sigma: jax.Array
+    cells: EdgeCells, angle: jax.Array, half_width: jax.Array, log_sigma: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
     sigma = jnp.exp(log_sigma)
     wide = jnp.sqrt(sigma**2 + cells.spread)
-    edge, line, by_wide = tilted_square.edge_and_slopes(cells.distance, angle, half_width, wide)
+    edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
     return edge, line, by_wide * sigma**2 / wide
 
 
 def _tabulated(
-    lens: LensModel, angle: jax.Array, half_width: jax.Array, cells: Cells, parameters: jax.Array
+    lens: LensModel, angle: jax.Array, half_width: jax.Array, cells: EdgeCells, parameters: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return E, dE/dd and dE/dparameters of any lens.
+
+    They come from one table over a period.
+    """
     count = _PERIOD * _PER_PX
     f = jnp.arange(count // 2 + 1) / _PERIOD
 
     def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """E less its ramp over the period, and dE/dd, at every sixteenth of a px."""
+        """Return E less its ramp over the period, and dE/dd, at every sixteenth of a px."""
         total = lens.mtf(parameters, f, angle, half_width)
         line = jnp.fft.irfft(total, count) * _PER_PX
         wave = jnp.where(f > 0, total / (2j * jnp.pi * jnp.where(f > 0, f, 1.0)), 0.0)
@@ -230,7 +371,7 @@ def _tabulated(
     left, right = left % count, (left + 1) % count
 
     def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
-        """Mean over the cell's two points, by cubic Hermite interpolation."""
+        """Return the mean over the cell's two points, by cubic Hermite interpolation."""
         slopes = slopes / _PER_PX
         a, b = values[left], values[right]
         cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
@@ -244,71 +385,9 @@ def _tabulated(
     return ramp + over_cells(edge, level), slope, by
 
 
-MODELS = ("gaussian", "diffraction", "defocus", "halo")
-
-
-@lru_cache
-def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
-    """The family of one of these `MODELS`."""
-    if name == "gaussian":
-        return Gaussian()
-    if name == "halo":
-        return GaussianWithHalo()
-    family = {"diffraction": Diffraction, "defocus": Defocus}[name]
-    return family(jnp.asarray(wavelength, float), jnp.asarray(pixel_pitch, float))
-
-
-KURTOSIS = 0.02
-"""Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
-_NARROWEST = 0.05  # px
-
-
-class Separable(LensModel):
-    """Parameters: ln of the standard deviation of core and pixel together (px), which every edge knows well; half width of the
-    pixel (px); excess kurtosis of the core.
-
-    f_number: of the picture; 0: no diffraction. wavelength, pixel_pitch: m.
-    """
-
-    f_number: jax.Array
-    wavelength: jax.Array
-    pixel_pitch: jax.Array
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the fitted numbers."""
-        return ("optics.sigma_px", "pixel.half_width_px", "kurtosis")
-
-    @property
-    def longest(self) -> tuple[float, ...]:
-        """Longest steps."""
-        return (0.3, 0.08, 0.05)
-
-    def start(self, log_sigma: jax.Array) -> jax.Array:
-        """A pixel that is sensitive nearly all over, and a Gaussian core."""
-        half = jnp.full_like(log_sigma, 0.42)
-        return jnp.stack([jnp.log(jnp.exp(2 * log_sigma) + half**2 / 3) / 2, half, jnp.zeros_like(half)])
-
-    def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Sigma px, half width px, kurtosis."""
-        return parameters.at[0].set(jnp.sqrt(_variance(parameters)))
-
-    def optics(self, parameters: jax.Array) -> Optics:
-        """The core alone, as the Gaussian that it is but for its kurtosis."""
-        return GaussianOptics(jnp.sqrt(_variance(parameters)))
-
-    def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
-        """Total MTF at f cycles/px, signed; the half width is the fitted one."""
-        s2 = (2 * jnp.pi * f) ** 2 * _variance(parameters)
-        # Gram and Charlier's first term; a fourth cumulant in the exponent would grow without bound
-        core = jnp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
-        there = self.f_number > 0
-        lens = DiffractionOptics(jnp.where(there, self.f_number, 1.0), self.wavelength, self.pixel_pitch)
-        pixel = BoxPixel(parameters[1])
-        box = pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
-        return core * jnp.where(there, lens.mtf(f), 1.0) * box
-
-
 def _variance(parameters: jax.Array) -> jax.Array:
-    """Of the core, px^2: a square's along any direction is a third of its half width's square."""
+    """Return the core's variance, px^2.
+
+    A square's along any direction is a third of its half width's square.
+    """
     return jnp.maximum(jnp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.region import local_mean
 from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
@@ -46,7 +46,7 @@ _SHARE = np.repeat(_WEIGHTS / 2 / _ROUND, _ROUND)
 
 
 class DotLattice(NamedTuple):
-    """Hold the places of n dots in a picture and on the page.
+    """Hold the places of n dots, in a picture and printed.
 
     Attributes:
         x: (n,) px.
@@ -72,7 +72,10 @@ class DotLattice(NamedTuple):
 
     @property
     def shapes(self) -> FloatArray:
-        """Return px per page unit at every dot, (n, 2, 2), from a smooth map through all of them."""
+        """Return px per page unit at every dot, (n, 2, 2).
+
+        They are derivatives of a smooth map through all dots.
+        """
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
@@ -87,7 +90,7 @@ class DotLattice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DotFit:
-    """Hold the fits of n dots, and the derivatives at the last step.
+    """Hold the fits of n dots, and their last derivatives.
 
     Attributes:
         lattice: where the dots were thought to be.
@@ -122,8 +125,9 @@ class DotFit:
 
 
 def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: float) -> DotFit:
-    """Fit every dot of a lattice in a region (height, width), NaN where there are no data.
+    """Fit every dot of a lattice in a region.
 
+    values: (height, width), NaN where there are no data.
     size: radius of the dots in the lattice's own units. half_width: of the pixel, px. FitError if there are too few dots that
     can be measured.
     """
@@ -133,31 +137,21 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         raise FitError(
             f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to tell them from one another"
         )
-    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
-    whole = (
-        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
-    )
+    whole, stamps = _stamps(values, lattice, reach)
     lattice, shape = lattice.subset(whole), shape[whole]
-    columns, rows = columns[whole], rows[whole]
-    if len(columns) < FEWEST:
-        raise FitError(f"{len(columns)} whole dots are too few: {FEWEST} are needed")
-    stamp = values[rows[:, :, None], columns[:, None, :]]
-    there = np.isfinite(stamp)
-    area = (len(rows), rows.shape[1], columns.shape[1])
-    du, dv = (np.broadcast_to(a, area).reshape(len(rows), -1) for a in (
-        columns[:, None, :] - lattice.x[:, None, None], rows[:, :, None] - lattice.y[:, None, None],
-    ))  # fmt: skip
-    stamp, there = stamp.reshape(du.shape), there.reshape(du.shape)
-    ground = np.nanmedian(stamp, axis=1)
-    stamp = np.where(there, stamp, 0.0)
+    if len(stamps.value) < FEWEST:
+        raise FitError(f"{len(stamps.value)} whole dots are too few: {FEWEST} are needed")
+    columns, rows, du, dv, value, known = stamps
+    ground = np.nanmedian(value, axis=1)
+    value = np.where(known, value, 0.0)
     # mosaics see a part of a dot's content
-    content = (there * (stamp - ground[:, None])).sum(1) / np.maximum(there.mean(1), 0.05)
+    content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
     state = np.column_stack(
         [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
     )
     mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
     fit: DotFit | None = None
-    gain, read, weight = 0.0, 1.0, there.astype(float)
+    gain, read, weight = 0.0, 1.0, known.astype(float)
     bow = np.zeros_like(du)
     for step in range(_STEPS):
         if step == _WEIGHTED:
@@ -172,42 +166,35 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         design = np.stack(
             [np.ones_like(du), du, dv, flat[0], -c * flat[1], -c * flat[2], c * (flat[3] + flat[4]) / 2], axis=-1
         )
-        residual = np.where(there, stamp - model, 0.0)
+        residual = np.where(known, value - model, 0.0)
         if step > _WEIGHTED:
             # fitted parameters have taken their share of the noise
-            found = noise_from_residuals(residual[there], model[there])
-            gain, read = (k * there.sum() / (there.sum() - state.size) for k in found)
-            weight = there / (gain * np.maximum(model, 0) + read)
+            found = noise_from_residuals(residual[known], model[known])
+            gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
+            weight = known / (gain * np.maximum(model, 0) + read)
         normal = np.einsum("npi,np,npj->nij", design, weight, design)
         inverse = scaled_inverse(normal)
         change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
         shared = c[..., None] * np.stack([flat[3], flat[4], *flat[5:]], axis=-1)
-        fit = DotFit(
-            lattice,
-            state,
-            np.sqrt(np.einsum("nii->ni", inverse)),
-            design,
-            shared,
-            residual,
-            weight,
-            mean_radius,
-            gain,
-            read,
-        )
+        std = np.sqrt(np.einsum("nii->ni", inverse))
+        fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
         state = state + change
         state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
             break
     if fit is None or not np.isfinite(fit.parameters).all():
-        raise FitError("the dots' pixels do not determine their blur")
+        raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
     return _without_outliers(fit)
 
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find the dots in a region (height, width), NaN where there are no data: x and y (n,), px. FitError if there are not 9."""
-    smooth = smoothed(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
+    """Return x and y (n,) of the dots in a region, px.
+
+    values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
+    """
+    smooth = local_mean(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
@@ -229,7 +216,10 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
-    """Return the dots that lie on a square lattice seen in perspective, counted in pitches; FitError if there is none."""
+    """Return the dots that lie on a lattice, counted in pitches.
+
+    The lattice is square, and seen in perspective. FitError if there is none.
+    """
     points = np.stack([x, y], axis=-1)
     tree = cKDTree(points)
     neighbour = tree.query(points, k=min(5, len(points)))[1]
@@ -240,7 +230,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     across = np.abs(steps @ np.array([-first[1], first[0]])) / (np.hypot(*steps.T) * np.hypot(*first))
     second = steps[int(np.argmax(across))]
     if np.abs(across).max() < 0.7 or not 0.5 < np.hypot(*second) / np.hypot(*first) < 2:
-        raise FitError("the spots in the region do not form a square grid")
+        raise FitError("the spots in the region do not form a square grid: give a region of dots alone")
     place: dict[int, tuple[int, int]] = {central: (0, 0)}
     basis: dict[int, FloatArray] = {central: np.stack([first, second])}
     queue = [central]
@@ -266,11 +256,50 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])
 
 
+class _Stamps(NamedTuple):
+    """Hold the pixels round n dots.
+
+    Attributes:
+        columns: (n, width) px.
+        rows: (n, height) px.
+        du: (n, pixels) from the dot's place in the lattice, px.
+        dv: (n, pixels) px.
+        value: (n, pixels) linear light.
+        known: (n, pixels) whether there are data.
+    """
+
+    columns: np.ndarray
+    rows: np.ndarray
+    du: FloatArray
+    dv: FloatArray
+    value: FloatArray
+    known: np.ndarray
+
+
+def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.ndarray, _Stamps]:
+    """Return which dots lie well inside a region, and their pixels.
+
+    reach: px, from a dot to the last of its pixels.
+    """
+    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
+    whole = (
+        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
+    )
+    columns, rows, lattice = columns[whole], rows[whole], lattice.subset(whole)
+    value = values[rows[:, :, None], columns[:, None, :]]
+    du = np.broadcast_to(columns[:, None, :] - lattice.x[:, None, None], value.shape)
+    dv = np.broadcast_to(rows[:, :, None] - lattice.y[:, None, None], value.shape)
+    flat = (len(value), (2 * reach + 1) ** 2)
+    du, dv, value = du.reshape(flat), dv.reshape(flat), value.reshape(flat)
+    return whole, _Stamps(columns, rows, du, dv, value, np.isfinite(value))
+
+
 def dot_derivatives(
     x: FloatArray, y: FloatArray, shape: FloatArray, sigma: FloatArray, half_width: float, orders: list[tuple[int, int]]
 ) -> FloatArray:
-    """Return derivatives by (x, y) of what pixels read of n dots of unit content, (orders, n, height, width).
+    """Return derivatives by (x, y) of what pixels read of dots.
 
+    There are n dots of unit content; the result is (orders, n, height, width).
     x, y: (n, width) and (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px, from the unit disc to the
     dot. sigma: (n,) px. half_width: px. orders: of the derivatives.
     """
@@ -287,7 +316,10 @@ def dot_derivatives(
 
 
 def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> list[FloatArray]:
-    """Return the one-dimensional kernel, Gaussian times box, at t px (n, pixels, nodes), and its derivatives."""
+    """Return the one-dimensional kernel, Gaussian times box, and its derivatives.
+
+    t: (n, pixels, nodes) px.
+    """
     s = sigma[:, None, None]
     ends = [(t + half_width) / s, (t - half_width) / s]
     table = [(ndtr(ends[0]) - ndtr(ends[1])) / (2 * half_width)]
@@ -303,8 +335,9 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
 
 
 def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """Return how far the ground of every dot's pixels is off its tangent plane: vignetting, seen by all dots together.
+    """Return how far every dot's ground is off its tangent plane.
 
+    All dots together see this vignetting.
     A dot's own ground does not know: its curvature would be taken for the blur's wings.
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2

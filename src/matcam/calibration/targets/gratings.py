@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, Pixels, WaveFit, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
@@ -46,6 +46,12 @@ class GratingMTF:
         modulation_std: its standard deviations.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
+        >>> result = matcam.targets.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
+        >>> round(result.contrast, 3)
+        0.25
     """
 
     samples: MTFSamples
@@ -58,7 +64,10 @@ class GratingMTF:
 
     @property
     def contrast(self) -> float:
-        """Return (brightest - darkest) / (brightest + darkest) that pixels on the middles of lines would read."""
+        """Return the contrast on the middles of lines.
+
+        It is (brightest - darkest) / (brightest + darkest) of pixels there.
+        """
         at_bright, at_dark = self.modulation.sum(), (self.modulation * (-1.0) ** np.array(self.orders)).sum()
         return float((at_bright - at_dark) / (2 + at_bright + at_dark))
 
@@ -96,8 +105,9 @@ def grating_mtf(
     channel: str | None = None,
     tone: Tone = "linear",
 ) -> GratingMTF:
-    """Measure the MTF of lens and pixel with a grating, at its frequency and at its harmonics.
+    """Measure the MTF of lens and pixel with a grating.
 
+    It is found at the grating's frequency and at its harmonics.
     Phases are fitted, so that no error is made by where pixels lie on the bars. Harmonics that look alike on the grid, or like
     the mean, get the errors that they deserve. Those that say nothing are left out.
 
@@ -131,7 +141,7 @@ def grating_mtf(
     Example:
         >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
         >>> sine = 1000 * (1 + 0.25 * np.cos(2 * np.pi * 0.16 * x))
-        >>> result = matcam.grating_mtf(sine, profile="sine", contrast=0.5)
+        >>> result = matcam.targets.grating_mtf(sine, profile="sine", contrast=0.5)
         >>> np.round(result.samples.frequency, 3), np.round(result.samples.mtf, 3)
         (array([0.161]), array([0.5]))
     """
@@ -153,8 +163,8 @@ def grating_mtf(
         profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
     )
     picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := region.flaw(picture.values):
-        raise FitError(problem)
+    if problem := flaw(picture.values):
+        raise FitError(str(problem))
     fit, orders, wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
     # nobody said where the bright lines are: the camera does not turn the first harmonic round
     signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)
@@ -182,7 +192,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
     Example:
         >>> f = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
-        >>> np.round(matcam.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
+        >>> np.round(matcam.targets.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
         array([0.851, 0.55 , 0.314, 0.118, 0.   ])
     """
     f, c = (np.asarray(a, dtype=np.float64) for a in (frequency, contrast))
@@ -221,7 +231,7 @@ def _moebius(k: int) -> int:
 
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Return which pixels lie deeper than the margin inside a convex polygon (n, 2) px."""
+    """Return which pixels lie deeper than the margin inside a convex polygon."""
     y, x = np.indices(shape).astype(float)
     middle, inside = corners.mean(0), np.ones(shape, bool)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -234,14 +244,16 @@ def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 def _expected_grating(
     grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
-    """Return a described grating in px of the region that holds it, and the region."""
+    """Return a described grating, and the region that holds it."""
     corners = projection(grating.corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
-        raise FitError("the grating lies outside the picture, or covers less than 16 x 16 px of it")
+        raise FitError(
+            "the grating lies outside the picture, or covers less than 16 x 16 px of it: photograph it larger"
+        )
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the picture")
+        raise FitError("the grating covers too few pixels of the picture: photograph it larger")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))
@@ -252,8 +264,8 @@ def _expected_grating(
 def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
 ) -> tuple[WaveFit, tuple[int, ...], _MeanWave]:
-    """Return the wave's fit, the orders of its harmonics, and its mean frequency and place."""
-    pixels = Pixels.where(values, found.inside)
+    """Return the wave's fit, its orders, and its mean."""
+    pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
     highest = max(1, int(_HIGHEST / max(float(frequency.mean()), 1e-6)))
@@ -279,7 +291,7 @@ def _fit_grating(
 
 
 class _MeanWave(NamedTuple):
-    """Hold a grating's mean frequency (fx, fy), cycles/px, and its mean place (x, y), px of the region."""
+    """Hold a grating's mean frequency, cycles/px, and mean place, px."""
 
     fx: float
     fy: float
@@ -287,8 +299,8 @@ class _MeanWave(NamedTuple):
     y: float
 
 
-def _other_wave(pixels: Pixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
-    """Say what else there is than one wave and noise; empty if nothing."""
+def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
+    """Say what there is besides one wave and noise, if anything."""
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()
     if left < _LEFT:
@@ -309,7 +321,10 @@ def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
 def _grating_result(
     picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray, wave: _MeanWave
 ) -> GratingMTF:
-    """Return a grating's MTF from its harmonics and the print's; signs: of the harmonics, where the phase was not known."""
+    """Return a grating's MTF from its harmonics and the print's.
+
+    signs: of the harmonics, where the phase was not known.
+    """
     f, direction = float(np.hypot(wave.fx, wave.fy)), float(np.arctan2(wave.fy, wave.fx))
     modulation = signs * fit.coefficients
     std = np.sqrt(np.diag(fit.covariance))

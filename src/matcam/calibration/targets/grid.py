@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -36,13 +36,21 @@ _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
 
 @dataclass(frozen=True, eq=False)
 class BlurField:
-    """Hold the variance of a Gaussian lens as a polynomial of second order over the field.
+    """Hold the variance of a Gaussian lens over the field.
+
+    It is a polynomial of second order.
 
     Attributes:
         coefficients: (6,) of sigma^2 over 1, u, v, u^2, u v, v^2, px^2; u, v: px from `middle` over `half`.
         covariance: (6, 6) of `coefficients`.
         middle: (x, y) of the grid's middle, px.
         half: half the grid's extent, px.
+
+    Example:
+        >>> from matcam.calibration.targets.grid import BlurField
+        >>> field = BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
+        >>> np.round(field.sigma_at([100, 150], [80, 80])[0], 3)
+        array([0.5, 0.6])
     """
 
     coefficients: FloatArray
@@ -52,7 +60,17 @@ class BlurField:
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray, variance: FloatArray, std: FloatArray) -> BlurField:
-        """Return the field through dots at px, with the variances of their lenses, px^2, and their standard deviations."""
+        """Return the field through the variances of dots.
+
+        Args:
+            x: (n,) columns, px.
+            y: (n,) rows, px.
+            variance: (n,) variance of the lens at each dot, px^2.
+            std: (n,) standard deviations of `variance`, px^2.
+
+        Returns:
+            The field; a constant if there are fewer than 24 dots.
+        """
         middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
         terms = _terms((x - middle[0]) / half, (y - middle[1]) / half)
@@ -66,7 +84,15 @@ class BlurField:
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return sigma and its standard deviation at places of the picture; all px."""
+        """Return sigma anywhere in the picture.
+
+        Args:
+            x: columns, px.
+            y: rows, px.
+
+        Returns:
+            Sigma and its standard deviation, px, in the shape of `x` and `y`.
+        """
         terms = _terms(
             (np.asarray(x, float) - self.middle[0]) / self.half, (np.asarray(y, float) - self.middle[1]) / self.half
         )
@@ -77,7 +103,7 @@ class BlurField:
 
 @dataclass(frozen=True, eq=False)
 class DotGrid:
-    """Hold the blur at each of n dots, over the field, and the MTF that it means.
+    """Hold the blur at n dots, over the field, and its MTF.
 
     Attributes:
         x: (n,) places of the dots in the picture, px.
@@ -89,6 +115,16 @@ class DotGrid:
         radius: mean of the dots' radii as they should be in the picture, px.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> y, x = np.mgrid[:90, :90]
+        >>> page = np.full((90, 90), 1000.0)
+        >>> for place in np.ndindex(7, 7):
+        ...     page -= 900 * np.exp(-((x - 9 - 12 * place[0]) ** 2 + (y - 9 - 12 * place[1]) ** 2) / 2)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
+        >>> sigma, std = grid.sigma_at(45, 45)
+        >>> round(float(sigma), 1), grid.to_dict()["field"]["place_px"][0]
+        (0.9, [45.0, 45.0])
     """
 
     x: FloatArray
@@ -155,7 +191,9 @@ def dot_grid(
     channel: str | None = None,
     tone: Tone = "linear",
 ) -> DotGrid:
-    """Measure a camera's blur over the field with a square grid of round dots, dark or bright.
+    """Measure a camera's blur over the field with a grid of dots.
+
+    Dots are round, dark or bright, on a square lattice.
 
     Args:
         image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
@@ -187,7 +225,7 @@ def dot_grid(
         >>> for column in range(9, 90, 12):
         ...     for row in range(9, 90, 12):
         ...         page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2)
-        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
         >>> grid.sigma.size, bool(np.abs(grid.sigma / 0.9 - 1).max() < 0.1)
         (49, True)
     """
@@ -205,19 +243,19 @@ def dot_grid(
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
         picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-        if problem := region.flaw(picture.values):
-            raise FitError(problem)
+        if problem := flaw(picture.values):
+            raise FitError(str(problem))
         lattice = square_lattice(*find_dots(picture.values))
     return _grid_result(picture, fit_dots(picture.values, lattice, size, half_width), half_width)
 
 
 def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tuple[LinearImage, DotLattice]:
-    """Return the region of a described grid, and its dots in px of the region."""
+    """Return the region of a described grid, and its dots."""
     printed = np.array(dots.centres)
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
-        raise FitError("the grid of dots lies outside the picture")
+        raise FitError("the grid of dots lies outside the picture: give a picture that shows it whole")
     box = pixel_box(seen[inside], whole.shape, _REACH)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
@@ -229,7 +267,7 @@ def _terms(u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:
-    """Return what the dots' fits say in each zone and over the field."""
+    """Return what dots say in each zone and over the field."""
     x, y, variance = fit.parameters[:, 4:7].T
     across = int(max(1, min(3, np.sqrt(len(x) / _ZONE))))
     borders = [np.quantile(a, np.linspace(0, 1, across + 1)[1:-1]) for a in (x, y)]
@@ -251,7 +289,10 @@ def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGri
 
 
 def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFSamples:
-    """Return a zone's MTF: that of its mean Gaussian, times 1 + a polynomial of the frequencies, which its dots share."""
+    """Return the MTF of a zone.
+
+    It is that of the zone's mean Gaussian, times 1 + a polynomial of the frequencies, which its dots share.
+    """
     own = dots.design[:, :, :6]
     weight, shared = dots.weight, dots.shared
     pilot = dots.parameters[:, 6]

@@ -16,7 +16,7 @@ KINDS = ("edge", "grating", "star", "dots")
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
-    """Hold values of a camera's MTF, measured at n frequencies in one place of one picture.
+    """Hold a camera's MTF as measured at n frequencies in one place.
 
     The MTF is the effective camera's: optics and pixel, signed.
 
@@ -38,7 +38,7 @@ class MTFSamples:
         docs/targets.md.
 
     Example:
-        >>> samples = matcam.MTFSamples("star", (320.0, 240.0), [0.1, 0.2], [0, 0], [0.93, 0.75], np.diag([1e-4, 4e-4]))
+        >>> samples = matcam.targets.MTFSamples("star", (320.0, 240.0), [0.1, 0.2], [0, 0], [0.93, 0.75], np.diag([1e-4, 4e-4]))
         >>> samples.mtf_std
         array([0.01, 0.02])
     """

@@ -17,11 +17,11 @@ from scipy.interpolate import BSpline
 
 from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph import region
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
+from matcam.calibration.photograph.region import flaw
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, Pixels, WaveFit, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
 from matcam.core import checks
 from matcam.core.errors import FitError
@@ -43,7 +43,7 @@ _CLEAR = 20.0  # standard deviations of the whole wave
 
 @dataclass(frozen=True, eq=False)
 class StarMTF:
-    """Hold the MTF that a Siemens star shows, and what else was fitted.
+    """Hold the MTF that a star shows, and what else was fitted.
 
     Attributes:
         samples: MTF in four directions, up to 0.75 cycles/px, as far as the star goes.
@@ -55,6 +55,13 @@ class StarMTF:
         chi2: chi2 per degree of freedom (no unit); 1 but for what gain and read noise cannot explain.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
+
+    Example:
+        >>> y, x = np.mgrid[:110, :110] - 54.5
+        >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> [round(place, 2) for place in result.centre], result.to_dict()["cycles"]
+        ([54.5, 54.5], 20)
     """
 
     samples: MTFSamples
@@ -134,7 +141,7 @@ def star_mtf(
     Example:
         >>> y, x = np.mgrid[:110, :110] - 54.5
         >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)  # pixels without size: the MTF is 1
-        >>> result = matcam.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
         >>> result.cycles, bool(np.abs(result.samples.mtf - 1).max() < 1e-6)
         (20, True)
     """
@@ -149,8 +156,8 @@ def star_mtf(
     else:
         picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
         found = find_star(picture.values, cycles)
-    if problem := region.flaw(picture.values):
-        raise FitError(problem)
+    if problem := flaw(picture.values):
+        raise FitError(str(problem))
     fit, edges = _fit_star(picture.values, found)
     return _star_result(picture, found, fit, edges, contrast)
 
@@ -158,13 +165,13 @@ def star_mtf(
 def _expected_star(
     star: Star, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundStar, tuple[int, int, int, int]]:
-    """Return a described star in px of the region that holds it, and the region."""
+    """Return a described star, and the region that holds it."""
     turn = 2 * np.pi * np.arange(8 * star.cycles) / (8 * star.cycles)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     outer = projection(np.array(star.centre) + star.outer * rim)
     box = pixel_box(outer, shape, 2)
     if min(box[2:]) < SMALLEST or (outer.min(0) < -0.5).any() or (outer.max(0) > np.array(shape[::-1]) - 0.5).any():
-        raise FitError("the star lies outside the picture")
+        raise FitError("the star lies outside the picture: give a picture that shows it whole")
     low = np.array(box[:2])
     centre = projection(np.array([star.centre]))[0] - low
     radii = np.linspace(max(star.inner, 0.2 * star.outer), star.outer, 6)
@@ -177,9 +184,12 @@ def _expected_star(
 
 
 def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[float, float]]:
-    """Return the wave's fit and the range of its frequencies, cycles/px: first where the phase is sure, then all of it."""
+    """Return the wave's fit, and the range of its frequencies, cycles/px.
+
+    It is fitted where the phase is sure first, then everywhere.
+    """
     phase, parameters = found.phase, found.parameters
-    pixels = Pixels.where(values, np.ones(values.shape, bool))
+    pixels = WavePixels.where(values, np.ones(values.shape, bool))
     inner = _inner_rim(np.hypot(pixels.x - parameters[0], pixels.y - parameters[1]), pixels.value, found)
     fit = None
     for highest in (_FIRST, 0.4, _HIGHEST):
@@ -205,7 +215,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
 
 
 def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float:
-    """Return the radius, px, inside which rings are brighter or darker than the star."""
+    """Return the radius, px, inside which brightness is not the star's."""
     ring = np.round(radius).astype(int)
     count = np.maximum(np.bincount(ring), 1)
     mean = np.bincount(ring, value) / count
@@ -222,7 +232,10 @@ def _knots(edges: tuple[float, float]) -> FloatArray:
 
 
 def _basis(frequency: FloatArray, direction: FloatArray, edges: tuple[float, float]) -> FloatArray:
-    """Return smooth functions of frequency times those of direction that a square pixel and an astigmatic lens need."""
+    """Return smooth functions of frequency times functions of direction.
+
+    The latter are those that a square pixel and an astigmatic lens need.
+    """
     spline = BSpline.design_matrix(np.clip(frequency, *edges), _knots(edges), 3).toarray()
     a = 2 * direction
     angular = np.stack([np.ones_like(a), np.cos(a), np.sin(a), np.cos(2 * a)], axis=-1)
@@ -232,13 +245,16 @@ def _basis(frequency: FloatArray, direction: FloatArray, edges: tuple[float, flo
 def _star_result(
     picture: LinearImage, found: FoundStar, fit: WaveFit, edges: tuple[float, float], stated: float | None
 ) -> StarMTF:
-    """Return a star's MTF from its modulation; stated: the print's contrast, None if it is to be extrapolated."""
+    """Return a star's MTF from its modulation.
+
+    stated: the print's contrast, None if it is to be extrapolated.
+    """
     knots = _knots(edges)
     places = np.array([knots[i + 1 : i + 4].mean() for i in range(len(knots) - 4)])
     frequency, direction = (a.ravel() for a in np.meshgrid(places, _DIRECTIONS, indexing="ij"))
     rows = _basis(frequency, direction, edges)
     amplitude, covariance = rows @ fit.coefficients, rows @ fit.covariance @ rows.T
-    size, size_std = (stated, 0.0) if stated is not None else _extrapolated(frequency, amplitude, covariance)
+    size, size_std = (stated, 0.0) if stated is not None else _extrapolated_contrast(frequency, amplitude, covariance)
     mtf = amplitude / size
     covariance = (covariance + np.outer(mtf, mtf) * size_std**2) / size**2
     place, std = fit.parameters[:2], fit.parameters_std
@@ -253,8 +269,9 @@ def _star_result(
 
 
 def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
-    """Return the MTF from the contrast on a ring of so many cycles, which is not quite a plane wave.
+    """Return the MTF from the contrast on rings of so many cycles.
 
+    A ring is not quite a plane wave.
     exp(i m phi) holds the frequencies z / (2 pi r) with weights m J_m(z) / z, whose even moments are
     m^2j prod(1 - 4 i^2 / m^2), i < j: to 1 / m^2 the contrast is K - (2 s^2 K'' + (4/3) s^3 K''') / m^2, s = f^2. With
     K = exp(-x), x proportional to s, that is K [1 - (2 x^2 - (4/3) x^3) / m^2].
@@ -263,8 +280,11 @@ def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
     return np.asarray(mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2))
 
 
-def _extrapolated(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the contrast at frequency 0 and its standard deviation; its logarithm is even, and of order 4."""
+def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Return the contrast at frequency 0, and its standard deviation.
+
+    Its logarithm is taken to be even in the frequency, and of order 4.
+    """
     low = (frequency < _EXTRAPOLATED) & (amplitude > 5 * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(

@@ -35,13 +35,13 @@ class Phase(Protocol):
 
     @property
     def scale(self) -> FloatArray:
-        """Return the changes (m,) of the parameters that turn the phase by about 1 rad somewhere."""
+        """Return changes (m,) of the parameters that turn phases by 1 rad."""
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the phase at px, rad. parameters: (m,)."""
 
 
-class Pixels(NamedTuple):
+class WavePixels(NamedTuple):
     """Hold n pixels of a picture.
 
     Attributes:
@@ -55,22 +55,25 @@ class Pixels(NamedTuple):
     y: FloatArray
 
     @classmethod
-    def where(cls, values: FloatArray, mask: np.ndarray) -> Pixels:
-        """Return the pixels of a region (height, width) inside a mask that have data."""
+    def where(cls, values: FloatArray, mask: np.ndarray) -> WavePixels:
+        """Return the pixels of a region inside a mask with data."""
         rows, columns = np.nonzero(mask & np.isfinite(values))
         return cls(values[rows, columns], columns.astype(float), rows.astype(float))
 
     def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
-        """Return indices of as many pixels in a mask (n,) as a fit needs, spread evenly; always the same ones."""
+        """Return indices of as many pixels as a fit needs.
+
+        They are spread evenly over a mask (n,), and always the same ones.
+        """
         places = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
         most = _MOST if most is None else most
         if len(places) <= most:
             return places
         return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
 
-    def at(self, indices: np.ndarray) -> Pixels:
+    def at(self, indices: np.ndarray) -> WavePixels:
         """Return some of the pixels."""
-        return Pixels(*(column[indices] for column in self))
+        return WavePixels(*(column[indices] for column in self))
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class Modulation:
 
 @dataclass(frozen=True, eq=False)
 class WaveFit:
-    """Hold a wave as it was fitted: coefficients of light and modulation, phase parameters, and their errors.
+    """Hold a wave's modulation and phase as fitted, and their errors.
 
     Attributes:
         coefficients: (orders * k,) of the modulation.
@@ -128,7 +131,7 @@ class LocalWave(NamedTuple):
 
 
 def fit_wave(
-    pixels: Pixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
+    pixels: WavePixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
 ) -> WaveFit | None:
     """Fit a wave to pixels; None if they do not determine it.
 
@@ -212,8 +215,9 @@ def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArra
 
 
 def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float, float]:
-    """Return gain and read variance, both >= 0, for which gain * value + read variance explains squared residuals best.
+    """Return the gain and the read variance that explain residuals best.
 
+    The variance of a pixel is gain * value + read variance; both are >= 0.
     value: what the model expects of the pixels. The read variance is at least what rounding leaves, so that both are never 0.
     """
     square, level = residual**2, np.maximum(value, 0)
@@ -227,7 +231,10 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
 def _columns(
     phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, modulation: Modulation
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the functions at the pixels (n, orders * k), and their derivatives by the phase."""
+    """Return the functions at the pixels, and their derivatives by the phase.
+
+    Both are (n, orders * k).
+    """
     at, frequency, direction = local_wave(phase, parameters, x, y)
     columns, slopes = [], []
     for order in modulation.orders:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from matcam.calibration.photograph.light import smoothed
+from matcam.calibration.photograph.region import local_mean
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
 
@@ -51,7 +51,7 @@ class StarPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Return changes of the parameters that turn the phase by about 1 rad."""
+        """Return changes of the parameters that turn phases by 1 rad."""
         return np.array([self.outer / self.cycles / 2] * 2 + [1.0] + [1 / self.cycles] * 2 + [1.0] * 9)
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -69,7 +69,10 @@ class StarPhase(NamedTuple):
     def parameters_through(
         self, x: FloatArray, y: FloatArray, phase: FloatArray, centre: tuple[float, float]
     ) -> FloatArray:
-        """Return the parameters that give px their known phases, mod 2 pi. centre: first guess, px."""
+        """Return the parameters that give px their known phases.
+
+        phase: (n,) rad, mod 2 pi. centre: first guess, px.
+        """
         size = self.scale
 
         def residual(p: FloatArray) -> FloatArray:
@@ -96,9 +99,12 @@ class FoundStar(NamedTuple):
 
 
 def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
-    """Find the star in a region (height, width), NaN where there are no data; FitError if there is none."""
+    """Find the star in a region.
+
+    values: (height, width), NaN where there are no data. FitError if there is no star.
+    """
     # what is missing is filled by its neighbours
-    filled = smoothed(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
+    filled = local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
@@ -123,7 +129,10 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
 
 class _Ring(NamedTuple):
-    """Hold a ring on which there is a wave: its share of the ring's power, its amplitude over the mean, and its phase."""
+    """Hold a ring on which there is a wave.
+
+    share: of the ring's power. amplitude: over the ring's mean. phase: (n,) rad at x, y, px.
+    """
 
     radius: float
     cycles: int
@@ -135,7 +144,7 @@ class _Ring(NamedTuple):
 
 
 def _centre(filled: FloatArray) -> tuple[float, float]:
-    """Return the place, px, from which all gradients turn away at right angles."""
+    """Return the place, px, round which all gradients turn."""
     gy, gx = np.gradient(filled)
     y, x = np.indices(filled.shape).astype(float)
     length = np.hypot(gx, gy)
@@ -189,7 +198,9 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
 
 
 class GratingPhase(NamedTuple):
-    """Give the phase of a grating at pixels: a polynomial of second (6 parameters) or third (10) order in the place.
+    """Give the phase of a grating at pixels.
+
+    It is a polynomial of second (6 parameters) or third (10) order in the place.
 
     Attributes:
         middle: (x, y) about which the phase is expanded, px.
@@ -203,7 +214,7 @@ class GratingPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Return changes of the parameters that turn the phase by about 1 rad."""
+        """Return changes of the parameters that turn phases by 1 rad."""
         return np.array([(_UNIT / self.reach) ** order for order in (0, 1, 1, 2, 2, 2, 3, 3, 3, 3)[: self.terms]])
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -242,18 +253,22 @@ class FoundGrating(NamedTuple):
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray, phase: FloatArray, inside: np.ndarray) -> FoundGrating:
-        """Return the grating whose unwrapped phase, rad, is known at some places, px."""
+        """Return the grating whose phase is known at some places.
+
+        x, y: (n,) px. phase: (n,) rad, unwrapped.
+        """
         extent = float(np.sqrt(inside.sum()))
         wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 10 if extent > _WIDE else 6)
         return cls(wave, wave.parameters_through(x, y, phase), inside)
 
 
 def find_grating(values: FloatArray, near: tuple[float, float] | None = None) -> FoundGrating:
-    """Find the grating in a region (height, width), NaN where there are no data; FitError if there is none.
+    """Find the grating in a region.
 
+    values: (height, width), NaN where there are no data. FitError if there is no grating.
     near: its frequency (fx, fy), cycles/px, roughly, if it may lie beyond Nyquist: the nearest that looks the same is taken.
     """
-    filled = values if np.isfinite(values).all() else smoothed(values, 0.9)
+    filled = values if np.isfinite(values).all() else local_mean(values, 0.9)
     frequency = _strongest(filled, near)
     if near is not None:
         shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)
@@ -261,13 +276,13 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
         frequency = alike[np.argmin(np.hypot(*(alike - np.array(near)).T))]
     y, x = np.indices(values.shape).astype(float)
     wave = np.exp(-2j * np.pi * (frequency[0] * x + frequency[1] * y))
-    smooth = max(3.0, 0.8 / np.hypot(*_folded(frequency)))
+    smooth = max(3.0, 0.8 / np.hypot(*_alias(frequency)))
     turned = (filled - filled.mean()) * wave
     envelope = ndimage.gaussian_filter(turned.real, smooth) + 1j * ndimage.gaussian_filter(turned.imag, smooth)
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region holds no grating")
+        raise FitError("region holds no grating: nothing varies in it")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
@@ -279,13 +294,16 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     return FoundGrating.through(x[inside], y[inside], phase[inside], inside)
 
 
-def _folded(frequency: FloatArray) -> FloatArray:
+def _alias(frequency: FloatArray) -> FloatArray:
     """Return the frequency below Nyquist that looks the same on the grid."""
     return np.asarray(frequency - np.round(frequency))
 
 
 def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
-    """Return (fx, fy) of the strongest wave below Nyquist, cycles/px; of those that may be `near` in truth, if it is given."""
+    """Return (fx, fy) of the strongest wave below Nyquist, cycles/px.
+
+    near: only waves that may have this frequency in truth count.
+    """
     height, width = filled.shape
     window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
     mean = (window * filled).sum() / window.sum()
@@ -297,8 +315,8 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
     power[(np.abs(fx) * width < _LONGEST) & (np.abs(fy) * height < _LONGEST)] = 0
     everywhere = np.median(power)
     if near is not None:
-        alias = _folded(np.array(near))
-        off = [np.hypot(_folded(fx - sign * alias[0]), _folded(fy - sign * alias[1])) for sign in (-1, 1)]
+        alias = _alias(np.array(near))
+        off = [np.hypot(_alias(fx - sign * alias[0]), _alias(fy - sign * alias[1])) for sign in (-1, 1)]
         power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
     if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:

@@ -1,4 +1,4 @@
-"""A whole table as a perfect camera would have measured it, with what is known of every entry (docs/model.md 8)."""
+"""A whole table as a perfect camera would have measured it, with the error of every entry (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from matcam.core import checks
 from matcam.core.errors import FitError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.remark import Remark, to_attribute
-from matcam.core.workspace import Workspace, current_workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, rig_doubts
-from matcam.inverse.correction.lobe_ratio import Corrections, LobeRatio, lobe_ratio, seen_cells
+from matcam.inverse.correction.lobe_ratio import CorrectionFits, LobeRatio, lobe_ratio, seen_cells
 from matcam.inverse.correction.shape_correction import ShapeCorrection, no_correction, shape_correction
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig, sphere_radius
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED = 0.05
@@ -49,9 +49,9 @@ class Correction:
         remarks: what a reader should know of the correction.
 
     Example:
-        >>> done = matcam.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
+        >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
-        >>> list(matcam.Correction.__dataclass_fields__)
+        >>> list(matcam.inverse.Correction.__dataclass_fields__)
         ['table', 'fit', 'doubts', 'shape', 'remarks']
     """
 
@@ -96,7 +96,7 @@ class Correction:
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
-        workspace = workspace or current_workspace()
+        workspace = workspace or default_workspace()
         setup = free_setup([brdf], rig, masking=masking, noise=noise, workspace=workspace)
         best = family = likeliest(candidate_fits(setup, ndf))
         setup = setup.with_(ndf=family.family)
@@ -105,7 +105,7 @@ class Correction:
         if shape.family_fails:  # too far for what is linear: the lobe itself is bent
             best = setup.with_(bend=_BEND, every=_BEND_EVERY).solve(start=family)
             shape = no_correction(best, shape.scale)
-        ratio = lobe_ratio(rig, sampling_of(brdf), Corrections(best, shape, family, doubts), workspace)
+        ratio = lobe_ratio(rig, sampling_of(brdf), CorrectionFits(best, shape, family, doubts), workspace)
         remarks = _correction_remarks(best, doubts, shape)
         table = _corrected_table(brdf, best, shape.noise, ratio, glare * _farthest_glare(brdf, rig, best), glare)
         table.attrs.update(
@@ -250,22 +250,22 @@ def _corrected_table(
     """Return the corrected table. scattered: most light of the highlight, 1/sr, that glare adds to each entry."""
     data = brdf.values
     body = found.diffuse / np.pi
-    known = seen_cells(sampling_of(brdf))[..., None]
-    ratio = np.where(known, np.exp(ratio_of_lobes.log)[..., None], 1.0)
+    seen = seen_cells(sampling_of(brdf))[..., None]
+    ratio = np.where(seen, np.exp(ratio_of_lobes.log)[..., None], 1.0)
     above = data - body
     lobe = above > 0
     corrected = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
 
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
-    variance = (noise.relative**2 + noise.gain**2) * data**2 + (noise.floor * peak) ** 2
+    variance = (noise.relative**2 + noise.picture_gain**2) * data**2 + (noise.floor * peak) ** 2
     variance = variance * np.where(lobe, ratio, 1.0) ** 2
     variance += np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
     variance += (scattered**2 + (glare * data) ** 2) * np.where(lobe, ratio, 1.0) ** 2
-    std = np.where(known & np.isfinite(data), np.sqrt(variance), np.nan)
+    std = np.where(seen & np.isfinite(data), np.sqrt(variance), np.nan)
     # of a bent lobe, the shape's own uncertainty says it
-    good = found.bent or found.determined or found.hwhm_std < SUPPORTED * found.hwhm
+    good = found.is_bent or found.determined or found.hwhm_std < SUPPORTED * found.hwhm
     with np.errstate(invalid="ignore"):
-        supported = known & (std < SUPPORTED * corrected) & good
+        supported = seen & (std < SUPPORTED * corrected) & good
     first = brdf.dims[:3]
     return xr.Dataset(
         {
@@ -287,7 +287,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
     if not there.any():
-        raise FitError("no picture shows a highlight")
+        raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
     seen = found.theta_d[there]
     f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
     radius = sphere_radius(rig)

@@ -1,4 +1,4 @@
-"""What else could have blurred the pictures: the fit again, with a parameter of the rig free that the user took for certain.
+"""Doubts about the rig: the fit again, with a parameter of the rig free that the user took for certain.
 
 If rig and data agree, nothing changes. If not, something is wrong: lens, lamp or family. It need not be the parameter that was
 left free. What the correction would have been with it counts as uncertainty, several times over.

@@ -1,4 +1,4 @@
-"""True over recorded lobe in every cell of a table, and what is known of it: what a measured value is multiplied by.
+"""The ratio of true over recorded lobe in every cell of a table, with its error: measured values are multiplied by it.
 
 The response, recorded over true, is computed on a lattice of cells and interpolated. Across phi_d a folded cell is even about
 0 and pi/2: a cubic spline, level at both ends, follows it. Along theta_h and theta_d the logarithm of the response is
@@ -120,13 +120,13 @@ def seen_cells(sampling: Sampling) -> np.ndarray:
 def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
     """Interpolate a function known on the lattice, (slices, rings * azimuths), to every cell of a table: (90, 90, 180)."""
     rings, slices, azimuths = where.spacing
-    known = np.where(where.cells.valid, values, np.nan).reshape(len(slices), len(rings), len(azimuths))
+    lattice = np.where(where.cells.valid, values, np.nan).reshape(len(slices), len(rings), len(azimuths))
     # beyond where it is known it stays what it was there: towards the limb along theta_d
     for s in range(1, len(slices)):
-        known[s] = np.where(np.isfinite(known[s]), known[s], known[s - 1])
-    known = np.nan_to_num(known)
+        lattice[s] = np.where(np.isfinite(lattice[s]), lattice[s], lattice[s - 1])
+    lattice = np.nan_to_num(lattice)
     n_h, n_d, _ = GRID_SHAPE
-    along = PchipInterpolator(slices, known, axis=0)(np.arange(n_d))
+    along = PchipInterpolator(slices, lattice, axis=0)(np.arange(n_d))
     along = PchipInterpolator(rings, along, axis=1)(np.arange(n_h))
     phi = merl_grid(where.sampling).phi_d
     across = CubicSpline(np.radians(azimuths), along, axis=2, bc_type="clamped")(np.minimum(phi, np.pi - phi))
@@ -145,7 +145,7 @@ class LobeRatio(NamedTuple):
     std: np.ndarray
 
 
-class Corrections(NamedTuple):
+class CorrectionFits(NamedTuple):
     """Hold the fits that a correction is made of.
 
     Attributes:
@@ -161,25 +161,25 @@ class Corrections(NamedTuple):
     doubts: Sequence[Doubt]
 
 
-def lobe_ratio(rig: Rig, sampling: Sampling, made: Corrections, workspace: Workspace) -> LobeRatio:
+def lobe_ratio(rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Workspace) -> LobeRatio:
     """Return the ratio of a fit and its shape's correction.
 
     It is computed on a fine lattice with the rig as given. Three things are smooth, so that a coarse lattice holds them: what
     fitted parameters of the rig change of the ratio, its derivatives, and what doubts would make of it.
     """
-    at, family = made.fit.coordinates, made.family.coordinates
+    at, family = fits.fit.coordinates, fits.family.coordinates
     fine = response_lattice(rig, sampling, FINE, (), workspace)
-    axes = (*at.axes, *(doubt.axis for doubt in made.doubts))
+    axes = (*at.axes, *(doubt.axis for doubt in fits.doubts))
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace)
     at_rest = np.zeros(len(axes))
     fitted = at.rig @ axis_selection(at.axes, axes)
     before = family.rig @ axis_selection(family.axes, axes)
 
-    log = on_table(_shaped(fine, at, made.shape), fine)
+    log = on_table(_shaped(fine, at, fits.shape), fine)
     if fitted.any():
         log += on_table(_plain(coarse, at, fitted) - _plain(coarse, at, at_rest), coarse)
-    variance = np.maximum(on_table(_variance(coarse, at, made.shape, fitted), coarse), 0.0)
-    for doubt in made.doubts:
+    variance = np.maximum(on_table(_variance(coarse, at, fits.shape, fitted), coarse), 0.0)
+    for doubt in fits.doubts:
         instead = doubt.coordinate * axis_selection((doubt.axis,), axes)[0]
         change = _plain(coarse, doubt.fit.coordinates, instead) - _plain(coarse, family, before)
         variance += (doubt.weight * on_table(change, coarse)) ** 2

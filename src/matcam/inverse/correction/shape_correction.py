@@ -1,4 +1,4 @@
-"""What the family of a lobe does not explain, by a regularised inverse of the camera's operator (docs/model.md 8).
+"""The part of a lobe that its family does not explain, by a regularised inverse of the operator (docs/model.md 8).
 
 The record is linear in D. So after a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is one linear least-squares problem. It
 is solved together with small changes of the fit's own parameters, strengths free in every slice. How much the b_k may vary is
@@ -121,8 +121,8 @@ def no_correction(found: MaterialFit, scale: float) -> ShapeCorrection:
     scale: the scale that its family had asked for.
     """
     covariance = found.coordinates.covariance
-    whole = np.pad(covariance, (0, KNOTS))
-    return ShapeCorrection(np.zeros(KNOTS), whole, scale, found.noise, 0.0)
+    padded = np.pad(covariance, (0, KNOTS))
+    return ShapeCorrection(np.zeros(KNOTS), padded, scale, found.noise, 0.0)
 
 
 def _columns(linear: LinearisedFit) -> np.ndarray:

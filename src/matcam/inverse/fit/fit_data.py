@@ -74,8 +74,8 @@ def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
 
 def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
     values = brdf.values[cells.i_theta_h, cells.slices[:, None], cells.i_phi_d].transpose(2, 0, 1)
-    whole = brdf.values[:, cells.slices]
-    peak = np.nanmax(np.where(np.isfinite(whole), whole, -np.inf), axis=(0, 2)).T
+    slices = brdf.values[:, cells.slices]
+    peak = np.nanmax(np.where(np.isfinite(slices), slices, -np.inf), axis=(0, 2)).T
     used = np.isfinite(values) & cells.valid & (peak > 0)[..., None]
     used &= used.sum(-1, keepdims=True) >= 4
     labels = tuple(str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[3])))
@@ -84,10 +84,10 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
             raise FitError(f"channel {label}: every value is missing")
         if not (bright > 0).any():
             raise FitError(f"channel {label}: no value is above 0: there is no highlight to fit")
-        share, slices = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
-        if share < _FEWEST or slices < _FEWEST_SLICES:
+        share, seen = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
+        if share < _FEWEST or seen < _FEWEST_SLICES:
             raise FitError(
-                f"channel {label}: {share:.0%} of the values that a fit needs are there, in {slices} of {cells.slices.size} "
+                f"channel {label}: {share:.0%} of the values that a fit needs are there, in {seen} of {cells.slices.size} "
                 f"slices of theta_d; at least {_FEWEST:.0%} in {_FEWEST_SLICES} slices are needed"
             )
     return FitData(

@@ -14,9 +14,9 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
-from matcam.material.ndf.families import FAMILIES, WITH_POWER
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, ShadowedNDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
+from matcam.material.registry import FAMILIES, WITH_POWER
 
 FresnelModel = Literal["conductor", "schlick", "dielectric", "free"]
 FRESNEL_MODELS: tuple[FresnelModel, ...] = ("conductor", "schlick", "dielectric", "free")

@@ -185,7 +185,7 @@ class FitProblem:
 
     def gain(self, noise: PixelNoise) -> float:
         """Return the standard deviation of a slice's picture gain: infinite where strengths are free."""
-        return np.inf if self.layout.fresnel == "free" else noise.gain
+        return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:
         """Return the whitening of the residuals.

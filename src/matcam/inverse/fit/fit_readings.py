@@ -1,4 +1,4 @@
-"""What is read off a solved fit: strengths, parameters by name, materials, the camera, and remarks."""
+"""Readings of a solved fit: strengths, parameters by name, materials, the camera, and remarks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from matcam.inverse.fit.search import Solution
 from matcam.inverse.operator.rig_axes import WIDTHS, Axis
 from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
-from matcam.rigs import Rig
 
 DETERMINED = 0.05
 """Relative standard deviation of a roughness up to which it counts as determined."""
@@ -131,7 +130,7 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         return strength, np.sqrt(variance)
     own, slope = _strength_errors(solution)
     variance = own**2 + np.einsum("pus,pq,qus->us", slope, solution.covariance, slope)
-    variance += (solution.noise.gain * strength) ** 2
+    variance += (solution.noise.picture_gain * strength) ** 2
     seen = problem.data.used.any(-1)
     return np.where(seen, strength, np.nan), np.where(seen, np.sqrt(variance), np.nan)
 
@@ -192,14 +191,16 @@ def lobe_verdict(solution: Solution) -> LobeVerdict:
     return LobeVerdict(linear and bool(np.all(std[first] < DETERMINED)) and resolved, resolved)
 
 
-def fit_remarks(solution: Solution, rig: Rig | None, verdict: LobeVerdict, noise_given: bool) -> tuple[Remark, ...]:
+def fit_remarks(
+    solution: Solution, camera: Camera | None, verdict: LobeVerdict, noise_given: bool
+) -> tuple[Remark, ...]:
     """Say what a reader should know of a fit."""
     remarks = []
     prior, place, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
-    if rig is None:
+    if camera is None:
         remarks.append(Remark("no-rig", "no rig: fitted as if the camera were perfect"))
     elif not prior.axes:
-        unstated = "" if rig.camera.uncertainty else ": its profile states no uncertainty"
+        unstated = "" if camera.uncertainty else ": its profile states no uncertainty"
         remarks.append(Remark("camera-exact", f"the camera is assumed exact{unstated}"))
     stds = np.sqrt(np.diag(solution.covariance)[place])
     for axis, coordinate, own in zip(prior.axes, solution.p[place], stds, strict=True):
@@ -293,20 +294,18 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
     return Microfacet(ndf, term, diffuse, layout.kind.masking)
 
 
-def fitted_camera(solution: Solution, rig: Rig | None) -> Camera | None:
-    """Return the rig's camera as fitted, with its new uncertainty; None without a rig."""
-    if rig is None:
-        return None
+def fitted_camera(solution: Solution, camera: Camera) -> Camera:
+    """Return a camera as fitted, with its new uncertainty."""
     problem: FitProblem = solution.problem
     axes, place = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in WIDTHS]
     if not lens:
-        return rig.camera
+        return camera
     coordinates = solution.p[place]
     values = {axes[n].name: axes[n].value(float(coordinates[n])) for n in lens}
     covariance = solution.covariance[place, place][np.ix_(lens, lens)]
     slopes = [axes[n].slope(float(coordinates[n]), float(np.sqrt(covariance[m, m]))) for m, n in enumerate(lens)]
     covariance = covariance * np.outer(slopes, slopes)
-    fitted = rig.camera.with_parameters(values)
-    known = Uncertainty(values, (covariance + covariance.T) / 2)
-    return Camera(fitted.optics, fitted.pixel, fitted.sensor, uncertainty=known, provenance=fitted.provenance)
+    fitted = camera.with_parameters(values)
+    uncertainty = Uncertainty(values, (covariance + covariance.T) / 2)
+    return Camera(fitted.optics, fitted.pixel, fitted.sensor, uncertainty=uncertainty, provenance=fitted.provenance)

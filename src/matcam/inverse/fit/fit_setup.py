@@ -1,4 +1,4 @@
-"""What a fit is made of, in one object: data, rig, model, prior and noise (docs/model.md 8).
+"""The setup of a fit in one object: data, rig, model, prior and noise (docs/model.md 8).
 
 `FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit that begins where another
 ended - in more slices, with a parameter of the rig left free, with the lobe bent - is `setup.with_(...).solve(start=found)`.
@@ -24,12 +24,12 @@ from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.fit.fit_parameters import FRESNEL_MODELS, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
-from matcam.inverse.fit.search import Search
+from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
 from matcam.inverse.operator.rig_axes import LENS, free_axis, prior_axis
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 CameraParameters = Literal["fixed", "prior", "free"]
@@ -110,13 +110,16 @@ class FitSetup:
         """
         search = Search(self.problem, self.noise)
         if start is None:
-            return material_fit(search.best(), self.rig, noise_given=self.noise is not None)
+            return self._result(search.best())
         before = start._solution
         weight = before.weight if weights == "start" else None
         same = before.problem.layout == self.layout and before.problem.prior.axes == self.prior.axes
         go_on = search.adjust if same else search.resume
-        solution = go_on(self._vector(start), weight, before.noise)
-        return material_fit(solution, self.rig, noise_given=self.noise is not None)
+        return self._result(go_on(self._vector(start), weight, before.noise))
+
+    def _result(self, solution: Solution) -> MaterialFit:
+        camera = self.rig.camera if self.rig is not None else None
+        return material_fit(solution, camera, noise_given=self.noise is not None)
 
     def _vector(self, start: MaterialFit) -> np.ndarray:
         """Return the parameters of a start in this setup's order; what the start has not is 0."""

@@ -34,7 +34,6 @@ from matcam.inverse.fit.fit_readings import (
 from matcam.inverse.fit.search import Solution
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import NDF
-from matcam.rigs import Rig
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class MaterialFit:
     Example:
         >>> found = matcam.fit(table, matcam.rigs.merl(), "ggx")  # doctest: +SKIP
         >>> found.params["alpha"], found.std["alpha"]  # doctest: +SKIP
-        >>> list(matcam.MaterialFit.__dataclass_fields__)[:3]
+        >>> list(matcam.inverse.MaterialFit.__dataclass_fields__)[:3]
         ['family', 'params', 'std']
     """
 
@@ -112,7 +111,7 @@ class MaterialFit:
         return self._solution.problem.diffuse(self._solution.p)
 
     @property
-    def bent(self) -> bool:
+    def is_bent(self) -> bool:
         """Say whether the lobe may leave its family (`bend`)."""
         return bool(self.coordinates.kind.bends)
 
@@ -249,8 +248,8 @@ class MaterialFit:
         }
 
 
-def material_fit(solution: Solution, rig: Rig | None, *, noise_given: bool) -> MaterialFit:
-    """Gather the result of a solved fit."""
+def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool) -> MaterialFit:
+    """Gather the result of a solved fit. camera: that of the rig; None without one."""
     problem, data = solution.problem, solution.problem.data
     named = named_parameters(solution)
     std = np.sqrt(np.diag(named.covariance))
@@ -288,13 +287,13 @@ def material_fit(solution: Solution, rig: Rig | None, *, noise_given: bool) -> M
         determined=verdict.determined,
         resolved=verdict.resolved,
         materials=fitted_materials(solution, strength),
-        camera=fitted_camera(solution, rig),
+        camera=fitted_camera(solution, camera) if camera else None,
         curves=curves,
         residual=residual,
         noise=noise,
         misfit=solution.misfit,
         log_likelihood=float(likelihood),
         freedom=solution.freedom,
-        remarks=fit_remarks(solution, rig, verdict, noise_given),
+        remarks=fit_remarks(solution, camera, verdict, noise_given),
         _solution=solution,
     )

@@ -18,7 +18,7 @@ from matcam.inverse.fit.fit_data import (
 )
 from matcam.inverse.fit.fit_parameters import fresnel_start
 from matcam.inverse.fit.fit_problem import FitModel, FitProblem
-from matcam.material.ndf.families import WITH_POWER
+from matcam.material.registry import WITH_POWER
 from matcam.numerics.linalg import scaled_inverse
 
 _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))
@@ -67,7 +67,7 @@ class Search:
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
         # to begin with, each value's own variance; from then on the model's
-        weight = 1 / cell_variance(data, np.abs(data.values), INITIAL_NOISE._replace(gain=noise.gain))
+        weight = 1 / cell_variance(data, np.abs(data.values), INITIAL_NOISE._replace(picture_gain=noise.picture_gain))
         starts = self._starts(weight)
         tried = [self._refine(start, weight, noise, rounds=1) for start in starts[:2]]
         first = min(tried, key=lambda solution: solution.misfit)
@@ -149,7 +149,7 @@ class Search:
             u = standardised_residual(data, residual, model.value, noise, problem.gain(noise))
             weight = huber_weights(u) / cell_variance(data, model.value, noise)
             model = problem.model(p, weight)
-            white = problem.whitening(model, weight, noise.gain)
+            white = problem.whitening(model, weight, noise.picture_gain)
             flat = white(model.derivative).reshape(p.size, -1)
             covariance = scaled_inverse(flat @ flat.T + self.prior_rows.T @ self.prior_rows, undetermined=1e12)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
@@ -166,7 +166,7 @@ class Search:
     def _least_squares(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int) -> np.ndarray:
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
-        fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.gain)
+        fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
         last: dict[bytes, np.ndarray] = {}
 
         def triangle(p: np.ndarray) -> np.ndarray:

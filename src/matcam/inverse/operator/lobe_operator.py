@@ -1,4 +1,4 @@
-"""What a rig records of D G in chosen cells: one compiled function of lobe and camera for every material.
+"""The record of D G in chosen cells: one compiled function of lobe and camera for every material.
 
 `record` is the integral of docs/model.md 3 without F. A table reads F(theta_d) times it, because a slice of a distant sphere
 under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and
@@ -20,7 +20,7 @@ import numpy as np
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp
-from matcam.core.workspace import Workspace, current_workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.integral.blur import blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.polar_rule import (
@@ -82,6 +82,10 @@ class LobeOperator(eqx.Module):
         shifts: (axes,), coordinates along them.
         """
         return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+
+    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean."""
+        return 2 * jnp.sum(self._weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
     def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
         """Return the same of D times each of some functions of theta; shape (functions, slices, cells).
@@ -158,7 +162,7 @@ def lobe_operator(
     """
     if rig is None:
         return perfect_operator(sampling, every, _PERFECT_RADIUS, workspace)
-    workspace = workspace or current_workspace()
+    workspace = workspace or default_workspace()
     key = (rig_key(rig), sampling, every, axes)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
@@ -222,9 +226,9 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
     ]
 
     def full(part: np.ndarray) -> np.ndarray:
-        whole = np.zeros((cells.x.size, *part.shape[1:]))
-        whole[flat] = part[: flat.size]
-        return whole.reshape(-1, 2, *part.shape[1:])
+        result = np.zeros((cells.x.size, *part.shape[1:]))
+        result[flat] = part[: flat.size]
+        return result.reshape(-1, 2, *part.shape[1:])
 
     columns: list[list[np.ndarray]] = []
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
@@ -269,7 +273,7 @@ def perfect_operator(
         cells = chosen_cells(radius, sampling, every)
         return cells, point_operator(cells)
 
-    return (workspace or current_workspace()).remember("perfect operator", (sampling, every, radius), make)
+    return (workspace or default_workspace()).remember("perfect operator", (sampling, every, radius), make)
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:

@@ -1,4 +1,4 @@
-"""What a pixel records of an isotropic lobe on a distant sphere, as a sum over angles from the half vector.
+"""The record of an isotropic lobe in one pixel, on a distant sphere, as a sum over angles from the half vector.
 
 In polar coordinates (theta, psi) about the half vector the lobe depends on theta alone, so the record is linear in it,
 
@@ -203,8 +203,8 @@ def masking_samples(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray,
     after = np.minimum.accumulate(np.where(seen, index, index.size)[:, ::-1], axis=1)[:, ::-1]
     nearest = np.where((before < 0) | ((after < index.size) & (after - index < index - before)), after, before)
     nearest = np.clip(nearest, 0, index.size - 1)
-    whole = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
-    return theta[:, _SAMPLED], np.nan_to_num(whole[:, _SAMPLED])
+    complete = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
+    return theta[:, _SAMPLED], np.nan_to_num(complete[:, _SAMPLED])
 
 
 def padded(array: np.ndarray) -> np.ndarray:

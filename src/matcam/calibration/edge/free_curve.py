@@ -1,0 +1,233 @@
+"""The edge response without a model: a free core, a diffraction tail and glare, as closed forms (docs/model.md 7).
+
+    E(d) = P(d) + sum of c_k [B_k(d) - P(d)] + sum of o_k O_k(d)
+
+P is the best Gaussian lens through the exact pixel; what it gets wrong is free. Lengths are in units of s, the standard
+deviation of P's line spread function, so that one setting serves every blur:
+
+- core: pairs of Gaussian bumps of the line spread function, 0.6 s wide and 0.6 s apart, to 3.9 s on both sides. Their even
+  combinations B_k carry the MTF, their odd ones O_k a lens that is not symmetric (coma). The last O_k moves the edge.
+- tail: a Cauchy line spread function, which falls as 1/d^2 as that of every lens with an edge to its pupil does;
+- glare: a wide Gaussian, used where it is found.
+
+All are Gaussian or rational, so that ESF, LSF and MTF are closed forms at any distance and frequency, and the spread of a
+cell's distances is one more blur. There are no bins and no windows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.camera.kernel import edge_and_slopes
+from matcam.core.jax import AnyArray, jax, jnp
+
+PAIRS = 7
+PLACES = 0.6 * (np.arange(PAIRS) + 0.5)
+"""Places of the bumps, in s."""
+EVEN = PAIRS + 2
+"""Strengths that shape the MTF: the core's, the tail's, the glare's."""
+TAIL, GLARE = PAIRS, PAIRS + 1
+"""Indices of the last two among them."""
+ODD = PAIRS + 1
+FREQUENCIES = np.arange(81) / 64
+"""cycles/px, at which an MTF is tabulated."""
+_WIDTH = 0.6  # s
+_TAIL = 1.5  # s, half width at half maximum of the Cauchy
+_FINE = 11  # samples within an interval of `FREQUENCIES`: over 1.6e-3 cycles/px a curve bends by 1e-6
+
+
+class CoreShape(NamedTuple):
+    """Hold what the basis is made of: scalars.
+
+    Attributes:
+        sigma: px, of the pilot P.
+        angle: rad, of the edge's normal to the grid.
+        half_width: px, of the pixel.
+        radius: px, standard deviation of the glare.
+    """
+
+    sigma: jax.Array
+    angle: jax.Array
+    half_width: jax.Array
+    radius: jax.Array
+
+
+class Basis(NamedTuple):
+    """Hold the basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
+
+    pilot: jax.Array
+    even: jax.Array
+    odd: jax.Array
+
+
+class FreeCurve(NamedTuple):
+    """Hold a fitted edge response.
+
+    Attributes:
+        shape: of the basis.
+        even: (EVEN,) strengths, relative to the step; the last one, glare's, is 0 where none was found.
+        odd: (ODD,).
+        levels: (4,) dark, bright, and the light's relative change per px in x and y.
+        covariance: (EVEN + ODD + 1,) squared, of the even strengths, the odd ones, and ln of the glare's radius.
+    """
+
+    shape: CoreShape
+    even: jax.Array
+    odd: jax.Array
+    levels: jax.Array
+    covariance: jax.Array
+
+
+class SampledCurve(NamedTuple):
+    """Hold a curve and its standard deviation, of one shape."""
+
+    value: AnyArray
+    std: AnyArray
+
+
+def line_width(shape: CoreShape) -> jax.Array:
+    """Return s, px.
+
+    A square's variance along any direction is that along its side.
+    """
+    return jnp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
+
+
+def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basis:
+    """Return the basis as edge responses at `distance` px.
+
+    spread: px^2, of the distances in each cell.
+    """
+    places, width = _bumps(shape)
+    blurred = jnp.sqrt(shape.sigma**2 + spread)
+    pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
+    wide = jnp.sqrt(width**2 + spread)
+    right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
+    reach = _TAIL * line_width(shape)
+    # no Gaussian: for the spread its second derivative has to do
+    bend = -2 * distance * reach / (jnp.pi * (distance**2 + reach**2) ** 2)
+    tail = 0.5 + jnp.arctan(distance / reach) / jnp.pi + spread / 2 * bend
+    moved = line_width(shape) * line
+    even = jnp.concatenate([(right + left) / 2, tail[None], glare_edge(shape.radius, distance, spread)[None]])
+    return Basis(pilot, even, jnp.concatenate([(left - right) / 2, moved[None]]))
+
+
+def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax.Array:
+    """Return the edge response of a Gaussian glare."""
+    return _step(distance / jnp.sqrt(radius**2 + spread))
+
+
+def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
+    """Return the basis as line spread functions at `distance` px, 1/px."""
+    places, width = _bumps(shape)
+    normal = jax.scipy.stats.norm.pdf
+
+    def line(x: jax.Array) -> jax.Array:
+        return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
+
+    pilot, moved = jax.jvp(line, (distance,), (jnp.broadcast_to(line_width(shape), distance.shape),))
+    right, left = (normal(distance, sign * places[:, None], width) for sign in (1, -1))
+    reach = _TAIL * line_width(shape)
+    tail = reach / (jnp.pi * (distance**2 + reach**2))
+    even = jnp.concatenate([(right + left) / 2, tail[None], normal(distance, 0.0, shape.radius)[None]])
+    return Basis(pilot, even, jnp.concatenate([(left - right) / 2, moved[None]]))
+
+
+def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
+    """Return the Fourier transforms of the basis at f cycles/px.
+
+    They are the real part of P and B_k, and the imaginary part of O_k.
+    """
+    places, width = _bumps(shape)
+    gauss = lambda std: jnp.exp(-2 * (jnp.pi * std * f) ** 2)  # noqa: E731
+    box = 2 * shape.half_width * f
+    pilot = gauss(shape.sigma) * jnp.sinc(box * jnp.cos(shape.angle)) * jnp.sinc(box * jnp.sin(shape.angle))
+    turn, bump = 2 * jnp.pi * f * places[:, None], gauss(width)
+    tail = jnp.exp(-2 * jnp.pi * _TAIL * line_width(shape) * jnp.abs(f))
+    moved = 2 * jnp.pi * f * line_width(shape) * pilot
+    even = jnp.concatenate([bump * jnp.cos(turn), tail[None], gauss(shape.radius)[None]])
+    return Basis(pilot, even, jnp.concatenate([bump * jnp.sin(turn), moved[None]]))
+
+
+def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
+    """Return the ESF at px from the edge.
+
+    It goes from 0 on the dark side to 1 on the bright one.
+    """
+    basis = edge_basis(curve.shape, distance, jnp.zeros(()))
+    return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
+
+
+def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
+    """Return the LSF at px from the edge, 1/px."""
+    basis = line_basis(curve.shape, distance)
+    return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
+
+
+def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
+    """Return the MTF along the normal, with and without glare.
+
+    f: cycles/px. The modulus of a noisy number is too large by its noise: the noise's power is subtracted.
+    """
+    basis = transfer_basis(curve.shape, f)
+    towards = basis.even - basis.pilot
+    total = _combined(curve, basis.pilot, towards, jnp.zeros((ODD, f.size)))
+    glare, share = basis.even[GLARE], curve.even[GLARE]
+    # (M - g M_glare) / (1 - g)
+    core_value = (total.value - share * glare) / (1 - share)
+    slopes = towards.at[GLARE].set(core_value - basis.pilot) / (1 - share)
+    core = SampledCurve(core_value, _std(curve, jnp.concatenate([slopes, jnp.zeros((ODD + 1, f.size))])))
+    odd = _combined(curve, jnp.zeros(f.shape), jnp.zeros((EVEN, f.size)), basis.odd)
+    return _modulus(total, odd), _modulus(core, SampledCurve(odd.value / (1 - share), odd.std / (1 - share)))
+
+
+def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
+    """Return the lowest frequency at which an MTF is one half.
+
+    It is in cycles/px, and NaN where there is none. value: the MTF at `FREQUENCIES`. response: value and standard deviation
+    at any frequencies. The interval in which the MTF falls through one half is divided once more, so finely that a straight
+    line does for the rest.
+    """
+    below = jnp.asarray(value < 0.5).at[0].set(False)
+    i, coarse = jnp.argmax(below), jnp.asarray(FREQUENCIES)
+    grid = coarse[i - 1] + (coarse[i] - coarse[i - 1]) * jnp.linspace(0, 1, _FINE)
+    fine = response(grid)
+    k = jnp.argmax(jnp.asarray(fine.value <= 0.5).at[0].set(False))
+    before, after, width = fine.value[k - 1], fine.value[k], grid[1] - grid[0]
+    f = grid[k - 1] + width * (before - 0.5) / (before - after)
+    std = (fine.std[k - 1] + fine.std[k]) / 2 / (before - after) * width
+    return SampledCurve(jnp.where(below.any(), f, jnp.nan), jnp.where(below.any(), std, jnp.nan))
+
+
+def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
+    """Return the places of the right-hand bumps, and their width, px."""
+    s = line_width(shape)
+    return jnp.asarray(PLACES) * s, _WIDTH * s
+
+
+def _step(t: jax.Array) -> jax.Array:
+    """Return the integral of a normal density."""
+    return (1 + jax.scipy.special.erf(t / jnp.sqrt(2.0))) / 2
+
+
+def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
+    """Return a curve from its columns, with its standard deviation."""
+    columns = jnp.concatenate([even, odd, jnp.zeros((1, pilot.size))])
+    return SampledCurve(pilot + curve.even @ even + curve.odd @ odd, _std(curve, columns))
+
+
+def _std(curve: FreeCurve, columns: jax.Array) -> jax.Array:
+    """Return the standard deviation of a sum of columns."""
+    return jnp.sqrt(jnp.maximum(jnp.sum(columns * (curve.covariance @ columns), 0), 0.0))
+
+
+def _modulus(even: SampledCurve, odd: SampledCurve) -> SampledCurve:
+    """Return the modulus of a noisy complex number, without its noise."""
+    power = even.value**2 - even.std**2 + odd.value**2 - odd.std**2
+    size = jnp.sqrt(jnp.maximum(power, 0.0))
+    safe = jnp.where(size > 0, size, 1.0)
+    std = jnp.hypot(even.value * even.std, odd.value * odd.std) / safe
+    return SampledCurve(size, jnp.where(size > even.std, std, jnp.hypot(even.std, odd.std)))

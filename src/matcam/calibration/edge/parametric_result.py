@@ -1,0 +1,149 @@
+"""The parametric estimate of an edge as a result: of one edge, or of a stack of them, with standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from matcam.calibration.edge.measurement import LensFit
+from matcam.calibration.edge.profiles import LensModel
+from matcam.camera.camera import Camera
+from matcam.camera.pixel import BoxPixel
+from matcam.camera.uncertainty import Provenance, Uncertainty
+from matcam.core.jax import AnyArray, jnp
+
+_WRONG = 1e-3  # probability below which a model is called wrong
+
+Number = TypeVar("Number", float, np.ndarray)
+"""A float of one edge; an array (n,) of a stack."""
+
+
+@dataclass(frozen=True, eq=False)
+class _LensNumbers(Generic[Number]):
+    """Hold the parametric estimate of one edge, or of a stack."""
+
+    model: str
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    mtf: np.ndarray
+    mtf_std: np.ndarray
+    mtf50: Number
+    mtf50_std: Number
+    chi2: Number
+    degrees: Number
+    misfit_probability: Number
+    _lens: LensModel
+    _fitted: np.ndarray
+    _half_width: float
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricEdge(_LensNumbers[float]):
+    """Hold the maximum likelihood fit of a family of lenses.
+
+    Attributes:
+        model: name of the family (no unit).
+        names: names of the fitted parameters, as camera profiles have them: "optics.sigma_px" (no unit).
+        values: fitted parameters (k,), in the units of their names.
+        covariance: their covariance (k, k).
+        mtf: total MTF (81,) at the result's `frequency`, signed (no unit).
+        mtf_std: its standard deviation (81,).
+        mtf50: lowest frequency at which it is one half, cycles/px.
+        mtf50_std: its standard deviation, cycles/px.
+        chi2: misfit of the cells, under the noise (no unit).
+        degrees: degrees of freedom (no unit).
+        misfit_probability: how often the right model would leave as much structure in its residuals (no unit).
+    """
+
+    @property
+    def consistent(self) -> bool:
+        """Return whether the model explains the edge, at 0.1 %."""
+        return bool(self.misfit_probability > _WRONG)
+
+    @property
+    def camera(self) -> Camera:
+        """Return the fitted camera, with its covariance."""
+        return Camera(
+            self._lens.optics(jnp.asarray(self._fitted)),
+            BoxPixel(self._half_width),
+            uncertainty=Uncertainty(self.names, self.covariance),
+            provenance=Provenance(source=f"slanted edge, {self.model} model"),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fit as a JSON object.
+
+        Returns:
+            Numbers by name, units in the names.
+        """
+        return {
+            "model": self.model,
+            "mtf50_cycles_per_px": self.mtf50,
+            "mtf50_std": self.mtf50_std,
+            "parameters": dict(zip(self.names, self.values, strict=True)),
+            "covariance": self.covariance,
+            "chi2": self.chi2,
+            "degrees": self.degrees,
+            "misfit_probability": self.misfit_probability,
+            "consistent": self.consistent,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class ParametricStack(_LensNumbers[np.ndarray]):
+    """Hold the parametric estimates of a stack.
+
+    Attributes are those of `ParametricEdge`, with a leading axis of n.
+
+    Attributes:
+        model: name of the family (no unit).
+        names: names of the fitted parameters (no unit).
+    """
+
+    @property
+    def consistent(self) -> np.ndarray:
+        """Return for each edge whether the model explains it, at 0.1 % (n,)."""
+        return self.misfit_probability > _WRONG
+
+
+def parametric_stack(fit: LensFit, bad: np.ndarray, lens: LensModel, half_width: float) -> ParametricStack:
+    """Return the fits of a stack as a result.
+
+    All arrays are NumPy's. Numbers of bad edges (n,) become NaN.
+    """
+    return ParametricStack(
+        model=lens.name,
+        names=lens.names,
+        values=with_nan(fit.numbers, bad),
+        covariance=with_nan(fit.numbers_covariance, bad),
+        mtf=with_nan(fit.mtf.value, bad),
+        mtf_std=with_nan(fit.mtf.std, bad),
+        mtf50=with_nan(fit.mtf50.value, bad),
+        mtf50_std=with_nan(fit.mtf50.std, bad),
+        chi2=with_nan(fit.chi2, bad),
+        degrees=np.asarray(fit.degrees),
+        misfit_probability=with_nan(_misfit_probability(*map(np.asarray, fit.structure)), bad),
+        _lens=lens,
+        _fitted=np.asarray(fit.state.profile),
+        _half_width=half_width,
+    )
+
+
+def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
+    """Return the values of a stack (n, ...), NaN for bad edges (n,)."""
+    return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
+
+
+def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return how often a quadratic form exceeds `found`.
+
+    It is a form of normal numbers with this mean and variance, taken for a scaled chi-square (Satterthwaite 1946).
+    """
+    from scipy.special import chdtrc  # needed here only
+
+    known = (variance > 0) & (mean > 0)  # not where there was nothing to be fitted
+    mean, variance = np.where(known, mean, 1.0), np.where(known, variance, 1.0)
+    return np.where(known, chdtrc(2 * mean**2 / variance, np.maximum(found, 0.0) * 2 * mean / variance), np.nan)

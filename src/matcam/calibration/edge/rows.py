@@ -1,0 +1,173 @@
+"""Regions as the edge program takes them, and whether their edges could be measured.
+
+A region is turned so that its edge is nearer to vertical than to horizontal and its bright side lies right; nothing is
+resampled. Of a mosaic, rows hold the sites of one colour.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.calibration.edge.measurement import EdgeFits
+from matcam.calibration.photograph.region import program_size
+from matcam.core.remark import Remark
+
+_FEW_TURNS, _MANY_TURNS = 2, 8
+_ENOUGH_CYCLES = 4.0
+_LEAST_ROWS = 10
+_LEAST_CONTRAST = 3.0  # standard deviations of a pixel
+_WIDEST_GAP = 0.55  # px: sampling the edge more coarsely leaves the MTF50 of a sharp lens undetermined
+_OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # of the step, standard deviations
+_BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
+
+
+class RegionFrame(NamedTuple):
+    """Hold how regions lie in the picture: numbers, or (n,) of them.
+
+    Attributes:
+        x: px, of the region's centre.
+        y: px, of the region's centre.
+        transposed: whether rows and columns were exchanged.
+        mirrored: whether left and right were exchanged, after transposing.
+        length: px from the first row to the last.
+    """
+
+    x: np.ndarray | float
+    y: np.ndarray | float
+    transposed: np.ndarray | bool
+    mirrored: np.ndarray
+    length: np.ndarray | float
+
+    def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a vector of the turned region as it lies in the picture."""
+        x = np.where(self.mirrored, -1.0, 1.0) * x
+        return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
+
+
+class EdgeRegions(NamedTuple):
+    """Hold rows of samples of n regions.
+
+    They are turned so that edges are near to vertical, and bright on the right.
+
+    Attributes:
+        value: (n, rows, columns) linear; NaN where there is none.
+        y: (rows,) or (n, rows) px from the region's centre: the row's place.
+        start: (rows,) or (n, rows) px: that of its first sample.
+        step: px between samples.
+        frame: how the regions lie in the picture.
+        turns: how often the fits of the edge's profile and of its place take turns.
+    """
+
+    value: np.ndarray
+    y: np.ndarray
+    start: np.ndarray
+    step: int
+    frame: RegionFrame
+    turns: int
+
+
+def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
+    """Return regions (n, height, width) as rows.
+
+    Their edges lie alike: all nearer to vertical, or all nearer to horizontal. mosaic: most values are NaN because the
+    colour has no site there; n is then 1.
+    """
+    across, along = (_difference(values, axis) for axis in (2, 1))
+    height, width = values.shape[1:]
+    # the mean gradient is what opposite borders differ by
+    transposed = bool(np.abs(along).sum() * width > np.abs(across).sum() * height)
+    mirrored = (along if transposed else across) < 0
+    turned = values.swapaxes(1, 2) if transposed else values
+    if mirrored.any():
+        turned = np.where(mirrored[:, None, None], turned[:, :, ::-1], turned)
+    height, width = turned.shape[1:]
+    y, first, step = np.arange(height) - (height - 1) / 2, np.zeros(height), 1
+    if mosaic:  # of a 2 x 2 cell at most two sites, and in a row every other column
+        site = np.isfinite(turned[0])
+        odd = site[:, 1::2].mean(1) > site[:, ::2].mean(1)
+        rows, step = np.flatnonzero(site.mean(1) > 0.25), 2
+        turned = np.stack([turned[0, row, int(odd[row]) :: 2][: width // 2] for row in rows])[None]
+        y, first = y[rows], odd[rows].astype(float)
+    value = np.full((len(turned), program_size(turned.shape[1]), program_size(turned.shape[2])), np.nan)
+    value[:, : turned.shape[1], : turned.shape[2]] = turned
+    more = (0, value.shape[1] - turned.shape[1])
+    frame = RegionFrame((values.shape[2] - 1) / 2, (values.shape[1] - 1) / 2, transposed, mirrored, float(np.ptp(y)))
+    start = np.pad(first, more) - (width - 1) / 2
+    return EdgeRegions(value, np.pad(y, more), start, step, frame, _MANY_TURNS if mosaic else _FEW_TURNS)
+
+
+def turns_for(cycles: float) -> int:
+    """Return how many turns profile and place take.
+
+    cycles: how often the rows see every phase. Where that is less than a few times, profile and place come apart slowly.
+    """
+    return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
+
+
+def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) -> list[Remark | None]:
+    """Return why edges of a stack cannot be measured.
+
+    None stands for an edge that can.
+    """
+    dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
+    contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
+    blur = np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3))
+    over, least = found.overshoot.value, np.maximum(_OVERSHOOT, _SIGNIFICANT * found.overshoot.std)
+    width = region.step * (region.value.shape[2] - 1)
+    lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
+    gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve))
+
+    def refusal(i: int) -> Remark | None:
+        if lost[i]:
+            return Remark("no-edge", "no edge that crosses the region from one side to the other was found in it")
+        if contrast[i] < _LEAST_CONTRAST:
+            text = f"no edge was found in the region: its step is {contrast[i]:.1f} times the scatter about it"
+            return Remark("no-edge", text)
+        if gap[i] > _WIDEST_GAP:
+            return Remark(
+                "phases-missing",
+                f"phases are missing: an edge at {np.degrees(np.arctan(abs(found.curve[i, 1]))):.1f} degrees to the grid "
+                f"passes all pixels at the same places ({gap[i]:.2f} px apart): turn the target by a few degrees",
+            )
+        if blur[i] > _BLUR * width:
+            return Remark(
+                "too-narrow",
+                f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
+            )
+        if not accept_sharpened and over[i] > least[i]:
+            return Remark(
+                "sharpened",
+                f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
+                "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True, --accept-sharpened)",
+            )
+        return None
+
+    return [refusal(i) for i in range(len(lost))]
+
+
+def _largest_gap(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
+    """Return the widest gap between the distances of samples, px (n,).
+
+    curves: (n, 3), of each edge.
+    """
+    place = curves[:, :1] + region.y * (curves[:, 1:2] + region.y * curves[:, 2:])
+    offset = (place - region.start) / region.step
+    nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
+    there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])
+    crossed = there & (np.abs(offset - nearest) <= 0.5)
+    # rows that the edge does not cross stand beyond the last phase
+    phase = np.sort(np.where(crossed, offset % 1.0, 2.0), axis=1)
+    last = np.take_along_axis(phase, np.maximum(crossed.sum(1, keepdims=True) - 1, 0), axis=1)[:, 0]
+    steps = np.where(phase[:, 1:] < 2, np.diff(phase, axis=1), 0.0).max(axis=1)
+    widest = np.maximum(steps, phase[:, 0] + 1 - last)
+    return np.where(crossed.any(1), widest * region.step / np.hypot(1, curves[:, 1]), np.inf)
+
+
+def _difference(values: np.ndarray, axis: int) -> np.ndarray:
+    """Return the difference (n,) of the borders at both ends."""
+    last, first = (np.take(values, places, axis).reshape(len(values), -1) for places in ((-1, -2), (0, 1)))
+    if np.isfinite(values).all():
+        return last.mean(1) - first.mean(1)
+    return np.nanmean(last, 1) - np.nanmean(first, 1)
