@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.cli.options import AsJson, CameraProfile, FamilyOrAuto, Force, LampRadius, Masking, Radius, Sampling, rig_of
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -21,10 +21,7 @@ def command(
             "--metal", help="Metal (Cr, Fe, ...) whose tabulated n and k to compare with. Default: the nearest of all."
         ),
     ] = None,
-    ndf: Annotated[
-        Literal["auto", "ggx", "epd", "sgd", "beckmann", "gaussian"],
-        typer.Option("--ndf", help="Family of the lobe; auto: ggx or epd, the likelier."),
-    ] = "auto",
+    ndf: FamilyOrAuto = "auto",
     masking: Masking = "smith",
     camera: CameraProfile = None,
     radius: Radius = None,

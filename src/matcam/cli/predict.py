@@ -8,7 +8,18 @@ from typing import Annotated, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Distance, Force, Glare, GlareRadius, LampRadius, Radius, rig_of
+from matcam.cli.options import (
+    AsJson,
+    CameraProfile,
+    Distance,
+    Family,
+    Force,
+    Glare,
+    GlareRadius,
+    LampRadius,
+    Radius,
+    rig_of,
+)
 
 _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 
@@ -20,9 +31,7 @@ def command(
             help="Widths of the lobe: alpha or beta (slopes), rad for gaussian. Default: seven from 0.001 to 0.1."
         ),
     ] = None,
-    ndf: Annotated[
-        Literal["ggx", "gaussian", "beckmann", "epd", "sgd"], typer.Option("--ndf", help="Family of the lobe.")
-    ] = "ggx",
+    ndf: Family = "ggx",
     power: Annotated[
         float | None, typer.Option("--power", help="Power p of an epd or sgd lobe, which needs it (no unit).")
     ] = None,

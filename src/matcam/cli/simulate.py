@@ -13,6 +13,7 @@ from matcam.cli.options import (
     AsJson,
     CameraProfile,
     Distance,
+    Family,
     Force,
     Glare,
     GlareRadius,
@@ -39,9 +40,7 @@ def command(
     roughness: Annotated[
         float, typer.Option("--roughness", help="Width of the lobe: alpha or beta (slopes), rad for gaussian.")
     ] = 0.01,
-    ndf: Annotated[
-        Literal["ggx", "gaussian", "beckmann", "epd", "sgd"], typer.Option("--ndf", help="Family of the lobe.")
-    ] = "ggx",
+    ndf: Family = "ggx",
     power: Annotated[
         float | None, typer.Option("--power", help="Power p of an epd or sgd lobe, which needs it (no unit).")
     ] = None,

@@ -20,6 +20,7 @@ from matcam.calibration.photograph.linear_image import CHANNELS, as_photograph
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
+from matcam.camera.registry import LENSES
 from matcam.camera.uncertainty import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
@@ -30,7 +31,6 @@ from matcam.files.photographs import Photograph, open_photograph
 if TYPE_CHECKING:
     import xarray as xr
 
-MODELS = ("gaussian", "halo", "diffraction", "defocus", "measured")
 Picture = str | Path | ArrayLike | Photograph
 
 
@@ -173,7 +173,7 @@ def calibrate(
         >>> round(float(found.camera.optics.sigma), 3)
         0.6
     """
-    checks.choice("model", model, MODELS)
+    checks.choice("model", model, tuple(LENSES))
     if half_width is not None:
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     elif model != "gaussian":

@@ -21,7 +21,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import checked_table, sampling_of
 from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_data import fit_data
-from matcam.inverse.fit.fit_parameters import FRESNEL_MODELS, FresnelModel, Layout, LobeKind
+from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
@@ -29,7 +29,7 @@ from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perf
 from matcam.inverse.operator.rig_axes import LENS, free_axis, prior_axis
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
-from matcam.material.registry import FAMILIES
+from matcam.material.registry import FAMILIES, FRESNEL_MODELS
 from matcam.rigs import Rig
 
 CameraParameters = Literal["fixed", "prior", "free"]
@@ -88,7 +88,7 @@ class FitSetup:
         if len({sampling_of(table) for table in tables}) > 1:
             raise ArgumentError("tables that are fitted together must have the same attrs['sampling']")
         checks.choice("ndf", self.ndf, tuple(FAMILIES))
-        checks.choice("fresnel", self.fresnel, FRESNEL_MODELS)
+        checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
         if type(self.every) is not int or not 1 <= self.every <= 30:
             raise ArgumentError(f"every must be a whole number in [1, 30], got {self.every!r}")
