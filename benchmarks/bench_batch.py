@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from matcam import read_netcdf
 from matcam.core.json import read_json
+from matcam.io import read_netcdf
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 NOT_MATERIALS = {"settings", "failed", "camera"}

@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from matcam import GGX, Camera, GaussianOptics, Microfacet, Rig, Sphere, picture, picture_values
+from matcam import GGX, Camera, GaussianOptics, Microfacet, Rig, Sphere, picture
+from matcam.forward import picture_values
 
 SIDE, RADIUS, SIGMA, HALF, LAMP, ASKED, ROUNDS = 512, 240.0, 0.5, 0.5, np.pi / 3, 1e-3, 3
 NEIGHBOURS = 4  # pixels to either side that the kernel reaches

@@ -11,7 +11,8 @@ import time
 import galsim
 import numpy as np
 
-from matcam import Camera, GaussianOptics, highlight_stamps
+from matcam import Camera, GaussianOptics
+from matcam.forward import highlight_stamps
 
 STAMPS, SIZE, SIGMA, DRAWN, CHECKED, ROUNDS = 10_000, 16, 0.5, 200, 60, 9
 TIGHT = galsim.GSParams(

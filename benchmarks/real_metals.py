@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from matcam import fit, fresnel_conductor, metal, metal_sources, read_merl, rigs, rivals
+from matcam import fit, fresnel_conductor, metal, read_merl, rigs, rivals
+from matcam.material import metals
 
 MATERIALS = {"chrome": "Cr", "steel": "Fe", "ss440": "Fe", "tungsten-carbide": "W", "nickel": "Ni", "brass": "brass"}
 WAVELENGTH = 550e-9
@@ -39,7 +40,7 @@ def main() -> None:
                 at = np.interp(np.radians([69.5, 75.5, 81.5]), theta, f)
                 judged = (theta > np.radians(15)) & (theta < np.radians(82))
                 rms = {}
-                for source in metal_sources(element):
+                for source in metals()[element]:
                     try:
                         n, k, _ = metal(element, WAVELENGTH, source)
                     except ValueError:
@@ -53,7 +54,7 @@ def main() -> None:
                     f"{np.round(at, 3).tolist()} | { {k: round(v, 3) for k, v in rms.items()} }",
                     flush=True,
                 )
-        free = fit(table, rigs.merl(), "epd", fresnel="free", diffuse=True, camera="free", every=EVERY)
+        free = fit(table, rigs.merl(), "epd", fresnel="free", diffuse=True, camera_parameters="free", every=EVERY)
         lens = free.params["optics.sigma_px"], free.std["optics.sigma_px"]
         print(
             f"{name} | lens free | sigma_mtf {lens[0]:.3f} +- {lens[1]:.3f} px, noise {free.noise.relative:.3f}",

@@ -94,7 +94,7 @@ def test_lenses():
 
 def test_area_of_the_papers_kernel_and_its_solid_angle():
     one = quad(lambda u: kernel(u, 0.5, 0.5) ** 2, -8, 8)[0]
-    found = matcam.receiver(matcam.rigs.merl())
+    found = matcam.exchange.solid_angles(matcam.rigs.merl())
     assert 1 / one**2 == pytest.approx(4.23, abs=0.005)
     assert found["kernel_area_px2"] == pytest.approx(1 / one**2, rel=1e-3)
     assert found["equivalent_receiver_sr"] == pytest.approx(4 / one**2 / 256**2, rel=1e-3)
@@ -367,7 +367,7 @@ def test_coltmans_series_is_the_inverse_of_a_square_wave():
     series = np.pi / 4 * (contrast(f) + contrast(3 * f) / 3 - contrast(5 * f) / 5 + contrast(7 * f) / 7)
     assert series == pytest.approx(mtf(f), rel=1e-9)
     dense = np.arange(1, 150) * 0.014
-    assert matcam.coltman(dense, contrast(dense))[14] == pytest.approx(mtf(dense[14]), abs=2e-3)
+    assert matcam.targets.coltman(dense, contrast(dense))[14] == pytest.approx(mtf(dense[14]), abs=2e-3)
 
 
 def test_inverse_root_with_a_picture_gain():

@@ -27,14 +27,33 @@ _POINTS_PER_PX = 31  # odd, so that the peak itself is among them
 def peak_eq11(
     sigma: ArrayLike, sigma_mtf: ArrayLike, sigma_p: ArrayLike, radius: ArrayLike, theta: ArrayLike
 ) -> jax.Array:
-    """Equations (10) and (11) as printed: erf((sigma_p / radius) / (sqrt2 sigma_m)),
-    sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2). Arguments broadcast.
+    """Return the paper's equation (11) as printed: recorded peak over true peak.
 
-    sigma: width of the lobe, rad. sigma_mtf: std of the optics, px. sigma_p: half width of a pixel, px. radius: of
-    the sphere's picture, px. theta: rad, [0, pi/2).
+    erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2), equation (10).
+    Arguments broadcast.
 
-    For reproducing Figure 5 only: it starts from a lobe of unit area and forgets that a pixel seen as an angle is
-    sigma_p / (radius cos theta) wide (MODEL 4). Use `peak_response`.
+    Use it to reproduce Figure 5 only, and `peak_response` for everything else. The equation starts from a lobe of unit area
+    and forgets that a pixel seen as an angle is sigma_p / (radius cos theta) wide (docs/model.md 4).
+
+    Args:
+        sigma: width of the lobe, rad, positive.
+        sigma_mtf: standard deviation of the optics, px, positive.
+        sigma_p: half width of a pixel, px, positive.
+        radius: of the sphere's picture, px, positive.
+        theta: angle between normal and view at the highlight, rad, [0, pi/2).
+
+    Returns:
+        Recorded peak over true peak, no unit, shape of the broadcast arguments.
+
+    Raises:
+        ArgumentError: an argument is out of range.
+
+    Source:
+        Holzschuch & Pacanowski (2017), (10) and (11).
+
+    Example:
+        >>> round(float(matcam.paper.peak_eq11(0.002, 0.5, 0.5, 256.0, 0.0)), 4)
+        0.5152
     """
     sigma = checks.positive("sigma", sigma, "rad")
     sigma_mtf = checks.positive("sigma_mtf", sigma_mtf, "px")
@@ -46,10 +65,26 @@ def peak_eq11(
 
 
 def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
-    """Figures 3 (ratio 10) and 4 (ratio 1): a Gaussian highlight of std ratio sigma_mtf / radius, as it arrives on the
-    sensor, after the optics, and as the pixels record it, across the plane of camera and lamp at several theta_o.
+    """Compute the paper's Figure 3 (ratio 10) or 4 (ratio 1).
 
-    Dataset over (theta_o, x): signal, after_optics, recorded (of the pixel that x lies in). x: px from the peak.
+    A Gaussian highlight of standard deviation ratio sigma_mtf / radius is shown as it arrives on the sensor, after the
+    optics, and as the pixels record it, across the plane of camera and lamp at several theta_o.
+
+    Args:
+        ratio: width of the lobe over sigma_mtf / radius, no unit.
+        rig: the paper's kind of rig: Gaussian optics and a sphere. None: `rigs.merl()`.
+
+    Returns:
+        Dataset over (theta_o, x) of the signals over the true peak, no unit: `signal`, `after_optics`, and `recorded` by the
+        pixel that x lies in. x is the distance from the peak, px.
+
+    Source:
+        Holzschuch & Pacanowski (2017), Figures 3 and 4.
+
+    Example:
+        >>> figure = matcam.paper.figure_3_4(1.0)
+        >>> bool(figure["recorded"].max() < figure["after_optics"].max() < figure["signal"].max())
+        True
     """
     rig = rig or merl()
     sigma, half_width, radius = _gaussian_numbers(rig)
@@ -76,9 +111,24 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
 
 
 def figure_5(rig: Rig | None = None) -> xr.Dataset:
-    """Figure 5: loss at the peak relative to theta = 0, against theta, for lobes of width ratio sigma_mtf / radius.
+    """Compute the paper's Figure 5: the loss at the peak against theta.
 
-    Dataset over (ratio, theta): loss (MODEL 4's a(s)), loss_printed (equation (11)); over theta: cosine.
+    The loss is relative to theta = 0, for lobes of several widths.
+
+    Args:
+        rig: the paper's kind of rig: Gaussian optics and a sphere. None: `rigs.merl()`.
+
+    Returns:
+        Dataset over (ratio, theta): `loss` by docs/model.md 4 and `loss_printed` by equation (11), no unit; and over theta:
+        `cosine`. `ratio` is the width of the lobe over sigma_mtf / radius.
+
+    Source:
+        Holzschuch & Pacanowski (2017), Figure 5.
+
+    Example:
+        >>> figure = matcam.paper.figure_5()
+        >>> figure["loss"].sel(ratio=0.01).isel(theta=0).item()
+        1.0
     """
     rig = rig or merl()
     sigma, half_width, radius = _gaussian_numbers(rig)
@@ -98,6 +148,6 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
 
 
 def _gaussian_numbers(rig: Rig) -> tuple[float, float, float]:
-    """(sigma_mtf, sigma_p, radius) of a rig of the paper's kind."""
+    """Return (sigma_mtf, sigma_p, radius) of a rig of the paper's kind."""
     sigma = rig.camera.parameters()["optics.sigma_px"]
     return float(sigma), float(rig.camera.pixel.half_width), float(rig.sample.radius)  # type: ignore[attr-defined]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import numpy as np
@@ -19,22 +19,42 @@ from matcam.sample.shape import Curved, Sample
 from matcam.sample.sphere import Sphere
 
 CellValue = Literal["centre", "edge", "mean"]
-CELL_VALUES: tuple[CellValue, ...] = ("centre", "edge", "mean")
-"""What a cell of a table stands for: the pixel at its centre, the one at its edge, the mean of the pixels inside. At a
-sharp peak these differ by up to 45 % (MODEL 3)."""
+CELL_VALUES: tuple[CellValue, ...] = get_args(CellValue)
+"""Meaning of a table's cell: the pixel at its centre, the one at its edge, or the mean of the pixels inside. At a sharp peak
+these differ by up to 45 % (docs/model.md 3)."""
 
 
 class Rig(eqx.Module):
-    """A set-up that measures a material by photographing it.
+    """Combine camera, sample and lamp to a rig.
 
-    camera: `Camera`. sample: `Sphere`, `Cylinder` or `Flat`. lamp_radius: angular radius of the lamp's disc seen from
-    the sample, rad; 0 is a point.
+    A rig measures a material by photographing it.
 
-    jitter: standard deviation of the pictures' registration, px. aperture: diameter of the lens's entrance pupil over
-    its distance from the sample; 0 is a pinhole's depth of field. focus: angle from the optical axis, rad, of the normals
-    that are in focus; 0 is the point of the sample closest to the camera. crop: (height, width) of the part of the
-    sensor that is used, px, about the optical axis; None: all that the sample needs. cell_value: "centre", "edge" or
-    "mean": what a cell of the recorded table stands for.
+    Args:
+        camera: the camera, with its uncertainty where that is known.
+        sample: the shape that is photographed: `Sphere`, `Cylinder` or `Flat`.
+        lamp_radius: angular radius of the lamp's disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
+        jitter: standard deviation of the pictures' registration, px, [0, 10]. Default: 0. Raise it where several exposures
+            are merged or the rig shakes.
+        aperture: diameter of the lens's entrance pupil over its distance from the sample, no unit, [0, 1]. Default: 0, a
+            pinhole's depth of field.
+        focus: angle from the optical axis of the normals that are in focus, rad, [0, pi/2]. Default: 0, the point of the
+            sample closest to the camera.
+        crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: all that the sample
+            needs.
+        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there, or "mean", that of the
+            pixels inside. Default: "centre".
+
+    Raises:
+        ArgumentError: a part is of the wrong kind, or a parameter is out of range.
+
+    Source:
+        Holzschuch & Pacanowski (2017), section 3; docs/model.md 3.
+
+    Example:
+        >>> camera = matcam.Camera(matcam.GaussianOptics(0.5))
+        >>> rig = matcam.Rig(camera, matcam.Sphere(400.0), lamp_radius=0.004)
+        >>> float(rig.sample.radius)
+        400.0
     """
 
     camera: Camera
@@ -76,14 +96,23 @@ class Rig(eqx.Module):
         self.cell_value = checks.choice("cell_value", cell_value, CELL_VALUES)
 
     def lamp_spread(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Standard deviation of the half vector's spread over the lamp's disc, rad, as the normal's angle in the plane
-        of camera and lamp and across it, at difference angle theta_d (MODEL 3)."""
+        """Return the spread of the half vector over the lamp's disc, rad.
+
+        Args:
+            theta_d: difference angle, rad, any shape.
+
+        Returns:
+            Standard deviations of the normal's angle in the plane of camera and lamp, and across it (docs/model.md 3).
+        """
         quarter = self.lamp_radius / 4
         return quarter + jnp.zeros_like(theta_d), quarter / jnp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
-        """What a picture's sidecar has to say of the rig, as plain numbers: sections camera, sample, blur, and the lamp's
-        radius, units in the names."""
+        """Return the rig as plain numbers, as a picture's sidecar holds it.
+
+        Returns:
+            Sections "camera", "sample" and "blur", and the lamp's radius; units stand in the names.
+        """
         sample: dict[str, Any] = {"kind": type(self.sample).__name__.lower()}
         if isinstance(self.sample, Curved):
             distance = None if self.sample.distant else float(self.sample.distance)
@@ -111,7 +140,19 @@ class Rig(eqx.Module):
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
-    """A picture's (height, width): two whole numbers in [1, 65535]."""
+    """Check a picture's (height, width).
+
+    Args:
+        name: of the argument, for the message.
+        shape: two whole numbers in [1, 65535], px.
+
+    Raises:
+        ArgumentError: it is something else.
+
+    Example:
+        >>> matcam.rigs.picture_shape("crop", (480, 640))
+        (480, 640)
+    """
     if (
         not isinstance(shape, tuple | list)
         or len(shape) != 2
@@ -124,10 +165,22 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def merl() -> Rig:
-    """The rig of the MERL database as Holzschuch & Pacanowski (2017), section 4, reconstruct it.
+    """Return the rig of the MERL database, as the paper reconstructs it.
 
-    QImaging Retiga 1300, sphere over half the picture's height: limb of radius 256 px; pixels of 100 % fill; optics
-    blur sigma_mtf = half a pixel. That last number is the paper's guess; its uncertainty is unknown, so none is stated.
+    It has a QImaging Retiga 1300 and a sphere over half the picture's height: a limb of radius 256 px. Pixels have 100 %
+    fill, and the optics blur by sigma_mtf = half a pixel. That blur is the paper's guess; its uncertainty is unknown, so none
+    is stated.
+
+    Returns:
+        The rig; replace its parts to describe another.
+
+    Source:
+        Holzschuch & Pacanowski (2017), section 4; docs/model.md 5.
+
+    Example:
+        >>> rig = matcam.rigs.merl()
+        >>> float(rig.sample.radius), float(rig.camera.optics.sigma)
+        (256.0, 0.5)
     """
     source = "Holzschuch & Pacanowski 2017, section 4; sigma_mtf = sigma_p is their guess"
     camera = Camera(GaussianOptics(0.5), BoxPixel(0.5), provenance=Provenance(source=source))

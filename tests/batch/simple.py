@@ -38,13 +38,13 @@ def brighter(table, rig, options):
     )
     summary = {
         "ndf": "ggx", "params": {"alpha": 0.01, "diffuse[R]": 0.1}, "std": {"alpha": 1e-4, "diffuse[R]": float("nan")},
-        "half_width_rad": float(np.nanmean(table.values[0])), "half_width_std_rad": 1e-4, "determined": True,
-        "noise": {"relative": 0.01, "floor": 1e-4, "gain": 0.01}, "misfit": 1.0, "log_likelihood": 0.0,
+        "hwhm_rad": float(np.nanmean(table.values[0])), "hwhm_std_rad": 1e-4, "determined": True,
+        "noise": {"relative": 0.01, "floor": 1e-4, "picture_gain": 0.01}, "misfit": 1.0, "log_likelihood": 0.0,
         "degrees_of_freedom": 10, "remarks": [],
     }  # fmt: skip
     document = {
         "camera": rig.camera.profile(), "fit": summary, "doubts": {}, "glare": options.glare,
-        "shape": {"strength": 0.0, "b": []}, "supported_share": 1.0, "peak_gain_75": GAIN,
+        "shape": {"scale": 0.0, "b": []}, "determination": "determined", "supported_share": 1.0, "peak_gain_75": GAIN,
         "peak_lost": {"5": 0.1, "45": None, "75": 1 - 1 / GAIN}, "verdict": "Well determined.",
         "remarks": [],
     }  # fmt: skip

@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from matcam import read_merl, read_netcdf
+from matcam import read_merl
+from matcam.io import read_netcdf
 
 pytestmark = pytest.mark.slow
 

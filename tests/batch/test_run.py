@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from matcam import Cylinder, Rig, read_merl, read_netcdf, rigs
+from matcam import Cylinder, Rig, read_merl, rigs
 from matcam.batch import job, run
 from matcam.batch.executors.processes import ProcessExecutor, WorkerError
 from matcam.batch.folder import RunFolder
@@ -27,6 +27,7 @@ from matcam.batch.recipe import Options, Recipe
 from matcam.batch.run import correct_all
 from matcam.cli.app import app
 from matcam.core.errors import ArgumentError, OutputError
+from matcam.io import read_netcdf
 from tests.batch import simple
 from tests.batch.tables import write_database, write_table
 from tests.conftest import REPOSITORY

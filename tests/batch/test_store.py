@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import read_netcdf, rigs
+from matcam import rigs
 from matcam.batch.run import correct_all
 from matcam.core.errors import OutputError
+from matcam.io import read_netcdf
 from tests.batch import simple
 from tests.batch.tables import write_database
 

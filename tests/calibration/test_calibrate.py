@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from matcam import Camera, LinearImage, MTFSamples, calibrate
+from matcam import Camera, LinearImage, calibrate
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
+from matcam.targets import MTFSamples
 from tests.oracle import slanted_edge, slanted_squares
 
 F = np.linspace(0.02, 0.5, 25)

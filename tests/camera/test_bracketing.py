@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from matcam import Sensor, expose_bracket, merge_bracket
+from matcam import Sensor
+from matcam.camera import expose_bracket, merge_bracket
 from matcam.core.errors import ArgumentError
 
 EXPOSURES, TIMES = (50.0, 1000.0, 20_000.0), (0.01, 0.2, 4.0)

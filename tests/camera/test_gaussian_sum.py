@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from matcam import BoxPixel, Camera, DefocusOptics, DiffractionOptics, GaussianOptics, HaloOptics, MeasuredOptics
-from matcam.camera.optics.gaussian_sum import gaussian_sum
+from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax
 

@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 import matcam
-from matcam import (
-    BoxPixel,
-    Camera,
-    DiffractionOptics,
-    GaussianOptics,
-    MeasuredOptics,
-    Provenance,
-    Uncertainty,
-    WindowedGaussianPixel,
-)
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, MeasuredOptics, WindowedGaussianPixel
+from matcam.camera import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError
 
 

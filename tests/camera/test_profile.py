@@ -13,11 +13,10 @@ from matcam import (
     GaussianOptics,
     HaloOptics,
     MeasuredOptics,
-    Provenance,
     Sensor,
-    Uncertainty,
     WindowedGaussianPixel,
 )
+from matcam.camera import Provenance, Uncertainty
 from matcam.camera import profile as profile_schema
 from matcam.core.errors import FileFormatError, OutputError
 from tests.conftest import REPOSITORY

@@ -41,10 +41,10 @@ def test_page_and_description(chart, tmp_path, suffix, start):
         (("moon",), "kinds must be one of"),
         (("-o", "chart.bmp"), "must end in"),
         (("--page", "a9"), "'a9' is not one of"),
-        (("--size", 1, 1), "page must lie in"),
+        (("--size", 1, 1), "--size must lie in"),
         (("-o", "chart.png", "--dpi", 9000), "million pixels"),
-        (("-o", "chart.png", "--dpi", "nan"), "dpi must lie in"),
-        (("--pixels", 300), "more pixels_across"),
+        (("-o", "chart.png", "--dpi", "nan"), "--dpi must lie in"),
+        (("--pixels", 300), "more --pixels"),
     ],
 )
 def test_refusals_leave_nothing_behind(chart, tmp_path, arguments, words):

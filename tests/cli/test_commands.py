@@ -2,17 +2,16 @@
 
 import json
 import os
-import signal
 import struct
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, Uncertainty, write_merl
+from matcam import BoxPixel, Camera, GaussianOptics, write_merl
+from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from tests.oracle import epd_peak, merl_lobe
 
@@ -163,83 +162,97 @@ def test_data_merl_lists_and_refuses(matcam, tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def bad_calls(folder, measured):
-    (folder / "short.binary").write_bytes(struct.pack("<3i", 90, 90, 180))
-    (folder / "foreign.binary").write_bytes(b"GIF89a" * 10)
-    (folder / "camera.json").write_text('{"format": "matcam camera profile", "version": 9}')
-    (folder / "file").write_text("x")
-    (folder / "folder.png").mkdir()
-    (folder / "old-fresnel.png").write_text("precious")
-    (folder / "same.binary").write_bytes(measured.read_bytes())
-    return [
-        (("fresnel", "short.binary"), "truncated: 12 bytes"),
-        (("fresnel", "foreign.binary"), "not a MERL file"),
-        (("fresnel", "none.binary"), "no such file"),
-        (("fresnel", measured, "--camera", "camera.json"), "version 9 is unknown"),
-        (("fresnel", measured, "--metal", "Chromium"), "unknown metal 'Chromium'"),
-        (("fresnel", measured, "-o", "folder.png"), "is a folder"),
-        (("fresnel", measured, "-o", "file/a.png"), "is a file, not a folder"),
-        (("fresnel", measured, "-o", "old-fresnel.png"), "use --force"),
-        (("fresnel", measured, "-o", "a.bmp"), "must end in"),
-        (("fresnel", "same.binary", "-o", "same.binary", "--force"), "is the input itself"),
-        (("fresnel", measured, "--normalise", "50", "20"), "normalise must be"),
-        (("fresnel", measured, "--ndf", "phong"), "'phong' is not one of"),
-        (("fresnel",), "Missing argument 'file'"),
-        (("predict", "-1"), "No such option: -1"),
-        (("predict", "--ndf", "epd"), "power must be given for epd"),
-        (("predict", "--power", "1"), "power belongs to epd and sgd, not to ggx, got 1"),
-        (("predict", "1e-7", "--ndf", "epd", "--power", "1"), "must lie in [0.004, 7000]"),
-        (("predict", "0"), "alpha must lie in (0, 1], got 0"),
-        (("predict", "--radius", "-3"), "radius must lie in"),
-        (("predict", "--lamp", "80"), "lamp_radius must lie in"),
-        (("inspect", "file"), "none of what matcam reads"),
-        (("figures", "short.binary"), "truncated"),
-        (("frensel",), "No such command 'frensel'"),
-        (("figures", "same.binary", measured.parent / "same.binary"), "two files of one name"),
-    ]
+@pytest.fixture
+def bad_files(measured, tmp_path):
+    """Files and folders that must not be read or replaced; `tmp_path` is where commands run."""
+    (tmp_path / "short.binary").write_bytes(struct.pack("<3i", 90, 90, 180))
+    (tmp_path / "foreign.binary").write_bytes(b"GIF89a" * 10)
+    (tmp_path / "camera.json").write_text('{"format": "matcam camera profile", "version": 9}')
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "old-fresnel.png").write_text("precious")
+    (tmp_path / "same.binary").write_bytes(measured.read_bytes())
+    return {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("number", range(24))
-def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, tmp_path, number):
-    calls = bad_calls(tmp_path, measured)
-    assert len(calls) == 24
-    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    arguments, words = calls[number]
-    result = matcam(*arguments, code=2)
+# MEASURED and SAME stand for tables elsewhere
+BAD = [
+    ("fresnel short.binary", "truncated: 12 bytes"),
+    ("fresnel foreign.binary", "not a MERL file"),
+    ("fresnel none.binary", "no such file"),
+    ("fresnel MEASURED --camera camera.json", "version 9 is unknown"),
+    ("fresnel MEASURED --metal Chromium", "unknown metal 'Chromium'"),
+    ("fresnel MEASURED -o folder.png", "is a folder"),
+    ("fresnel MEASURED -o file/a.png", "is a file, not a folder"),
+    ("fresnel MEASURED -o old-fresnel.png", "use --force"),
+    ("fresnel MEASURED -o a.bmp", "must end in"),
+    ("fresnel same.binary -o same.binary --force", "is the input itself"),
+    ("fresnel MEASURED --normalise 50 20", "--normalise must be"),
+    ("fresnel MEASURED --ndf phong", "'phong' is not one of"),
+    ("fresnel", "Missing argument 'file'"),
+    ("predict -1", "No such option: -1"),
+    ("predict --ndf epd", "--power must be given for epd"),
+    ("predict --power 1", "--power belongs to epd and sgd, not to ggx, got 1"),
+    ("predict 1e-7 --ndf epd --power 1", "must lie in [0.004, 7000]"),
+    ("predict 0", "alpha must lie in (0, 1], got 0"),
+    ("predict --radius -3", "--radius must lie in"),
+    ("predict --lamp 80", "--lamp must lie in"),
+    ("inspect file", "none of what matcam reads"),
+    ("figures short.binary", "truncated"),
+    ("frensel", "No such command 'frensel'"),
+    ("figures same.binary SAME", "two files of one name"),
+]
+
+
+@pytest.mark.parametrize(("line", "words"), BAD, ids=[line for line, _ in BAD])
+def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, bad_files, tmp_path, line, words):
+    named = {"MEASURED": measured, "SAME": measured.parent / "same.binary"}
+    result = matcam(*(named.get(word, word) for word in line.split()), code=2)
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("matcam: ")
     assert words in lines[0]
-    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == bad_files
 
 
-@pytest.mark.parametrize(
-    "delay", [0.3, pytest.param(1.0, marks=pytest.mark.slow), 1.8, pytest.param(2.6, marks=pytest.mark.slow)]
-)
-def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, tmp_path, delay):
-    command = [sys.executable, "-m", "matcam", "fresnel", str(measured)]
-    with subprocess.Popen(
-        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        time.sleep(delay)
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
-    # killed while Python itself was still starting: a shell reports that as 130 too
-    assert process.returncode in (130, 0, -signal.SIGINT)
-    left = sorted(p.name for p in tmp_path.iterdir())
-    if process.returncode == 130:
-        assert "interrupted" in errors
-        assert "Traceback" not in errors
+_INTERRUPTED = """
+import signal, sys
+from matcam.cli import main
+
+def interrupt(*arguments, **options):
+    signal.raise_signal(signal.SIGINT)
+
+def write_half(frame, path, **options):
+    path.write_text("half")
+    interrupt()
+
+{place}
+main(sys.argv[1:])
+"""
+INTERRUPTIONS = {
+    "loading": ("import typer; typer.Typer = interrupt", []),
+    "fitting": ("import matcam.inverse.fresnel_term as module; module.fresnel = interrupt", []),
+    "writing": ("import pandas; pandas.DataFrame.to_csv = write_half", ["chromium-fresnel.nc"]),
+}
+
+
+@pytest.mark.parametrize(("place", "left"), INTERRUPTIONS.values(), ids=list(INTERRUPTIONS))
+def test_interruption_is_130_and_leaves_no_partial_file(environment, measured, tmp_path, place, left):
+    """Ctrl-C while the command is loaded, while it fits, and while it writes its second file."""
+    command = [sys.executable, "-c", _INTERRUPTED.format(place=place), "fresnel", measured, "--every", "30"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 130, done.stderr
+    assert "interrupted" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == left
     for name in left:  # whatever stands there is whole
-        assert name in ("chromium-fresnel.csv", "chromium-fresnel.nc", "chromium-fresnel.png")
-        if name.endswith(".nc"):
-            with xr.open_dataset(tmp_path / name) as data:
-                assert "corrected" in data
+        with xr.open_dataset(tmp_path / name) as data:
+            assert "corrected" in data
 
 
 def test_a_fault_of_ours_is_code_70_with_traceback(environment, tmp_path):
     code = (
-        "import sys, matcam.cli as c, matcam.files.recognition as i\n"
+        "import sys, matcam.cli as c, matcam.files.formats as i\n"
         "def broken(path): raise ZeroDivisionError('oops')\n"
         "i.identify = broken\nsys.exit(c._run(['inspect', 'x']))"
     )

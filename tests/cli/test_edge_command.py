@@ -64,13 +64,13 @@ BAD = [
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
     (("cut.tif",), "more than its 3000 bytes can hold: damaged"),
-    (("chart.tif", "--roi", 100, 0, 80, 160), "roi must lie inside the picture of 150 x 200 px"),
+    (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the picture of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),
-    (("chart.tif", *ROI, "--model", "defocus"), "wavelength must be given for the defocus model"),
+    (("chart.tif", *ROI, "--model", "defocus"), "--wavelength must be given for the defocus model"),
     (("chart.tif", *ROI, "--model", "lens"), "'lens' is not one of"),
     (("chart.tif", *ROI, "--channel", "R"), "asks for a colour of a grey image"),
-    (("chart.tif", *ROI, "--half-width", 0.7), "half_width must lie in (0, 0.5] px"),
+    (("chart.tif", *ROI, "--half-width", 0.7), "--half-width must lie in (0, 0.5] px"),
     (("chart.tif", *ROI, "-o", "chart.tif"), "is the input itself"),
     (("chart.tif", *ROI, "-o", "a.bmp"), "must end in"),
     (("flat.tif",), "all one value"),
@@ -78,15 +78,14 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize("number", range(len(BAD)))
-def test_bad_input_is_one_line_code_2_and_nothing_written(photograph, tmp_path, monkeypatch, capsys, number):
+@pytest.mark.parametrize(("arguments", "words"), BAD, ids=[words for _, words in BAD])
+def test_bad_input_is_one_line_code_2_and_nothing_written(photograph, tmp_path, monkeypatch, capsys, arguments, words):
     (tmp_path / "text.tif").write_text("not a picture")
     (tmp_path / "cut.tif").write_bytes(photograph.read_bytes()[:3000])
     tifffile.imwrite(tmp_path / "flat.tif", np.full((50, 50), 9, np.uint8))
     white = np.where(np.arange(50) > 25, 255, 40 + np.arange(50) % 3).astype(np.uint8)
     tifffile.imwrite(tmp_path / "white.tif", np.tile(white, (50, 1)))
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    arguments, words = BAD[number]
     monkeypatch.chdir(tmp_path)
     # the user's own cache of compiled functions is not for tests
     monkeypatch.setattr("matcam.core.jax.use_compilation_cache", lambda: None)

@@ -7,7 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from matcam import read_exr, read_float_tiff, read_merl, read_sidecar, sidecar_path
+from matcam import read_merl
+from matcam.io import read_exr, read_float_tiff, read_sidecar, sidecar_path
 
 
 def run(*arguments, cwd):
@@ -55,13 +56,13 @@ def test_a_table_in_the_format_of_merl(tmp_path):
     [
         (("-o", "a.png"), "must end in one of"),
         (("-o", "a.exr", "--roughness", -1), "alpha must lie in"),
-        (("-o", "a.exr", "--radius", 0), "radius must lie in"),
-        (("-o", "a.exr", "--radius", 0.3), "radius must exceed the camera's blur"),
-        (("-o", "a.exr", "--distance", 0.5), "distance must lie in"),
+        (("-o", "a.exr", "--radius", 0), "--radius must lie in"),
+        (("-o", "a.exr", "--radius", 0.3), "--radius must exceed the camera's blur"),
+        (("-o", "a.exr", "--distance", 0.5), "--distance must lie in"),
         (("-o", "a.exr", "--lamp-angle", 200), "behind the sample"),
         (("-o", "a.exr", "--metal", "Unobtainium"), "Unobtainium"),
         (("-o", "a.exr", "--exposure", 100), "camera with a sensor"),
-        (("-o", "a.exr", "--size", 0, 5), "shape must be (height, width)"),
+        (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),
         (("-o", "a.binary", "--sample", "cylinder"), "not a Cylinder"),
         (("-o", "a.binary", "--preview", "a.png"), "--preview shows a picture"),
         (("absent.binary", "-o", "a.exr"), "absent.binary"),

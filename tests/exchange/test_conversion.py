@@ -6,31 +6,22 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import (
-    GGX,
-    Adaptive,
-    Conductor,
-    Flat,
-    Microfacet,
-    Rig,
-    adaptive_grid,
-    convert,
-    measure,
+from matcam import GGX, Conductor, Flat, Microfacet, Rig, convert, measure, read_merl, rigs, write_merl
+from matcam.cli import _run
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.exchange import adaptive_grid
+from matcam.io import (
     read_exr,
     read_float_tiff,
-    read_merl,
     read_rgl,
     read_sidecar,
-    rigs,
     write_exr,
     write_float_tiff,
-    write_merl,
     write_netcdf,
     write_rgl,
     write_sidecar,
 )
-from matcam.cli import _run
-from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.material import Adaptive
 
 
 @pytest.fixture(scope="module")

@@ -4,24 +4,12 @@ import mitsuba
 import numpy as np
 import pytest
 
-from matcam import (
-    GGX,
-    Adaptive,
-    AnisotropicGGX,
-    Conductor,
-    Flat,
-    GaussianOptics,
-    Microfacet,
-    Rig,
-    Tabulated,
-    adaptive_grid,
-    measure,
-    read_merl,
-    rigs,
-    write_rgl,
-)
+from matcam import GGX, Conductor, Flat, GaussianOptics, Microfacet, Rig, measure, read_merl, rigs
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import brdf_table
+from matcam.exchange import adaptive_grid
+from matcam.io import write_rgl
+from matcam.material import Adaptive, AnisotropicGGX, Tabulated
 from tests.material.test_adaptive import directions, outgoing
 from tests.oracle import measured_bsdf
 

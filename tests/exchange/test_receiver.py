@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, metadata, rigs, solid_angles
+from matcam import BoxPixel, Camera, Cylinder, Flat, GaussianOptics, Rig, Sphere, rigs
 from matcam.core.errors import ArgumentError
+from matcam.exchange import metadata, solid_angles
 from matcam.exchange.receiver import effective_area
 
 
 @pytest.mark.parametrize(("sigma", "half"), [(0.1, 0.5), (0.5, 0.5), (0.5, 0.35), (2.0, 0.5)])
 def test_area_of_the_kernel(sigma, half):
-    """1 / integral of k^2, in space; k is the product of two erf differences (MODEL 2)."""
+    """1 / integral of k^2, in space; k is the product of two erf differences (docs/model.md 2)."""
     x = np.linspace(-8 * sigma - 1, 8 * sigma + 1, 200_001)
     k = (erf((x + half) / (np.sqrt(2) * sigma)) - erf((x - half) / (np.sqrt(2) * sigma))) / (4 * half)
     expected = np.trapezoid(k**2, x) ** -2

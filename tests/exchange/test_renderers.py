@@ -6,21 +6,11 @@ import mitsuba
 import numpy as np
 import pytest
 
-from matcam import (
-    EPD,
-    GGX,
-    AnisotropicGGX,
-    Beckmann,
-    Conductor,
-    Dielectric,
-    Microfacet,
-    Schlick,
-    Tabulated,
-    mitsuba_material,
-    pbrt_material,
-)
+from matcam import EPD, GGX, Beckmann, Conductor, Dielectric, Microfacet, Schlick
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, brdf_table
+from matcam.exchange import mitsuba_material, pbrt_material
+from matcam.material import AnisotropicGGX, Tabulated
 from tests.material.test_adaptive import directions, outgoing
 
 METAL = Conductor([0.2, 1.1, 3.0], [3.0, 2.0, 4.0])

@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from matcam import GGX, Microfacet, adaptive_grid, read_exr, rendered_sphere, write_exr, write_rgl
+from matcam import GGX, Microfacet
 from matcam.cli import _run
 from matcam.core.errors import ArgumentError
+from matcam.exchange import adaptive_grid, rendered_sphere
+from matcam.io import read_exr, write_exr, write_rgl
 
 WHITE = Microfacet(GGX(0.3), 0.0, 1.0)
 

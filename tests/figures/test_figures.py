@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from matcam import GGX, Camera, GaussianOptics, MTFSamples, edge_mtf, fresnel, paper, rigs, tabulated_fresnel
+from matcam import GGX, Camera, GaussianOptics, edge_mtf, fresnel, paper, rigs
 from matcam.core.errors import OutputError
 from matcam.core.grid import brdf_table
 from matcam.figures.calibration import targets_figure
@@ -14,6 +14,8 @@ from matcam.figures.curves import fresnel_figure, highlight_figure, loss_figure,
 from matcam.figures.edge import edge_figure
 from matcam.figures.style import save
 from matcam.forward.prediction import predict
+from matcam.inverse import tabulated_fresnel
+from matcam.targets import MTFSamples
 from tests.oracle import merl_lobe, slanted_edge
 
 

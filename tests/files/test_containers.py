@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import read_netcdf, read_zarr, write_netcdf, write_zarr
 from matcam.core.errors import FileFormatError
+from matcam.io import read_netcdf, read_zarr, write_netcdf, write_zarr
 from tests.files.mutations import mutated, survives
 
 

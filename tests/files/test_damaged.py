@@ -7,21 +7,10 @@ on a damaged file before it gives up: see docs/exchange.md.
 import numpy as np
 import pytest
 
-from matcam import (
-    BoxPixel,
-    Camera,
-    GaussianOptics,
-    read_exr,
-    read_float_tiff,
-    read_merl,
-    read_sidecar,
-    rigs,
-    write_exr,
-    write_float_tiff,
-    write_sidecar,
-)
+from matcam import BoxPixel, Camera, GaussianOptics, read_merl, rigs
 from matcam.files.float_pictures import DEFLATE_LIMIT
 from matcam.files.photographs import read_photograph
+from matcam.io import read_exr, read_float_tiff, read_sidecar, write_exr, write_float_tiff, write_sidecar
 from tests.files.mutations import mutated, refusal, survives
 
 

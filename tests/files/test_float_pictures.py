@@ -8,8 +8,8 @@ import OpenEXR
 import pytest
 import tifffile
 
-from matcam import read_exr, read_float_tiff, write_exr, write_float_tiff
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.io import read_exr, read_float_tiff, write_exr, write_float_tiff
 
 FORMATS = {"exr": (write_exr, read_exr), "tif": (write_float_tiff, read_float_tiff)}
 

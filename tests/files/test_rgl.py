@@ -5,8 +5,8 @@ import struct
 import numpy as np
 import pytest
 
-from matcam import read_rgl, write_rgl
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.io import read_rgl, write_rgl
 from tests.files.mutations import mutated, survives
 
 MATERIALS = ("cc_ibiza_sunset", "paper_white", "satin_rosaline", "vch_golden_yellow")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from matcam import read_samples, write_samples
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import brdf_table
 from matcam.core.shading import shading
 from matcam.files.samples import samples_of, table_of
+from matcam.io import read_samples, write_samples
 from tests.files.mutations import mutated, survives
 
 HEAD = "theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr\n"

@@ -6,19 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from matcam import (
-    BoxPixel,
-    Camera,
-    DiffractionOptics,
-    HaloOptics,
-    Sensor,
-    Uncertainty,
-    read_sidecar,
-    sidecar_path,
-    write_sidecar,
-)
+from matcam import BoxPixel, Camera, DiffractionOptics, HaloOptics, Sensor
+from matcam.camera import Uncertainty
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.files import sidecar
+from matcam.io import read_sidecar, sidecar_path, write_sidecar
 from tests.conftest import REPOSITORY
 
 CAMERA = Camera(

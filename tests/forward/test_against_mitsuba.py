@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 from scipy.special import erf
 
-from matcam import GGX, Camera, Conductor, GaussianOptics, Microfacet, Rig, Sphere, picture_values
+from matcam import GGX, Camera, Conductor, GaussianOptics, Microfacet, Rig, Sphere
+from matcam.forward import picture_values
 
 mitsuba = pytest.importorskip("mitsuba", reason="needs Mitsuba 3")
 

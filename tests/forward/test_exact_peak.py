@@ -9,7 +9,6 @@ from scipy.special import erf
 from matcam import (
     EPD,
     GGX,
-    AnisotropicGGX,
     Beckmann,
     BoxPixel,
     Camera,
@@ -24,6 +23,7 @@ from matcam import (
 )
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax
+from matcam.material import AnisotropicGGX
 from tests.golden import rows
 
 FAMILIES = {"gaussian": GaussianNDF, "ggx": GGX, "beckmann": Beckmann, "epd": EPD}
@@ -53,7 +53,7 @@ def test_the_tangent_plane_is_its_limit():
 
 
 def test_close_to_the_limb_a_peak_may_read_too_bright_until_the_kernel_reaches_over_it():
-    """MODEL 4: Gaussian D, G = 1, w = 100 sigma_mtf: 1.006 / 1.119 / 0.764 at 80 / 85 / 87 degrees; GGX with Smith 0.940."""
+    """docs/model.md 4, w = 100 sigma_mtf: Gaussian D, G = 1: 1.006 / 1.119 / 0.764 at 80 / 85 / 87 degrees; GGX 0.940."""
     wide = 100 * 0.5 / 256
     theta = np.radians([80, 85, 87])
     bright = peak_response(rig_of(Sphere(256.0)), GaussianNDF(wide), theta, exact=True, masking=None)

@@ -18,9 +18,9 @@ from matcam import (
     Schlick,
     Sphere,
     picture,
-    picture_values,
 )
 from matcam.core.jax import jax, jnp
+from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record as taken_by

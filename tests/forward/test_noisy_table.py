@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from matcam import GGX, Cylinder, Microfacet, PixelNoise, Rig, Sphere, rigs, with_pixel_noise
+from matcam import GGX, Cylinder, Microfacet, Rig, Sphere, rigs
+from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, merl_grid
+from matcam.forward import with_pixel_noise
 from matcam.forward.measurement import table_cells, true_table
 from matcam.forward.noisy_table import PICTURE_STRIDE, cell_pixels
 from tests.oracle import merl_lobe

@@ -22,14 +22,14 @@ from matcam import (
     paper,
     peak_response,
     rigs,
-    texture_contrast,
 )
 from matcam.camera.optics import fourier
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.forward import texture_contrast
 from matcam.forward.peaks.tangent_plane import lobe_record
 from matcam.forward.prediction import predict
-from matcam.material.ndf.families import ONE_WIDTH
+from matcam.material.registry import ONE_WIDTH
 from tests.golden import rows
 
 
@@ -121,7 +121,7 @@ def test_cylinder_loses_in_one_direction_only_and_flat_in_none():
 
 
 def test_lamp_disc_is_one_more_gaussian_on_the_sensor():
-    """MODEL 3: 0.25 degrees on MERL: 0.28 px at normal view; 0.07 x 1.08 px at 75 degrees."""
+    """docs/model.md 3: 0.25 degrees on MERL: 0.28 px at normal view; 0.07 x 1.08 px at 75 degrees."""
     radius, ndf, theta = np.radians(0.25), GaussianNDF(0.003), np.radians([0.0, 75.0])
     rig = Rig(rigs.merl().camera, Sphere(256), lamp_radius=radius)
     spread = [np.asarray(s * p) for s, p in zip(rig.lamp_spread(theta), rig.sample.px_per_rad(theta), strict=True)]

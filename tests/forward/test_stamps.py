@@ -4,17 +4,10 @@ import galsim
 import numpy as np
 import pytest
 
-from matcam import (
-    BoxPixel,
-    Camera,
-    DiffractionOptics,
-    GaussianOptics,
-    HaloOptics,
-    WindowedGaussianPixel,
-    highlight_stamps,
-)
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, HaloOptics, WindowedGaussianPixel
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.forward import highlight_stamps
 
 TIGHT = galsim.GSParams(
     folding_threshold=1e-9, maxk_threshold=1e-10, kvalue_accuracy=1e-12, xvalue_accuracy=1e-12, maximum_fft_size=32768

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from matcam import BoxPixel, Camera, DiffractionOptics, Flat, GaussianOptics, HaloOptics, Rig, rigs, textured_picture
+from matcam import BoxPixel, Camera, DiffractionOptics, Flat, GaussianOptics, HaloOptics, Rig, rigs
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax
+from matcam.forward import textured_picture
 from tests.golden import rows
 
 

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, PixelNoise, Rig, Sphere, Uncertainty, rigs
+from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere, rigs
+from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.oracle import sphere_cells as oracle
@@ -37,8 +38,8 @@ class Pictures(NamedTuple):
 
 def table_of(cells, values):
     whole = np.full((90, 90, 180, 1), np.nan)
-    slices = np.broadcast_to(cells.slices[:, None], values.shape)[cells.kept]
-    whole[cells.i_theta_h[cells.kept], slices, cells.i_phi_d[cells.kept], 0] = values[cells.kept]
+    slices = np.broadcast_to(cells.slices[:, None], values.shape)[cells.valid]
+    whole[cells.i_theta_h[cells.valid], slices, cells.i_phi_d[cells.valid], 0] = values[cells.valid]
     coords = {"theta_h": GRID.theta_h, "theta_d": GRID.theta_d, "phi_d": GRID.phi_d, "channel": ["G"]}
     return xr.DataArray(
         whole, dims=("theta_h", "theta_d", "phi_d", "channel"), coords=coords, attrs={"sampling": "centre"}
@@ -84,7 +85,7 @@ def bound(shot, lobe, n=CHROMIUM[0], k=CHROMIUM[1], noise=NOISE, sigmas=None):
     """Covariance that no unbiased estimate can undercut (Cramer-Rao) of the logarithms of the lobe's numbers, of n and k,
     from the oracle's own derivatives; pictures' gains are nuisances. sigmas: (lower, upper) shots and the prior's
     relative std, if ln sigma_mtf is free too."""
-    usable = np.isfinite(shot.rule.ways(lobe)).all(-1) & shot.cells.kept
+    usable = np.isfinite(shot.rule.ways(lobe)).all(-1) & shot.cells.valid
     theta = shot.cells.theta_d[:, None]
 
     def model(numbers, n, k, rule=shot.rule):
@@ -110,7 +111,9 @@ def bound(shot, lobe, n=CHROMIUM[0], k=CHROMIUM[1], noise=NOISE, sigmas=None):
     along = np.nan_to_num(at) * root
     product = np.einsum("psn,qsn->pq", columns, columns)
     with_gain = np.einsum("psn,sn->ps", columns, along)
-    product -= np.einsum("ps,qs,s->pq", with_gain, with_gain, 1 / (1 / max(noise.gain, 1e-9) ** 2 + (along**2).sum(-1)))
+    product -= np.einsum(
+        "ps,qs,s->pq", with_gain, with_gain, 1 / (1 / max(noise.picture_gain, 1e-9) ** 2 + (along**2).sum(-1))
+    )
     if sigmas:
         product[-1, -1] += 1 / sigmas[2] ** 2
     return np.linalg.inv(product)

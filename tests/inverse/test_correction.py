@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import PixelNoise, Rig, Sphere, correction, limits
+from matcam import Rig, Sphere, limits
+from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
+from matcam.inverse import Correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -71,7 +73,7 @@ def shot():
 def test_a_sharp_highlight_is_given_back(shot):
     """Raw, three quarters of the peak and more are missing; corrected, it is there, within its error, and said to be."""
     table, truth = shot.table(oracle.GGX(0.002), 1)
-    done = correction(table, recorded.rig(), "ggx", noise=QUIET)
+    done = Correction.of(table, recorded.rig(), "ggx", noise=QUIET)
     value, std, supported = shot.read(done)
     raw = table.values[shot.i, np.array(SLICES)[:, None], shot.k, 0]
     peak = shot.i <= 1
@@ -91,7 +93,7 @@ def test_rough_materials_are_left_alone():
     """alpha 0.3: where light and view are within 75 degrees, the response is 1 to 0.5 %."""
     small = Shot()
     table, _ = small.table(oracle.GGX(0.3), 2)
-    done = correction(table, recorded.rig(), "ggx", noise=QUIET)
+    done = Correction.of(table, recorded.rig(), "ggx", noise=QUIET)
     grid = recorded.GRID
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     lowest = np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph))
@@ -118,7 +120,7 @@ def test_wrong_assumptions(shot, wrong, alpha):
     here = Shot(setups[wrong]) if wrong in setups else shot
     lobe = oracle.EPD(alpha, 0.7) if wrong == "epd as ggx" else oracle.GGX(alpha)
     table, truth = here.table(lobe, 3, halo_of if wrong == "halo" else None)
-    done = correction(table, recorded.rig(), "ggx")
+    done = Correction.of(table, recorded.rig(), "ggx")
     value, std, supported = here.read(done)
     bright = np.isfinite(truth) & (truth > 1e-9)
     error = np.abs(value - truth) / np.where(bright, truth, 1.0)
@@ -131,7 +133,7 @@ def test_wrong_assumptions(shot, wrong, alpha):
     print(
         f"{wrong}, alpha {alpha:g}: peak supported {supported[peak].mean():.1f}, median error {np.median(error[peak]):.3f}, "
         f"worst where supported {worst:.3f}, median std {relative:.3f}, false support {false:.4f} of {good.sum()}, "
-        f"noise {done.shape.noise.relative:.3f}, shape {done.shape.strength:g}"
+        f"noise {done.shape.noise.relative:.3f}, shape {done.shape.scale:g}"
     )
     assert worst < 0.05 + 3 * 0.01
     assert false < 0.01
@@ -142,9 +144,9 @@ def test_what_cannot_be_corrected_is_refused():
     table.attrs["sampling"] = "centre"
     rig = recorded.rig()
     for bad, words in (
-        (lambda: correction(table, Rig(rig.camera, Sphere(256, distance=9))), "distant camera"),
-        (lambda: correction(table, rig, "phong"), "ndf must be one of"),
-        (lambda: correction(table, rig, glare=2), "glare must lie in"),
+        (lambda: Correction.of(table, Rig(rig.camera, Sphere(256, distance=9))), "distant camera"),
+        (lambda: Correction.of(table, rig, "phong"), "ndf must be one of"),
+        (lambda: Correction.of(table, rig, glare=2), "glare must lie in"),
     ):
         with pytest.raises(ArgumentError, match=words):
             bad()
@@ -152,9 +154,9 @@ def test_what_cannot_be_corrected_is_refused():
 
 @pytest.mark.slow
 def test_limits_of_a_rig():
-    """Bounds rise towards narrow lobes; jitter cannot be told from the lens; a lens stated to 3 % costs what MODEL 8 says in
-    kind: most where the lobe is narrowest."""
-    found = limits(recorded.rig(std=0.015), [0.0005, 0.002, 0.05], every=18)
+    """Bounds rise towards narrow lobes; jitter cannot be told from the lens; a lens stated to 3 % costs what docs/model.md 8
+    says in kind: most where the lobe is narrowest."""
+    found = limits(recorded.rig(std=0.015), roughness=[0.0005, 0.002, 0.05], every=18)
     exact, stated, free = (found[name].values for name in ("width_std", "width_std_stated", "width_std_free"))
     assert np.all(exact < stated)
     assert np.all(stated <= free * (1 + 1e-9))
@@ -164,4 +166,4 @@ def test_limits_of_a_rig():
     changed = found["width_std_changed"].sel(lens="free")
     assert np.all(changed.sel(change="twice the pixels, same lens") < free)
     with pytest.raises(ArgumentError, match="roughness must"):
-        limits(recorded.rig(), [-1.0])
+        limits(recorded.rig(), roughness=[-1.0])

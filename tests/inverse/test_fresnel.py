@@ -13,17 +13,17 @@ from matcam import (
     GaussianOptics,
     HaloOptics,
     Microfacet,
-    PixelNoise,
     Rig,
     Sphere,
     fresnel,
     measure,
     read_merl,
     rigs,
-    tabulated_fresnel,
 )
+from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import brdf_table, merl_grid
+from matcam.inverse import tabulated_fresnel
 from matcam.inverse.fresnel_term import recorded_peak
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from matcam import fit, rigs
-from matcam.inverse.fit.lobe_slopes import RecordBatch, recorded
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.fit.lobe_slopes import RecordBatch, record_and_slopes
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from tests.inverse import recorded as made
 from tests.oracle import sphere_cells as oracle
@@ -20,12 +21,12 @@ def operator():
 
 def test_questions_of_several_threads_are_answered_as_alone(operator):
     questions = [("ggx", np.log([a])) for a in (0.001, 0.01, 0.1)] + [("gaussian", np.log([0.02]))]
-    alone = [recorded(operator, family, "smith", q, 1) for family, q in questions]
+    alone = [record_and_slopes(operator, LobeKind(family, "smith"), q) for family, q in questions]
     with RecordBatch(3) as batch, ThreadPoolExecutor(4) as pool:
 
         def asked(question):
-            with batch.joined():
-                return recorded(operator, question[0], "smith", question[1], 1)
+            with batch.serving():
+                return record_and_slopes(operator, LobeKind(question[0], "smith"), question[1])
 
         together = list(pool.map(asked, questions))
         assert sum(batch.sizes) == 4
@@ -36,7 +37,9 @@ def test_questions_of_several_threads_are_answered_as_alone(operator):
     for ours, truth in zip(together, alone, strict=True):
         for a, b in zip(ours, truth, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-12 * np.abs(b).max())
-    assert recorded(operator, *questions[0][:1], "smith", questions[0][1], 1)[0].shape == alone[0][0].shape
+    assert (
+        record_and_slopes(operator, LobeKind(questions[0][0], "smith"), questions[0][1])[0].shape == alone[0][0].shape
+    )
 
 
 @pytest.mark.slow
@@ -51,7 +54,7 @@ def test_fits_side_by_side_are_the_fits_alone():
     with RecordBatch(2) as batch, ThreadPoolExecutor(2) as pool:
 
         def fitted(table):
-            with batch.joined():
+            with batch.serving():
                 return fit(table, made.rig(), noise=made.NOISE, every=every)
 
         together = list(pool.map(fitted, tables))

@@ -54,7 +54,7 @@ def test_efficiency_with_a_known_camera():
             )
             slopes.append(np.log(up / down) / 2e-3)
         known = np.sqrt(np.array(slopes) @ covariance[: len(lobe), : len(lobe)] @ slopes)
-        widths.append(np.log(found.half_width / recorded.half_width(lobe)) / known)
+        widths.append(np.log(found.hwhm / recorded.half_width(lobe)) / known)
     ratios, widths = np.array(ratios), np.array(widths)
     error = 1 / np.sqrt(2 * judged)
     print(f"bound above 5 %: {COUNT - judged}, of which called determined: {len(overstated)} {overstated}")
@@ -121,7 +121,7 @@ def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     """F at 75 degrees, absolute: free in every picture without a gain error; as (n, k), every sixth picture, with it."""
     every = 10 if fresnel == "free" else 6
     random, shot = np.random.default_rng(81), recorded.pictures(every)
-    noise = recorded.NOISE._replace(gain=gain)
+    noise = recorded.NOISE._replace(picture_gain=gain)
     at = np.radians(75.5) if fresnel == "free" else recorded.SEVENTY_FIVE
     truth = float(conductor(at, *recorded.CHROMIUM))
     errors = []
@@ -133,6 +133,6 @@ def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     print(f"F at 75 degrees, {fresnel}, gain error {gain:g}: rms {rms(errors):.4f} of {len(errors)}")
     assert rms(errors) <= allowed
     if gain:
-        told = fit(table, recorded.rig(), recorded.family(lobe), every=every).noise.gain
+        told = fit(table, recorded.rig(), recorded.family(lobe), every=every).noise.picture_gain
         print(f"gain error as estimated from {shot.cells.theta_d.size} pictures: {told:.4f}")
         assert 0.006 < told < 0.015

@@ -24,7 +24,7 @@ def shadowed(random):
     cells = shot.cells
     tan2 = np.tan(grid.theta_h[cells.i_theta_h]) ** 2
     d = oracle.GGX(0.01).p22(tan2) * (1 + tan2) ** 2
-    cos = np.where(cells.kept[..., None], cells.cos_i, 1.0)
+    cos = np.where(cells.valid[..., None], cells.cos_i, 1.0)
     hidden = np.exp(-0.6 * (1 - cos) ** 2).prod(-1)
     light = d * hidden / (4 * cos.prod(-1)) * conductor(cells.theta_d, *recorded.CHROMIUM)[:, None]
     peak = light.max(axis=1, keepdims=True)
@@ -37,8 +37,8 @@ def shadowed(random):
 def test_each_wins_on_its_own_data(made, winner):
     found = rivals(made(np.random.default_rng(1)), recorded.rig(), every=EVERY)
     best = found.camera if winner == "the camera" else found.shadowing
-    print(f"{found.verdict}; numbers {found.camera.numbers:.1f} and {found.shadowing.numbers:.1f}")
+    print(f"{found.verdict}; parameters {found.camera.parameters:.1f} and {found.shadowing.parameters:.1f}")
     assert found.verdict.startswith(f"{winner} explains the data better")
     assert abs(found.difference) > 100
     assert best.fit.noise.relative == pytest.approx(0.01, rel=0.15)
-    assert 5 < best.numbers < 40
+    assert 5 < best.parameters < 40

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import Adaptive, GaussianOptics, read_rgl, write_rgl
+from matcam import GaussianOptics
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, shading
+from matcam.io import read_rgl, write_rgl
+from matcam.material import Adaptive
 from tests.files.test_rgl import MATERIALS
 from tests.oracle import measured_bsdf
 

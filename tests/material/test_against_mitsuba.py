@@ -4,9 +4,10 @@ import mitsuba
 import numpy as np
 import pytest
 
-from matcam import GGX, AnisotropicBeckmann, AnisotropicGGX, Beckmann, Conductor, Microfacet
+from matcam import GGX, Beckmann, Conductor, Microfacet
 from matcam.core.jax import jnp
 from matcam.core.shading import shading
+from matcam.material import AnisotropicBeckmann, AnisotropicGGX
 
 NDFS = {
     "isotropic ggx": ("ggx", 0.2, 0.2, GGX(0.2)),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from matcam import EPD, GGX, SGD, AnisotropicBeckmann, AnisotropicGGX, Beckmann, GaussianNDF, Microfacet
+from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF, Microfacet
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
+from matcam.material import AnisotropicBeckmann, AnisotropicGGX
 from matcam.material.material import seen_at
 
 RANDOM = np.random.default_rng(3)

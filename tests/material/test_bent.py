@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from matcam import GGX, Sampled
+from matcam import GGX
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.material import Sampled
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, bend_basis
 
 THETA = np.concatenate([[0.0], np.geomspace(1e-5, 1.5, 40)])

@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from matcam import EPD, GGX, SGD, AnisotropicBeckmann, AnisotropicGGX, Beckmann, Conductor, GaussianNDF, Microfacet
+from matcam import EPD, GGX, SGD, Beckmann, Conductor, GaussianNDF, Microfacet
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines
 from matcam.core.shading import shading
+from matcam.material import AnisotropicBeckmann, AnisotropicGGX
 from matcam.material.masking import MASKINGS
 from tests.golden import rows
 

@@ -13,7 +13,7 @@ from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.material.masking import g2, smith_lambda
-from matcam.material.ndf.families import FAMILIES, WITH_POWER, ndf_of
+from matcam.material.registry import FAMILIES, WITH_POWER, family_ndf
 from tests.golden import rows as golden_rows
 from tests.oracle.smith import smith_lambda as lambda_by_quadrature
 
@@ -198,14 +198,14 @@ def test_roughness_is_checked(value):
 
 
 def test_families_by_name():
-    assert repr(ndf_of("epd", 0.1, 0.5)) == "EPD(beta=0.1, power=0.5)"
-    assert repr(ndf_of("beckmann", 0.1)) == "Beckmann(alpha=0.1)"
+    assert repr(family_ndf("epd", 0.1, 0.5)) == "EPD(beta=0.1, power=0.5)"
+    assert repr(family_ndf("beckmann", 0.1)) == "Beckmann(alpha=0.1)"
     with pytest.raises(ArgumentError, match="unknown family of lobes 'ggxx'; did you mean 'ggx'"):
-        ndf_of("ggxx", 0.1)
+        family_ndf("ggxx", 0.1)
     with pytest.raises(ArgumentError, match="power must be given for sgd"):
-        ndf_of("sgd", 0.1)
+        family_ndf("sgd", 0.1)
     with pytest.raises(ArgumentError, match="power belongs to epd and sgd, not to ggx, got 2"):
-        ndf_of("ggx", 0.1, 2)
+        family_ndf("ggx", 0.1, 2)
 
 
 def test_powers_are_checked():

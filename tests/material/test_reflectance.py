@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from matcam import Conductor, Constant, Dielectric, Schlick, fresnel_conductor, metal, metal_sources, metals
+from matcam import Conductor, Dielectric, Schlick, fresnel_conductor, metal
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
+from matcam.material import Constant, metals
 from tests.golden import rows
 from tests.oracle.merl_lobe import conductor
 
@@ -62,7 +63,7 @@ def test_refusals(build, name):
 def test_chromium_disagrees_by_source_as_the_literature_does():
     """MODEL 5: F0 at 550 nm is 0.555, 0.650 or 0.681; F(75)/F0 0.937, 0.908 or 0.881."""
     expected = {"johnson": (0.555, 0.937), "rakic": (0.650, 0.908), "sytchkova": (0.681, 0.881)}
-    assert set(metal_sources("Cr")) == set(expected)
+    assert set(metals()["Cr"]) == set(expected)
     for source, (f0, ratio) in expected.items():
         n, k, citation = metal("Cr", 550e-9, source)
         at_0, at_75 = (float(fresnel_conductor(np.radians(t), n, k)) for t in (0, 75))
@@ -73,8 +74,8 @@ def test_chromium_disagrees_by_source_as_the_literature_does():
 
 def test_every_table_covers_the_visible_range_and_names_its_source():
     wavelengths = np.linspace(400e-9, 700e-9, 31)
-    for name in metals():
-        for source in metal_sources(name):
+    for name, sources in metals().items():
+        for source in sources:
             n, k, citation = metal(name, wavelengths, source)
             assert np.all((n > 0) & (n < 10) & (k > 0) & (k < 12))
             assert any(year in citation for year in ("(19", "(20"))

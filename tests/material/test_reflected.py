@@ -4,10 +4,11 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from matcam import EPD, GGX, SGD, AnisotropicBeckmann, Beckmann, Conductor, GaussianNDF, Microfacet
+from matcam import EPD, GGX, SGD, Beckmann, Conductor, GaussianNDF, Microfacet
 from matcam.core.grid import cosines
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, shading
+from matcam.material import AnisotropicBeckmann
 from matcam.material.masking import MASKINGS
 from matcam.material.material import seen_at
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from matcam import GGX, Conductor, Microfacet, Tabulated
+from matcam import GGX, Conductor, Microfacet
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
+from matcam.material import Tabulated
 from matcam.material.material import seen_at
 
 SMOOTH = Microfacet(GGX(0.4), Conductor([0.2, 1.0, 2.0], 3.0), diffuse=0.1)

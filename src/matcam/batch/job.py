@@ -19,6 +19,7 @@ from matcam.batch.store import StoreRow
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
 from matcam.core.io import check_output, reading
 from matcam.core.json import plain, read_json, write_json
+from matcam.core.workspace import Workspace
 from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import read_merl, write_merl
@@ -102,15 +103,18 @@ class Outcome(NamedTuple):
     trace: str | None = None
 
 
-def attempt(job: Job) -> Outcome:
-    """Do a job; report what goes wrong as its outcome, so that it stops no other job."""
+def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
+    """Do a job; report what goes wrong as its outcome, so that it stops no other job.
+
+    workspace: a worker's own, instead of the job's.
+    """
     started = time.perf_counter()
 
     def failure(reason: str, trace: str | None = None) -> Outcome:
         return Outcome(job.source, time.perf_counter() - started, reason, trace)
 
     try:
-        write_corrected(job)
+        write_corrected(job, workspace)
     except MatcamError as error:
         text = " ".join(str(error).split())
         return failure(text if str(job.source) in text else f"{job.source}: {text}")
@@ -122,15 +126,18 @@ def attempt(job: Job) -> Outcome:
     return Outcome(job.source, time.perf_counter() - started)
 
 
-def write_corrected(job: Job) -> dict[str, Any]:
+def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, Any]:
     """Correct one table, write its files, and return what its record says.
 
+    workspace: a worker's own, instead of the job's.
     ArgumentError or OutputError before any work if a file could not be written; FileFormatError for what is no table, or
     was changed while it was read; otherwise the corrector's errors.
     """
     version = metadata.version("matcam")
     if job.recipe.version != version:
-        raise ArgumentError(f"this worker has matcam {version}, the run was started by {job.recipe.version}")
+        raise ArgumentError(
+            f"this worker has matcam {version}, the run was started by {job.recipe.version}: install the same"
+        )
     for path in job.files:
         check_output(path, force=job.force, inputs=[job.source])
     started = time.perf_counter()
@@ -138,7 +145,10 @@ def write_corrected(job: Job) -> dict[str, Any]:
     table = read_merl(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is whole")
-    done = job.recipe.corrector(table, job.recipe.rig, job.recipe.options)
+    options = job.recipe.options
+    if workspace is not None:
+        options = options._replace(workspace=workspace)
+    done = job.recipe.corrector(table, job.recipe.rig, options)
     with _WRITING:
         _write_files(job, table, done)
         document = {"file": str(job.source), **done.document, "input": before._asdict()}

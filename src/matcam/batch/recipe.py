@@ -10,18 +10,17 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import xarray as xr
 
-from matcam.core.grid import Sampling, merl_grid, sampling_of
+from matcam.core.grid import Sampling
 from matcam.core.json import plain
-from matcam.figures.correction_page import verdict, write_correction_page
-from matcam.inverse.correction.correction import correction
+from matcam.core.workspace import Workspace
+from matcam.figures.correction_page import write_correction_page
+from matcam.inverse.correction.correction import Correction
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
 SETTINGS_FORMAT = "matcam run"
-_ANGLES = (5, 45, 75)  # degrees of theta_d at which the peak's loss is reported
 
 
 class Options(NamedTuple):
@@ -31,11 +30,13 @@ class Options(NamedTuple):
         ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd".
         masking: masking function, or None for none.
         glare: share of light that the lens may scatter without its profile saying so (no unit).
+        workspace: keeps what depends on the rig alone; None: the process's own. It changes no result.
     """
 
     ndf: str = "auto"
     masking: Masking = "smith"
     glare: float = 1e-3
+    workspace: Workspace | None = None
 
 
 class CorrectedTable(NamedTuple):
@@ -57,23 +58,11 @@ Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
 
 
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
-    """Correct a table for its camera. Errors as `correction`'s."""
-    done = correction(table, rig, options.ndf, masking=options.masking, glare=options.glare)
-    there = np.isfinite(table.values)
-    angles = merl_grid(sampling_of(table)).index(theta_h=0.0, theta_d=np.radians(_ANGLES), phi_d=np.pi / 2)
-    response = dict(zip(_ANGLES, done.table["response"].values[angles], strict=True))
-    document = {
-        "camera": rig.camera.profile(),
-        "fit": done.fit.summary(),
-        "doubts": {doubt.axis.name: {**doubt.fit.summary(), "contradicts": doubt.contradicts} for doubt in done.doubts},
-        "shape": {"strength": done.shape.strength, "b": done.shape.b},
-        "glare": options.glare,
-        "supported_share": float(done.table["supported"].values[there].mean()),
-        "peak_gain_75": float(1 / response[75]),
-        "peak_lost": {str(angle): float(1 - response[angle]) for angle in _ANGLES},
-        "verdict": verdict(table, done),
-        "remarks": list(done.remarks),
-    }
+    """Correct a table for its camera. Errors as `correct`'s."""
+    done = Correction.of(
+        table, rig, options.ndf, masking=options.masking, glare=options.glare, workspace=options.workspace
+    )
+    document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
 
     def write_page(path: Path, name: str, force: bool) -> None:
         write_correction_page(path, table, done, name, force=force)

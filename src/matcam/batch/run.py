@@ -23,11 +23,12 @@ from matcam.camera.camera import Camera
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
+from matcam.core.workspace import Workspace
 from matcam.figures.run_index import INLINE, write_run_index
-from matcam.inverse.fit.candidates import AUTO
+from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.ndf.families import FAMILIES
+from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 
@@ -96,6 +97,7 @@ def correct_all(
     force: bool = False,
     watch: Callable[[Progress], None] = lambda progress: None,
     corrector: Corrector = correct_table,
+    workspace: Workspace | None = None,
 ) -> Run:
     """Correct many MERL tables of one rig into one folder.
 
@@ -129,6 +131,8 @@ def correct_all(
         watch: function that is called with a `Progress` at the start and after each material. Default: does nothing.
         corrector: function (table, rig, options) that corrects one table; it must stand at the top of a module, because
             workers import it. Default: matcam's own.
+        workspace: keeps what depends on the rig alone, in this process; workers have the user's. Default: None, the
+            process's own.
 
     Returns:
         What was corrected, kept and failed.
@@ -156,7 +160,7 @@ def correct_all(
     checks.within("glare", glare, 0, 0.5)
     checks.choice("sampling", sampling, SAMPLINGS)
     executor = _executor(workers, cluster)
-    recipe = Recipe(rig, Options(ndf, masking, glare), sampling, pages, corrector)
+    recipe = Recipe(rig, Options(ndf, masking, glare, workspace), sampling, pages, corrector)
     _check_picklable(recipe)
     settings = recipe.settings(fit_camera=fit_camera)
     folder = RunFolder(Path(output))

@@ -15,7 +15,7 @@ from matcam.core.errors import FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.exchange.trace import lobe_widths
 from matcam.files.merl import read_merl
-from matcam.inverse.fit.candidates import candidate_fits, likeliest
+from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
 from matcam.inverse.operator.rig_axes import LENS
 
 _FITTED, _EXAMINED = 4, 16
@@ -32,7 +32,10 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     chosen = _narrowest(inputs, recipe.sampling)
     tables = [table for _, table in chosen]
     options = recipe.options
-    best = likeliest(candidate_fits(tables, recipe.rig, options.ndf, masking=options.masking, camera="free"))
+    setup = free_setup(
+        tables, recipe.rig, masking=options.masking, camera_parameters="free", workspace=options.workspace
+    )
+    best = likeliest(candidate_fits(setup, options.ndf))
     value, std = best.params[LENS], best.std[LENS]
     names = ", ".join(file.name for file, _ in chosen)
     camera = best.camera

@@ -1,0 +1,5 @@
+"""Measure a camera: from photographs of edges and charts to its lens, its pixel and their uncertainty."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

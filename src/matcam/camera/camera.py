@@ -1,4 +1,4 @@
-"""The camera: lens and pixel together, as the one effective kernel that a picture has been through (MODEL 2)."""
+"""The camera: lens and pixel together, as the one effective kernel of its pictures (docs/model.md 2)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import equinox as eqx
 from jax.typing import ArrayLike
 
 from matcam.camera import kernel as effective
-from matcam.camera import parameters, profile
+from matcam.camera import profile
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.sensor import Sensor
@@ -22,15 +22,32 @@ from matcam.core.json import write_json
 
 
 class Camera(eqx.Module):
-    """Effective kernel of a camera: optics and pixel, sampled at pixel centres.
+    """Combine lens and pixel to the effective kernel of a camera's pictures.
 
-    optics: `Optics`. pixel: `PixelResponse`. A `Camera` is neither, so nothing can be blurred twice.
-    sensor: `Sensor`, noise and mosaic of its pictures; None: nobody said. It does not change the kernel.
-    uncertainty: how well its parameters are known (`Uncertainty`); None: they are taken as exact.
-    provenance: where it comes from; carried by the profile file.
+    Three kernels are easily confused. `Optics.psf` is the light that the lens lays on the sensor. `PixelResponse.response` is
+    the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the second,
+    as pixels record it. A `Camera` is neither optics nor pixel, so that nothing can be blurred twice.
 
-    Angles are those of a direction on the sensor to the pixel grid's rows, rad: a square pixel looks different from
-    every angle.
+    Directions are angles to the pixel grid's rows, rad: a square pixel looks different from every angle.
+
+    Args:
+        optics: the lens, such as `GaussianOptics(0.5)`.
+        pixel: the response of one pixel. None: `BoxPixel()`, sensitive all over.
+        sensor: noise and mosaic of the pictures; it does not change the kernel. None: not stated.
+        uncertainty: covariance of the camera's parameters. None: they are exact.
+        provenance: where the camera comes from; it goes into the profile. None: nothing is stated.
+
+    Raises:
+        ArgumentError: a part is of the wrong kind, `uncertainty` names a parameter that the camera has not, or lens and
+            sensor state different pixel pitches.
+
+    Source:
+        Holzschuch & Pacanowski (2017), section 3; docs/model.md 2.
+
+    Example:
+        >>> camera = matcam.Camera(matcam.GaussianOptics(0.5), matcam.BoxPixel())
+        >>> bool(camera.mtf(0.25) < camera.optics.mtf(0.25))  # the pixel blurs, too
+        True
     """
 
     optics: Optics
@@ -70,64 +87,146 @@ class Camera(eqx.Module):
     # ------------------------------------------------------------------ the effective kernel
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Effective point spread function, 1/px^2: what a pixel reads of a point of light (x, y) px from its centre."""
+        """Return the effective point spread function, 1/px^2: optics and pixel.
+
+        It is the reading of a pixel per unit of light in a point, and integrates to 1.
+
+        Args:
+            x: distance of the point from the pixel's centre along the rows, px; broadcasts with y.
+            y: distance across the rows, px.
+
+        Raises:
+            ArgumentError: a position is not finite, or a measured MTF has not reached 0.
+        """
         x, y = checks.number("x", x), checks.number("y", y)
         return self._sum(lambda part: effective.point(part, self.pixel, x, y))
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Effective line spread function, 1/px: what a pixel reads of a line x px away whose normal is at `angle`."""
+        """Return the effective line spread function, 1/px: optics and pixel.
+
+        It is the reading of a pixel per unit of light along a line.
+
+        Args:
+            x: distance of the line from the pixel's centre, px; broadcasts with angle.
+            angle: direction of the line's normal to the rows, rad. Default: 0, a line along the columns.
+
+        Raises:
+            ArgumentError: an argument is not finite, or a measured MTF has not reached 0.
+        """
         x, angle = checks.number("x", x), checks.number("angle", angle)
         return self._sum(lambda part: effective.line(part, self.pixel, x, angle))
 
     def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Effective edge spread function: what a pixel x px inside the bright side of a 0-1 edge reads."""
+        """Return the effective edge spread function, no unit: optics and pixel.
+
+        It is the reading of a pixel at an edge between 0 and 1.
+
+        Args:
+            x: distance of the pixel's centre from the edge, px, positive on its bright side; broadcasts with angle.
+            angle: direction of the edge's normal to the rows, rad. Default: 0, an edge along the columns.
+
+        Raises:
+            ArgumentError: an argument is not finite, or a measured MTF has not reached 0.
+        """
         x, angle = checks.number("x", x), checks.number("angle", angle)
         return self._sum(lambda part: effective.edge(part, self.pixel, x, angle))
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Total transfer function at f cycles/px along `angle`: optics times pixel, signed (the pixel's is negative
-        beyond 1 / (2 half_width))."""
+        """Return the total transfer function: optics times pixel, signed.
+
+        The pixel's factor is negative beyond 1 / (2 half_width).
+
+        Args:
+            f: frequency, cycles/px; broadcasts with angle.
+            angle: direction of the wave to the rows, rad. Default: 0, along the rows.
+
+        Raises:
+            ArgumentError: an argument is not finite, or f lies beyond a measured MTF.
+        """
         return effective.transfer_along(self.optics, self.pixel, checks.number("f", f), checks.number("angle", angle))
 
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
-        """Total transfer function at (fx, fy) cycles/px."""
+        """Return the total transfer function in the plane: optics times pixel, signed.
+
+        Args:
+            fx: frequency along the rows, cycles/px; broadcasts with fy.
+            fy: frequency across the rows, cycles/px.
+        """
         return effective.transfer(self.optics, self.pixel, fx, fy)
 
     def _sum(self, kernel: Callable[[Optics], jax.Array]) -> jax.Array:
-        """Kernels are linear in the lens: each part by the best route that it has."""
+        """Sum a kernel over the lens's components, because it is linear in the lens."""
         return sum((weight * kernel(part) for weight, part in self.optics.components()), jnp.zeros(()))
 
-    # ------------------------------------------------------------------ its numbers and its file
+    # ------------------------------------------------------------------ its parameters and its file
 
     def parameters(self) -> dict[str, jax.Array]:
-        """Numbers that describe the camera, by their names in the profile: scalars, one per entry."""
-        return {**parameters.numbers("optics", self.optics), **parameters.numbers("pixel", self.pixel)}
+        """Return the parameters of lens and pixel by name.
+
+        Returns:
+            Scalars by names with their units, such as "optics.sigma_px" and "pixel.half_width_px".
+        """
+        return {**profile.parameters_of("optics", self.optics), **profile.parameters_of("pixel", self.pixel)}
 
     def with_parameters(self, values: dict[str, Any]) -> Camera:
-        """The same camera with some of its `parameters()` replaced."""
+        """Return the camera with some of its `parameters()` replaced.
+
+        Args:
+            values: new values by name, in the units of the names.
+
+        Raises:
+            ArgumentError: the camera has no such parameter.
+        """
         known = self.parameters()
         for name in values:
             if name not in known:
                 raise ArgumentError(f"this camera has no parameter {name!r}; it has {', '.join(sorted(known))}")
-        new = tuple(parameters.replaced(part, getattr(self, part), values) for part in ("optics", "pixel"))
+        new = tuple(profile.replace_parameters(part, getattr(self, part), values) for part in ("optics", "pixel"))
         return eqx.tree_at(lambda c: (c.optics, c.pixel), self, new)
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the profile (JSON, see `profile`): kernel, sensor, uncertainty, provenance. OutputError where it cannot go."""
+        """Write the camera's profile: kernel, sensor, uncertainty, provenance.
+
+        Args:
+            path: file to write (JSON).
+            force: True replaces an existing file. Default: False.
+
+        Raises:
+            OutputError: the file exists, or cannot be written there.
+        """
         write_json(path, self.profile(), force=force)
 
     @classmethod
     def load(cls, path: str | Path) -> Camera:
-        """Read a profile. FileFormatError naming the file and the field where it is not one."""
-        return cls._from_parts(profile.read(path), path)
+        """Read a camera's profile.
+
+        Args:
+            path: file to read (JSON), of any published version.
+
+        Raises:
+            FileFormatError: this is no profile; the message names the file and the field.
+        """
+        return cls._from_parts(profile.read_profile(path), path)
 
     def profile(self) -> dict[str, Any]:
-        """The profile as JSON (dicts, lists, numbers, texts), to be embedded in another file."""
+        """Return the profile as JSON, to be embedded in another file.
+
+        Returns:
+            Dicts, lists, numbers and texts.
+        """
         return profile.as_document(self.optics, self.pixel, self.sensor, self.uncertainty, self.provenance)
 
     @classmethod
     def from_profile(cls, document: Any, where: str | Path = "camera profile") -> Camera:
-        """The camera of a `profile()`. FileFormatError naming `where` it stands, and the field."""
+        """Build a camera from its `profile()`.
+
+        Args:
+            document: the profile as JSON.
+            where: place of the profile, for messages. Default: "camera profile".
+
+        Raises:
+            FileFormatError: this is no profile; the message names its place and the field.
+        """
         return cls._from_parts(profile.from_document(document, where), where)
 
     @classmethod
@@ -138,12 +237,12 @@ class Camera(eqx.Module):
             raise FileFormatError(f"{where}: {error}") from None
 
     def _check_pitch(self, pitch: jax.Array) -> None:
-        """A lens in m and a sensor in m must speak of the same pixels."""
+        """Check that a lens in m and a sensor in m mean the same pixels."""
         for name, value in self.parameters().items():
             if not name.endswith("pixel_pitch_m") or not is_concrete(value) or not is_concrete(pitch):
                 continue
             if abs(float(value) / float(pitch) - 1) > 1e-6:
-                raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}")
+                raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}: give both the same")
 
     def __repr__(self) -> str:
         sensor = "" if self.sensor is None else f", {self.sensor!r}"

@@ -1,21 +1,14 @@
-"""The pixel: how its light-sensitive area weighs the light that falls on it (MODEL 2).
+"""The pixel: the weight with which its light-sensitive area counts the light on it (docs/model.md 2).
 
 A response is separable, r(x) r(y), each factor of unit area: a flat field reads its own radiance. Separable is not
 isotropic: `Camera` keeps the square a square at any angle.
-
-Lines and edges with a Gaussian profile, seen by a square pixel at any angle: closed forms.
-
-Seen along a direction at an angle to the grid, a square is the sum of two boxes, half widths p |cos| and p |sin|. A
-Gaussian through two boxes is a second difference of H, the integral of the normal distribution function; an edge, of the
-integral of H. Both are split into a polynomial for x > 0 and a remainder that dies out, so that no large numbers cancel.
-Where the short box is a sliver of the Gaussian, the second difference would lose digits: its mean is then taken by
-quadrature. At x = 0, where the two parts have kinks that cancel, both take the left-hand derivative.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -30,45 +23,93 @@ _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
 
 class PixelResponse(eqx.Module):
-    """One pixel's response, without the lens. (In astronomy PRF means *point* response function: not this.)"""
+    """Describe the sensitivity of one pixel over its area, without the lens.
+
+    In astronomy PRF means *point* response function, which contains the lens: not this.
+
+    Attributes:
+        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's arguments.
+    """
 
     half_width: eqx.AbstractVar[jax.Array]
+    profile_fields: ClassVar[Mapping[str, str]]
 
     @abstractmethod
     def response(self, x: ArrayLike) -> jax.Array:
-        """One-dimensional response at x px from the pixel's centre, 1/px; integrates to 1."""
+        """Return the pixel's response in one dimension, 1/px; the lens is not in it.
+
+        The two-dimensional response is response(x) response(y), 1/px^2. Each factor integrates to 1.
+
+        Args:
+            x: distance from the pixel's centre, px, any shape.
+
+        Raises:
+            ArgumentError: x is not finite.
+        """
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Fourier transform of the one-dimensional response at f cycles/px, signed."""
+        """Return the pixel's transfer function along a row, signed; the lens is not in it.
+
+        Args:
+            f: frequency, cycles/px, any shape.
+
+        Raises:
+            ArgumentError: f is not finite.
+        """
 
     @abstractmethod
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """What the pixel reads, x px away, of a line whose profile is a unit-area Gaussian of `std` px: 1/px."""
+        """Return the pixel's reading of a line with a Gaussian profile of unit area, 1/px.
+
+        Args:
+            x: distance of the line from the pixel's centre, px.
+            std: standard deviation of the profile, px, positive; broadcasts with x.
+        """
 
 
 class BoxPixel(PixelResponse):
-    """Uniform response over a square.
+    """Weigh light uniformly over a square, as an ideal pixel does.
 
-    half_width: half the side of the light-sensitive square, px; (0, 0.5], because pixels do not overlap. 0.5 is a
-    linear fill of 100 %.
+    Args:
+        half_width: half the side of the light-sensitive square, px, (0, 0.5], because pixels do not overlap. Default: 0.5,
+            a linear fill of 100 %. Choose less where gaps between pixels are known.
+
+    Raises:
+        ArgumentError: the half width is out of range, or not a single number.
+
+    Source:
+        Holzschuch & Pacanowski (2017), section 3 (their sigma_p is the half width).
+
+    Example:
+        >>> pixel = matcam.BoxPixel()
+        >>> float(pixel.response(0.2)), float(pixel.response(0.7))
+        (1.0, 0.0)
     """
 
     half_width: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {"half_width_px": "half_width"}
 
     def __init__(self, half_width: ArrayLike = 0.5):
         self.half_width = _checked_half_width(half_width)
 
     def response(self, x: ArrayLike) -> jax.Array:
-        """1 / (2 half_width) inside, 0 outside."""
+        """Return 1 / (2 half_width) inside the square and 0 outside, 1/px."""
         return jnp.where(jnp.abs(checks.number("x", x)) <= self.half_width, 0.5 / self.half_width, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """sin(2 pi half_width f) / (2 pi half_width f)."""
+        """Return the box's transfer function, signed; the lens is not in it.
+
+        sin(2 pi half_width f) / (2 pi half_width f), negative beyond 1 / (2 half_width).
+        """
         return jnp.sinc(2 * self.half_width * checks.number("f", f))
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """[erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (MODEL 2)."""
+        """Return the pixel's reading of a line with a Gaussian profile, 1/px.
+
+        [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
+        """
         return gaussian_over_interval(jnp.asarray(x), self.half_width, jnp.asarray(std))
 
     def __repr__(self) -> str:
@@ -76,43 +117,63 @@ class BoxPixel(PixelResponse):
 
 
 class WindowedGaussianPixel(PixelResponse):
-    """Response that falls off from the pixel's centre: a Gaussian cut off at the pixel's border, of unit area.
+    """Weigh light by a Gaussian, cut off at the pixel's border.
 
-    sigma: standard deviation of the uncut Gaussian, px, positive. half_width: where it is cut, px, (0, 0.5].
+    The response falls off from the centre, as under a microlens, and has unit area.
+
+    Args:
+        sigma: standard deviation of the uncut Gaussian, px, positive.
+        half_width: distance from the centre at which it is cut, px, (0, 0.5]. Default: 0.5, the whole pixel.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        docs/model.md 2.
+
+    Example:
+        >>> pixel = matcam.WindowedGaussianPixel(0.3)
+        >>> float(pixel.response(0.0)) > 1 > float(pixel.response(0.45)) > 0
+        True
     """
 
     sigma: jax.Array
     half_width: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {"sigma_px": "sigma", "half_width_px": "half_width"}
 
     def __init__(self, sigma: ArrayLike, half_width: ArrayLike = 0.5):
         self.sigma = checks.scalar("sigma", checks.positive("sigma", sigma, "px"))
         self.half_width = _checked_half_width(half_width)
 
     def response(self, x: ArrayLike) -> jax.Array:
-        """exp(-x^2 / (2 sigma^2)) inside, scaled to unit area; 0 outside."""
+        """Return the cut Gaussian, of unit area, 1/px; 0 outside."""
         x = checks.number("x", x)
-        inside = jax.scipy.stats.norm.pdf(x, scale=self.sigma) / self._kept
+        inside = jax.scipy.stats.norm.pdf(x, scale=self.sigma) / self._share_inside
         return jnp.where(jnp.abs(x) <= self.half_width, inside, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Fourier transform by 48 Gauss-Legendre nodes: rounding to |f| half_width = 12 cycles, 1e-9 to 14."""
+        """Return the Fourier transform of the response, by 48 Gauss-Legendre nodes.
+
+        It is exact to rounding up to |f| half_width = 12 cycles, and to 1e-9 up to 14.
+        """
         nodes, weights = (jnp.asarray(a) for a in _GAUSS48)
         t = self.half_width * nodes
         weight = self.half_width * weights * self.response(t)
         return jnp.cos(2 * jnp.pi * checks.number("f", f)[..., None] * t) @ weight
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Product of two Gaussians, completed to one, over the window."""
+        """Integrate the product of two Gaussians, completed to one, over the window."""
         x, std = jnp.abs(jnp.asarray(x)), jnp.asarray(std)  # even; on this side the difference keeps its digits
         total = jnp.hypot(std, self.sigma)
         centre = x * (self.sigma / total) ** 2
         width = self.sigma * std / total
         inside = jax.scipy.special.ndtr((self.half_width - centre) / width)
         inside -= jax.scipy.special.ndtr((-self.half_width - centre) / width)
-        return jax.scipy.stats.norm.pdf(x, scale=total) * inside / self._kept
+        return jax.scipy.stats.norm.pdf(x, scale=total) * inside / self._share_inside
 
     @property
-    def _kept(self) -> jax.Array:
+    def _share_inside(self) -> jax.Array:
         """Share of the uncut Gaussian inside the window."""
         return jax.scipy.special.erf(self.half_width / (jnp.sqrt(2) * self.sigma))
 
@@ -121,7 +182,7 @@ class WindowedGaussianPixel(PixelResponse):
 
 
 def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
-    """Mean over [x - half_width, x + half_width] of a unit-area Gaussian of `std`; 14 digits for any ratio of the two."""
+    """Return the mean of a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
     x = jnp.where(x < 0, -x, x)  # even; in the right tail the difference keeps its digits
     ratio = half_width / std
     wide = ratio > _NARROW
@@ -150,8 +211,10 @@ def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
 
 
 def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array, half_width: jax.Array) -> jax.Array:
-    """Mean of a function over [x - half_width, x + half_width], by 4 Gauss-Legendre nodes on a trailing axis: for
-    functions that hardly bend over the interval."""
+    """Return the mean of a function over [x - half_width, x + half_width] by 4 Gauss-Legendre nodes.
+
+    The nodes are a trailing axis of the function's argument; it must hardly bend over the interval.
+    """
     nodes, weights = (jnp.asarray(a) for a in _GAUSS4)
     return function(x[..., None] + half_width[..., None] * nodes) @ (weights / 2)
 
@@ -159,99 +222,3 @@ def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array,
 def _checked_half_width(half_width: ArrayLike) -> jax.Array:
     unit = "px (a pixel is no wider than the pitch)"
     return checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, unit, open_low=True))
-
-
-_SLIVER = 0.05  # short half width / std
-_THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
-
-
-def line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
-    """What the pixel reads of a line whose profile is a unit-area Gaussian, x px away, normal at `angle`; 1/px."""
-    long, sliver, short = _boxes(angle, half_width, std)
-    safe = jnp.where(sliver, std, short)  # the branch not taken must not divide by 0, nor its gradient
-    polynomial = _polynomial_difference(lambda u: jnp.where(u > 0, u, 0), x, long, safe, far=0.0)
-    remainder = _second_difference(lambda u: _first_remainder(u, std), x, long, safe)
-    closed = (polynomial + remainder) / (4 * long * safe)
-    by_sliver = mean_over_interval(lambda u: gaussian_over_interval(u, long[..., None], std), x, short)
-    return jnp.where(sliver, by_sliver, closed)
-
-
-def edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
-    """What the pixel reads x px inside the bright side of a Gaussian-blurred 0-1 edge."""
-    long, sliver, short = _boxes(angle, half_width, std)
-    safe = jnp.where(sliver, std, short)
-    polynomial = _polynomial_difference(lambda u: jnp.where(u > 0, (u**2 + std**2) / 2, 0), x, long, safe, far=1.0)
-    remainder = _second_difference(lambda u: _second_remainder(u, std), x, long, safe)
-    closed = (polynomial + remainder) / (4 * long * safe)
-
-    def box_edge(u: jax.Array) -> jax.Array:
-        wide = long[..., None]
-        upper, lower = u + wide, u - wide
-        ramp = jnp.where(upper > 0, upper, 0) - jnp.where(lower > 0, lower, 0)
-        # to the right of the whole box the difference is its width, exactly
-        ramp = jnp.where(lower > 0, 2 * wide, ramp)
-        return (ramp + _first_remainder(upper, std) - _first_remainder(lower, std)) / (2 * wide)
-
-    return jnp.where(sliver, mean_over_interval(box_edge, x, short), closed)
-
-
-def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Long box, whether the short one is a sliver, short box."""
-    a, b = half_width * jnp.abs(jnp.cos(angle)), half_width * jnp.abs(jnp.sin(angle))
-    long, short = jnp.maximum(a, b), jnp.minimum(a, b)
-    return long, short < _SLIVER * std, short
-
-
-def _second_difference(
-    function: Callable[[jax.Array], jax.Array], x: jax.Array, long: jax.Array, short: jax.Array
-) -> jax.Array:
-    return (
-        function(x + long + short)
-        - function(x + long - short)
-        - function(x - long + short)
-        + function(x - long - short)
-    )
-
-
-def _polynomial_difference(
-    function: Callable[[jax.Array], jax.Array], x: jax.Array, long: jax.Array, short: jax.Array, far: float
-) -> jax.Array:
-    """Second difference of a function that is 0 for x < 0; beyond the boxes it is 0 or far * 4 long short, exactly."""
-    reach = long + short
-    inside = jnp.abs(x) < reach
-    near = _second_difference(function, jnp.where(inside, x, 0.0), long, short)
-    return jnp.where(inside, near, jnp.where(x > 0, far * 4 * long * short, 0.0))
-
-
-def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """H(x), the integral of the normal distribution function from -infinity to x, less max(x, 0)."""
-    t = jnp.where(x > 0, x, -x) / std
-    return std * (jax.scipy.stats.norm.pdf(t) - t * jax.scipy.special.ndtr(-t))
-
-
-def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """The integral of H, less (x^2 + std^2) / 2 where x > 0."""
-    t = jnp.where(x > 0, x, -x) / std
-    tail = std**2 / 2 * ((t**2 + 1) * jax.scipy.special.ndtr(-t) - t * jax.scipy.stats.norm.pdf(t))
-    return jnp.where(x > 0, -tail, tail)
-
-
-def edge_and_slopes(
-    x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """`edge`, and its derivatives by x and by std, for the price of one: for fits, which need all three again and again.
-
-    The plain second difference, good to 1e-9 of the step up to 100 px: H solves the heat equation, so all three are made
-    of one normal distribution function and one density per corner of the square.
-    """
-    long, _, short = _boxes(angle, half_width, std)
-    short = jnp.where(short > _THINNEST, short, _THINNEST)
-    sums = [jnp.zeros(()), jnp.zeros(()), jnp.zeros(())]
-    for corner, sign in ((long + short, 1), (long - short, -1), (short - long, -1), (-long - short, 1)):
-        t = (x + corner) / std
-        phi = jnp.exp(-(t**2) / 2) / jnp.sqrt(2 * jnp.pi)
-        below = (1 + jax.scipy.special.erf(t / jnp.sqrt(2.0))) / 2
-        parts = (std**2 / 2 * ((t**2 + 1) * below + t * phi), std * (t * below + phi), std * below)
-        sums = [total + sign * part for total, part in zip(sums, parts, strict=True)]
-    area = 4 * long * short
-    return sums[0] / area, sums[1] / area, sums[2] / area

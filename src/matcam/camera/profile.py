@@ -1,97 +1,140 @@
-"""What a camera profile must look like, version by version. It validates JSON; the numbers live in the camera's objects.
-
-A published version never changes: what is new goes into the next one.
-
-The camera profile: a camera as a JSON file that ships with a data set. Its format lives here and nowhere else.
+"""The camera profile: a camera as a JSON file that ships with a data set. Its format lives here and nowhere else.
 
     {
       "format": "matcam camera profile",  "version": 2,
       "optics": {"model": "gaussian", "sigma_px": 0.5},
       "pixel": {"model": "box", "half_width_px": 0.5},
-      "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: nobody said
-      "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: taken as exact
+      "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: not stated
+      "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: exact
       "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
     }
 
 Units stand in the names. A lens inside a lens is an object of its own: {"model": "halo", "core": {"model": ...}, ...}.
-Version 1, which knows neither "defocus" nor "halo" nor sensors, is read as well. The published schemas are
-docs/camera-profile-v1.schema.json and -v2.
+Parameters are named by their place: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px".
+
+Version 1, which knows neither "defocus" nor "halo" nor sensors, is read as well. A published version never changes: what is
+new goes into the next one. The published schemas are docs/camera-profile-v1.schema.json and -v2. pydantic validates JSON;
+the parameters live in the camera's objects.
 """
 
 from __future__ import annotations
 
 import datetime
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
 import equinox as eqx
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, create_model
 
 from matcam.camera.optics.optics import Optics
-from matcam.camera.parameters import MODELS, model_of, values_of
 from matcam.camera.pixel import PixelResponse
+from matcam.camera.registry import LENSES, PIXELS
 from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.jax import jax, jnp
 from matcam.core.json import checked_version, first_problem, read_json
 
 FORMAT = "matcam camera profile"
 VERSION = 2
 """The version that is written."""
 
+_WHAT = "a camera profile"
+_MODELS = {**LENSES, **PIXELS}
+_VERSION_1_LENSES = ("gaussian", "diffraction", "measured")
+_CURVES = ("frequency_cycles_per_px", "mtf")
+_INNER_LENS = "core"
+_NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
+
+# ---------------------------------------------------------------------------------------------------- parameters by name
+
+
+def model_name(module: eqx.Module) -> str:
+    """Return the name of the model that a lens or a pixel is."""
+    return next(name for name, cls in _MODELS.items() if type(module) is cls)
+
+
+def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
+    """Return the scalars that describe the lens or pixel that is the camera's `part` ("optics", "optics.core")."""
+    named = {}
+    for field, value in _fields_of(module).items():
+        if isinstance(value, eqx.Module):
+            named.update(parameters_of(f"{part}.{field}", value))
+        elif isinstance(value, tuple):
+            continue  # the frequencies of a curve's samples are known exactly
+        elif jnp.ndim(value):
+            named.update({f"{part}.{field}[{i}]": value[i] for i in range(value.size)})
+        else:
+            named[f"{part}.{field}"] = value
+    return named
+
+
+def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any:
+    """Return `module` with the parameters of this part replaced by `values`. Works under JAX transformations."""
+    for name, value in values.items():
+        found = _NAME.fullmatch(name)
+        if found is None or found[1].split(".")[0] != part:
+            continue
+        path = _path(module, found[1].split(".")[1:-1], found[2])
+        value = jnp.asarray(value, dtype=jnp.float64)
+        new = value if found[3] is None else path(module).at[int(found[3])].set(value)
+        module = eqx.tree_at(path, module, new)
+    return module
+
+
+def _fields_of(module: Any) -> dict[str, Any]:
+    """Return what describes a lens or a pixel by names with units: scalars, curves, and the lens inside a lens."""
+    return {field: operator.attrgetter(path)(module) for field, path in module.profile_fields.items()}
+
+
+def _path(module: Any, inner: list[str], field: str) -> Callable[[Any], Any]:
+    """Return the way from a lens to one of its parameters, through the lenses inside it."""
+    steps = []
+    for name in (*inner, field):
+        steps.append(module.profile_fields[name])
+        module = operator.attrgetter(steps[-1])(module)
+    return operator.attrgetter(".".join(steps))
+
+
+# -------------------------------------------------------------------------------------------------------------- schemas
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
-class Part(_Strict):
-    """A lens or a pixel; its `model` is one of `parameters.MODELS`, its fields are that model's."""
+class _Part(_Strict):
+    model: str
 
 
-class _Gaussian(Part):
-    model: Literal["gaussian"]
-    sigma_px: FiniteFloat
+def _part_schema(name: str) -> type[_Part]:
+    """Build the schema of one model of a lens or a pixel from the fields that its class names."""
+    title = "_" + "".join(word.capitalize() for word in name.split())
+    fields: dict[str, Any] = {"model": (Literal[name], ...)}
+    for field in _MODELS[name].profile_fields:
+        kind: Any = list[FiniteFloat] if field in _CURVES else "_Optics" if field == _INNER_LENS else FiniteFloat
+        fields[field] = (kind, ...)
+    return create_model(title, __base__=_Part, __module__=__name__, **fields)
 
 
-class _Diffraction(Part):
-    model: Literal["diffraction"]
-    f_number: FiniteFloat
-    wavelength_m: FiniteFloat
-    pixel_pitch_m: FiniteFloat
+_SCHEMAS = {name: _part_schema(name) for name in _MODELS}
 
 
-class _Defocus(Part):
-    model: Literal["defocus"]
-    f_number: FiniteFloat
-    wavelength_m: FiniteFloat
-    pixel_pitch_m: FiniteFloat
-    blur_diameter_px: FiniteFloat
+def _one_of(names: Iterable[str]) -> Any:
+    """Return the type of a part that is any of these models."""
+    return Annotated[Union[tuple(_SCHEMAS[name] for name in names)], Field(discriminator="model")]  # noqa: UP007
 
 
-class _Measured(Part):
-    model: Literal["measured"]
-    frequency_cycles_per_px: list[FiniteFloat]
-    mtf: list[FiniteFloat]
-
-
-class _Halo(Part):
-    model: Literal["halo"]
-    core: _Optics
-    fraction: FiniteFloat
-    radius_px: FiniteFloat
-
-
-class _Box(Part):
-    model: Literal["box"]
-    half_width_px: FiniteFloat
-
-
-class _WindowedGaussian(Part):
-    model: Literal["windowed gaussian"]
-    sigma_px: FiniteFloat
-    half_width_px: FiniteFloat
+_Optics: Any = _one_of(LENSES)
+_Pixel: Any = _one_of(PIXELS)
+_Optics1: Any = _one_of(_VERSION_1_LENSES)
+for _schema in _SCHEMAS.values():
+    _schema.model_rebuild(_types_namespace={"_Optics": _Optics})
 
 
 class _Sensor(_Strict):
@@ -108,6 +151,12 @@ class _Sensor(_Strict):
     pattern_seed: int
 
 
+_SENSOR_FIELDS = {
+    field: re.sub(r"_(m|electrons|dn|dn_per_electron|electrons_per_s)$", "", field) for field in _Sensor.model_fields
+}
+"""Attribute of `Sensor` by its name with the unit."""
+
+
 class _Uncertainty(_Strict):
     parameters: list[str]
     covariance: list[list[FiniteFloat]]
@@ -120,15 +169,11 @@ class _Provenance(_Strict):
     notes: str = ""
 
 
-_Optics = Annotated[_Gaussian | _Diffraction | _Defocus | _Measured | _Halo, Field(discriminator="model")]
-_Pixel = Annotated[_Box | _WindowedGaussian, Field(discriminator="model")]
-
-
 class _Profile1(_Strict):
     model_config = ConfigDict(title="_Profile")
     format: Literal["matcam camera profile"]
     version: Literal[1]
-    optics: Annotated[_Gaussian | _Diffraction | _Measured, Field(discriminator="model")]
+    optics: _Optics1
     pixel: _Pixel
     uncertainty: _Uncertainty | None
     provenance: _Provenance
@@ -148,25 +193,11 @@ VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2}
 
 
 def json_schema(version: int = VERSION) -> dict[str, Any]:
-    """JSON Schema of a version of the profile."""
+    """Return the JSON Schema of a version of the profile."""
     return VERSIONS[version].model_json_schema()
 
 
-_WHAT = "a camera profile"
-_SENSOR = {
-    "pitch_m": "pitch",
-    "full_well_electrons": "full_well",
-    "read_noise_electrons": "read_noise",
-    "gain_dn_per_electron": "gain",
-    "bits": "bits",
-    "cfa": "cfa",
-    "prnu": "prnu",
-    "dark_current_electrons_per_s": "dark_current",
-    "dark_nonuniformity": "dark_nonuniformity",
-    "black_level_dn": "black_level",
-    "pattern_seed": "pattern_seed",
-}
-"""Field -> attribute of `Sensor`."""
+# ------------------------------------------------------------------------------------------------- writing and reading
 
 
 def as_document(
@@ -176,14 +207,14 @@ def as_document(
     uncertainty: Uncertainty | None,
     provenance: Provenance,
 ) -> dict[str, Any]:
-    """A camera's parts as the profile's JSON."""
+    """Return a camera's parts as the profile's JSON."""
     return {
         "format": FORMAT,
         "version": VERSION,
         "optics": _as_json(optics),
         "pixel": _as_json(pixel),
         "sensor": sensor
-        and {field: np.asarray(getattr(sensor, attribute)).tolist() for field, attribute in _SENSOR.items()},
+        and {field: np.asarray(getattr(sensor, attribute)).tolist() for field, attribute in _SENSOR_FIELDS.items()},
         "uncertainty": None
         if uncertainty is None
         else {"parameters": list(uncertainty.names), "covariance": np.asarray(uncertainty.covariance).tolist()},
@@ -196,24 +227,28 @@ def as_document(
     }
 
 
-def read(path: str | Path) -> dict[str, Any]:
-    """Arguments of the `Camera` in the profile at `path`. FileFormatError naming file and field."""
+def read_profile(path: str | Path) -> dict[str, Any]:
+    """Return the arguments of the `Camera` in the profile at `path`. FileFormatError naming file and field."""
     return from_document(read_json(path, _WHAT), path)
 
 
 def from_document(document: Any, where: str | Path) -> dict[str, Any]:
-    """Arguments of the `Camera` that a profile's JSON describes. FileFormatError naming `where` it stands, and the field."""
+    """Return the arguments of the `Camera` that a profile's JSON describes.
+
+    Raises:
+        FileFormatError: naming `where` the profile stands, and the field.
+    """
     version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
     try:
         profile: Any = VERSIONS[version].model_validate(document)
     except ValidationError as error:
-        raise FileFormatError(f"{where}: {first_problem(error, MODELS)}") from None
+        raise FileFormatError(f"{where}: {first_problem(error, _MODELS)}") from None
     try:
         return {
             "optics": _from_json(profile.optics),
             "pixel": _from_json(profile.pixel),
             "sensor": getattr(profile, "sensor", None)  # version 1 has none
-            and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in _SENSOR.items()}),
+            and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in _SENSOR_FIELDS.items()}),
             "uncertainty": profile.uncertainty
             and Uncertainty(profile.uncertainty.parameters, np.array(profile.uncertainty.covariance)),
             "provenance": Provenance(**profile.provenance.model_dump()),
@@ -222,15 +257,15 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
         raise FileFormatError(f"{where}: {error}") from None
 
 
-def _as_json(module: eqx.Module) -> dict[str, Any]:
+def _as_json(module: Any) -> dict[str, Any]:
     values = {
         field: _as_json(value) if isinstance(value, eqx.Module) else np.asarray(value).tolist()
-        for field, value in values_of(module).items()
+        for field, value in _fields_of(module).items()
     }
-    return {"model": model_of(module)} | values
+    return {"model": model_name(module)} | values
 
 
 def _from_json(part: Any) -> Any:
-    cls, fields = MODELS[part.model]
-    values = (getattr(part, field) for field in fields)
-    return cls(*(_from_json(v) if isinstance(v, Part) else v for v in values))
+    cls = _MODELS[part.model]
+    values = (getattr(part, field) for field in cls.profile_fields)
+    return cls(*(_from_json(value) if isinstance(value, _Part) else value for value in values))

@@ -1,6 +1,4 @@
-"""Noise of a pixel, as a reflectance measurement states it.
-
-The sensor behind the lens: from radiance in the pixels to the numbers in a raw file (EMVA Standard 1288, release 4).
+"""The sensor behind the lens: from radiance in the pixels to the values in a raw file (EMVA Standard 1288, release 4).
 
     radiance --exposure--> expected electrons --fixed-pattern gain--> + dark electrons --Poisson--> --full well-->
     + read noise --gain, black level--> --rounding, range--> DN
@@ -8,40 +6,58 @@ The sensor behind the lens: from radiance in the pixels to the numbers in a raw 
 Fixed-pattern gain comes before the photons are counted: a more sensitive pixel counts more of them, noise included.
 The well fills before it is read, so read noise sits on top of saturated pixels too.
 
-Exposure bracketing: several pictures of one scene, merged into the radiance that they all saw, with its uncertainty.
-
-Every picture's weight is the inverse variance that the sensor's law gives it at the merged radiance (MODEL 8), never
-that of its own noisy pixels. Close to saturation a picture's weight is faded out: a sharp limit would let pixels in by
-their own noise, and bias what is left.
+`Sensor` simulates this chain. `PixelNoise` states its outcome in the few parameters that a reflectance measurement knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
+from matcam.camera.registry import CFAS
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp
+
+_CHANNELS = "RGB"
+_DEEPEST = 32  # bits
+
+Seed = int | jax.Array
+"""A whole number, or a key of jax.random."""
 
 
 class PixelNoise(NamedTuple):
-    """Standard deviation of a pixel: relative * its value, and floor * the brightest value of its picture, in quadrature.
-    gain: relative standard deviation of a picture's exposure, common to all its pixels.
+    """State the noise of a measured reflectance.
 
-    Noise belongs to pixels: table cells that were read from one pixel share it.
+    A pixel's variance is (relative value)^2 + (floor peak)^2, where peak is the brightest value of its picture. Noise
+    belongs to pixels: table cells that were read from one pixel share it.
+
+    Attributes:
+        relative: standard deviation over the value, no unit, [0, 1). Default: 0.01.
+        floor: standard deviation over the picture's brightest value, no unit, [0, 1). Default: 1e-4. Raise it where dark
+            parts are noisier.
+        picture_gain: relative standard deviation of a picture's exposure, common to all its pixels, no unit, [0, 1).
+            Default: 0. Raise it where lamp or shutter scatter. (A sensor's system gain, DN per electron, is
+            `Sensor.gain`.)
+
+    Example:
+        >>> matcam.camera.PixelNoise(relative=0.02).checked()
+        PixelNoise(relative=0.02, floor=0.0001, picture_gain=0.0)
     """
 
     relative: float = 0.01
     floor: float = 1e-4
-    gain: float = 0.0
+    picture_gain: float = 0.0
 
     def checked(self) -> PixelNoise:
-        """Itself; ArgumentError if a number is negative, not finite, or both are 0."""
+        """Return the noise itself if it is possible.
+
+        Raises:
+            ArgumentError: a parameter is outside [0, 1) or not finite, or relative and floor are both 0.
+        """
         for name, value in self._asdict().items():
             if not 0 <= value < 1:
                 raise ArgumentError(f"noise.{name} must lie in [0, 1), got {value!r}")
@@ -50,28 +66,36 @@ class PixelNoise(NamedTuple):
         return self
 
 
-CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")
-"""Bayer mosaics: the colours of the upper left 2 x 2 pixels, row by row."""
-
-_CHANNELS = "RGB"
-_DEEPEST = 32  # bits
-
-Seed = int | jax.Array
-"""A number, or a key of jax.random."""
-
-
 class Sensor(eqx.Module):
-    """Noise and mosaic of a camera.
+    """Simulate the noise and the mosaic of a camera's sensor.
 
-    pitch: distance of its pixels, m. full_well: electrons that a pixel holds. read_noise: standard deviation, e-.
-    gain: DN per e-. bits: of its converter, 1 to 32; None: neither rounded nor limited. cfa: "RGGB", "BGGR", "GRBG",
-    "GBRG", or None for a sensor without colours.
+    Both fixed patterns are log-normal: their mean is 1 exactly, and no pixel is negative.
 
-    prnu: photo-response non-uniformity, relative standard deviation of the pixels' sensitivity. dark_current: e-/s.
-    dark_nonuniformity: relative standard deviation of the pixels' dark currents. Both patterns are log-normal: their
-    mean is 1 exactly, and no pixel is negative. black_level: DN of an empty pixel; None: as many whole DN as keep six
-    standard deviations of read noise above 0. pattern_seed: which individual sensor this is; pictures of one shape
-    share its patterns.
+    Args:
+        pitch: distance of the pixels, m.
+        full_well: electrons that a pixel holds, e-.
+        read_noise: standard deviation of the read noise, e-.
+        gain: system gain (EMVA 1288), DN per e-. Default: 1.
+        bits: depth of the converter, 1 to 32. None: values are neither rounded nor limited.
+        cfa: colours of the upper left 2 x 2 pixels, "RGGB", "BGGR", "GRBG" or "GBRG". None: a sensor without colours.
+        prnu: photo-response non-uniformity, the relative standard deviation of the pixels' sensitivity, no unit.
+            Default: 0.
+        dark_current: mean, e-/s. Default: 0.
+        dark_nonuniformity: relative standard deviation of the pixels' dark currents, no unit. Default: 0.
+        black_level: value of an empty pixel, DN. None: as many whole DN as keep six standard deviations of read noise
+            above 0.
+        pattern_seed: which individual sensor this is; pictures of one shape share its patterns. Default: 0.
+
+    Raises:
+        ArgumentError: a parameter is out of range or of the wrong kind, or the black level is beyond the converter.
+
+    Source:
+        EMVA Standard 1288, release 4; docs/model.md 8.
+
+    Example:
+        >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0, bits=12)
+        >>> float(sensor.variance(500.0)), float(sensor.saturation)
+        (509.083..., 4077.0)
     """
 
     pitch: jax.Array
@@ -126,26 +150,48 @@ class Sensor(eqx.Module):
 
     @property
     def saturation(self) -> jax.Array:
-        """Electrons at which a pixel stops to count: the well's, or the converter's where that comes first."""
+        """Electrons at which a pixel saturates: its well's, or the converter's."""
         if self.bits is None:
             return self.full_well
         return jnp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
 
     def channel_map(self, height: int, width: int) -> np.ndarray:
-        """Which channel (0, 1, 2 for R, G, B) each pixel of a mosaic sees, shape (height, width). ArgumentError without
-        a cfa."""
+        """Return the channel that each pixel of a mosaic sees.
+
+        0, 1 and 2 are R, G and B.
+
+        Args:
+            height: of the picture, px.
+            width: of the picture, px.
+
+        Returns:
+            Whole numbers, shape (height, width).
+
+        Raises:
+            ArgumentError: the sensor has no cfa.
+        """
         if self.cfa is None:
             raise ArgumentError("this sensor has no mosaic: its cfa is None")
         tile = np.array([_CHANNELS.index(c) for c in self.cfa]).reshape(2, 2)
         return np.tile(tile, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
 
     def expected_electrons(self, radiance: ArrayLike, exposure: ArrayLike, time: ArrayLike = 0.0) -> jax.Array:
-        """Mean electrons of every pixel of this sensor, its patterns and dark current included, before its well is full.
+        """Return the mean electrons of every pixel before its well is full.
 
-        radiance: of the pixels, any unit, shape (H, W) or (H, W, channels); with a cfa (H, W, 3), R, G, B, of which
-        each pixel of the (H, W) result keeps one. Channels without a cfa are exposures of one sensor behind filters,
-        so they share its patterns. NaN stays NaN. exposure: e- per unit of radiance, positive. time: s, for the dark
-        current.
+        The sensor's fixed patterns and its dark current are in them.
+
+        Args:
+            radiance: of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W, 3), R, G, B, of
+                which each pixel sees one. Channels without a cfa are exposures of one sensor behind filters, so they share
+                its patterns. NaN stays NaN.
+            exposure: electrons per unit of radiance, positive.
+            time: duration, s, for the dark current. Default: 0.
+
+        Returns:
+            Electrons, shape (H, W) with a cfa, else the shape of `radiance`.
+
+        Raises:
+            ArgumentError: an argument is out of range or has the wrong shape.
         """
         radiance = self._mosaic(_checked_radiance(radiance))
         exposure, time = _checked_exposure(exposure, time)
@@ -155,7 +201,20 @@ class Sensor(eqx.Module):
         return exposure * sensitivity * radiance + time * self.dark_current * dark
 
     def expose(self, radiance: ArrayLike, exposure: ArrayLike, seed: Seed, time: ArrayLike = 0.0) -> jax.Array:
-        """One picture, DN: arguments and shape as `expected_electrons`. seed: of the picture's own noise."""
+        """Take one picture, with all its noise.
+
+        Args:
+            radiance: as in `expected_electrons`.
+            exposure: electrons per unit of radiance, positive.
+            seed: of the picture's own noise: a whole number, or a key of jax.random.
+            time: duration, s, for the dark current. Default: 0.
+
+        Returns:
+            The picture, DN, shape as of `expected_electrons`.
+
+        Raises:
+            ArgumentError: an argument is out of range or has the wrong shape.
+        """
         shot, read = jax.random.split(random_key(seed))
         expected = self.expected_electrons(radiance, exposure, time)
         missing = jnp.isnan(expected)
@@ -169,12 +228,23 @@ class Sensor(eqx.Module):
         return jnp.where(missing, jnp.nan, digital)
 
     def electrons(self, digital: ArrayLike) -> jax.Array:
-        """Electrons that a picture in DN speaks of; negative where read noise was."""
+        """Convert a picture to electrons; read noise can make them negative.
+
+        Args:
+            digital: the picture, DN, any shape.
+        """
         return (jnp.asarray(digital, dtype=jnp.float64) - self.black_level) / self.gain
 
     def variance(self, electrons: ArrayLike) -> jax.Array:
-        """Variance, e-^2, of a pixel that expects so many `electrons`, dark ones included: shot, read and rounding.
-        A law of the sensor: to be evaluated at a model's value, not at the noisy pixel's own (MODEL 8)."""
+        """Return the variance of a pixel, e-^2.
+
+        Shot noise, read noise and rounding are in it.
+
+        It is a law of the sensor: evaluate it at a model's value, not at the noisy pixel's own (docs/model.md 8).
+
+        Args:
+            electrons: that the pixel expects, dark ones included, e-, any shape.
+        """
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain**2)
         return jnp.maximum(jnp.asarray(electrons, dtype=jnp.float64), 0) + self.read_noise**2 + rounding
 
@@ -200,7 +270,7 @@ class Sensor(eqx.Module):
 
 
 def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.Array:
-    """Positive numbers of mean 1 and standard deviation `std`."""
+    """Draw positive values of mean 1 and standard deviation `std`."""
     log_variance = jnp.log1p(std**2)
     log_std = jnp.where(std > 0, jnp.sqrt(jnp.where(std > 0, log_variance, 1.0)), 0.0)
     return jnp.exp(log_std * jax.random.normal(key, shape) - log_variance / 2)
@@ -224,93 +294,9 @@ def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, 
 
 
 def random_key(seed: Seed) -> jax.Array:
-    """The key that a seed stands for."""
+    """Return the key that a seed stands for."""
     if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key):
         return seed
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
         raise ArgumentError(f"seed must be a whole number >= 0 or a key of jax.random, got {seed!r:.60}")
     return jax.random.key(int(seed))
-
-
-_FADE = (0.85, 0.95)  # of saturation: from full weight to none
-_ROUNDS = 3
-
-
-class Merged(NamedTuple):
-    """A radiance estimate of shape (H, W) or (H, W, channels), in the unit that the exposures are per."""
-
-    radiance: jax.Array
-    """NaN where every picture is saturated, or the data are missing."""
-    std: jax.Array
-    """Standard deviation, fixed-pattern gain included."""
-    saturated: jax.Array
-    """True where every picture is."""
-
-
-def expose_bracket(
-    sensor: Sensor, radiance: ArrayLike, exposures: Sequence[float], seed: Seed, times: Sequence[float] | None = None
-) -> jax.Array:
-    """Pictures of one scene, DN, shape (pictures, H, W[, channels]): `Sensor.expose` at each of `exposures`, e- per unit
-    of radiance, and `times`, s. Their noise is independent, their fixed patterns are the sensor's."""
-    exposures, times = _checked(exposures, times)
-    pairs = zip(jax.random.split(random_key(seed), len(exposures)), exposures, times, strict=True)
-    return jnp.stack([sensor.expose(radiance, exposure, one, time) for one, exposure, time in pairs])
-
-
-def merge_bracket(
-    sensor: Sensor, pictures: AnyArray, exposures: Sequence[float], times: Sequence[float] | None = None
-) -> Merged:
-    """Radiance from pictures of one scene: DN, shape (pictures, H, W[, channels]), taken at `exposures` and `times`.
-
-    The minimum-variance weighted mean of the pictures less their mean dark electrons. Without saturation it is unbiased
-    but for the weights' faint dependence on the data.
-    """
-    exposures, times = _checked(exposures, times)
-    pictures = jnp.asarray(pictures, dtype=jnp.float64)
-    if pictures.shape[:1] != (len(exposures),) or pictures.ndim not in (3, 4):
-        raise ArgumentError(
-            f"pictures must have shape ({len(exposures)}, H, W) or ({len(exposures)}, H, W, channels), one per exposure, "
-            f"got {pictures.shape}"
-        )
-    column = (-1,) + (1,) * (pictures.ndim - 1)
-    exposure, time = (jnp.asarray(a, dtype=jnp.float64).reshape(column) for a in (exposures, times))
-    dark = time * sensor.dark_current
-    electrons = sensor.electrons(pictures)
-    low, high = _FADE
-    share = jnp.clip((high - electrons / sensor.saturation) / (high - low), 0, 1)
-    usable = share > 0
-    saturated = ~jnp.any(usable | jnp.isnan(electrons), axis=0)
-
-    # the mean for shot noise alone needs no variance to start from
-    weight = share * exposure
-    radiance = jnp.sum(share * (electrons - dark), axis=0) / _nan_where_zero(jnp.sum(weight, axis=0))
-    for _ in range(_ROUNDS):
-        variance = _variance(sensor, radiance, exposure, dark)
-        weight = share / variance
-        weight = weight / _nan_where_zero(jnp.sum(weight, axis=0))
-        radiance = jnp.sum(weight * (electrons - dark) / exposure, axis=0)
-    # patterns are the same in all pictures: averaging does not help against them
-    common = (sensor.prnu * radiance) ** 2
-    common += (sensor.dark_nonuniformity * jnp.sum(weight * dark / exposure, axis=0)) ** 2
-    std = jnp.sqrt(jnp.sum(weight**2 * _variance(sensor, radiance, exposure, dark), axis=0) + common)
-    return Merged(radiance, std, saturated)
-
-
-def _variance(sensor: Sensor, radiance: jax.Array, exposure: jax.Array, dark: jax.Array) -> jax.Array:
-    return sensor.variance(exposure * jnp.maximum(radiance, 0) + dark) / exposure**2
-
-
-def _nan_where_zero(total: jax.Array) -> jax.Array:
-    return jnp.where(total > 0, total, jnp.nan)
-
-
-def _checked(exposures: Sequence[float], times: Sequence[float] | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    positive = checks.positive("exposures", jnp.atleast_1d(jnp.asarray(exposures)), "e- per unit of radiance")
-    if positive.ndim != 1 or positive.size == 0:
-        raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
-    exposed = tuple(positive.tolist())
-    lasted = (0.0,) * len(exposed) if times is None else tuple(float(t) for t in times)
-    if len(lasted) != len(exposed):
-        raise ArgumentError(f"times must be as many as exposures ({len(exposed)}), got {len(lasted)}")
-    checks.within("times", jnp.asarray(lasted), 0, float("inf"), "s", open_high=True)
-    return exposed, lasted

@@ -1,4 +1,4 @@
-"""How well a camera is known: the covariance of its parameters, and where it comes from.
+"""The uncertainty of a camera: the covariance of its parameters, and where they come from.
 
 Both travel with the camera into its profile, because a kernel without its uncertainty cannot correct anything honestly.
 """
@@ -18,9 +18,19 @@ from matcam.core.jax import jax, jnp
 
 
 class Uncertainty(eqx.Module):
-    """Covariance of some of a camera's parameters; the others are taken as exact.
+    """State the covariance of a camera's parameters; parameters without one are exact.
 
-    names: as in `Camera.parameters()`, e.g. "optics.sigma_px". covariance: shape (n, n), in the units of the names.
+    Args:
+        names: of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
+        covariance: in the units of the names, shape (n, n), symmetric, positive semidefinite.
+
+    Raises:
+        ArgumentError: the shape does not fit, a name stands twice, or this is no covariance.
+
+    Example:
+        >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
+        >>> known.std()
+        {'optics.sigma_px': 0.02}
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -45,13 +55,27 @@ class Uncertainty(eqx.Module):
 
     @classmethod
     def of(cls, std: Mapping[str, float]) -> Uncertainty:
-        """Independent parameters with these standard deviations."""
+        """Build the uncertainty of independent parameters from standard deviations.
+
+        Args:
+            std: standard deviation by name, in the unit of the name, >= 0.
+
+        Raises:
+            ArgumentError: a standard deviation is negative or not finite.
+        """
         for name, value in std.items():
             checks.within(f"standard deviation of {name}", value, 0, np.inf, open_high=True)
         return cls(std.keys(), np.diag([float(s) ** 2 for s in std.values()]))
 
     def check_names(self, parameters: Iterable[str]) -> None:
-        """ArgumentError if a name is none of the camera's `parameters`."""
+        """Check that every name belongs to a camera.
+
+        Args:
+            parameters: names that the camera has.
+
+        Raises:
+            ArgumentError: a name is not among them.
+        """
         known = set(parameters)
         for name in self.names:
             if name not in known:
@@ -60,7 +84,7 @@ class Uncertainty(eqx.Module):
                 )
 
     def std(self) -> dict[str, float]:
-        """Standard deviations by name."""
+        """Return the standard deviations by name, in the units of the names."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def __repr__(self) -> str:
@@ -69,11 +93,20 @@ class Uncertainty(eqx.Module):
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a camera profile comes from. All texts are free."""
+    """Tell where a camera profile comes from; all texts are free.
+
+    Attributes:
+        source: measurement or assumption behind the profile. Default: "".
+        created: ISO 8601 date. Default: "", the day on which the profile is written.
+        software: program and version. Default: "", this one.
+        notes: anything else. Default: "".
+
+    Example:
+        >>> matcam.camera.Provenance(source="slanted edges, f/8").source
+        'slanted edges, f/8'
+    """
 
     source: str = ""
-    """What was measured or assumed, and how."""
     created: str = ""
-    """ISO 8601 date."""
     software: str = ""
     notes: str = ""

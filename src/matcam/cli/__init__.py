@@ -15,6 +15,9 @@ FAULT = 70
 INTERRUPTED = 130
 _INTERRUPTION = "interrupted; nothing half-written was left"
 
+OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
+"""Arguments that the library's messages name, and the options that they are here."""
+
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
@@ -48,7 +51,7 @@ def _run(arguments: list[str] | None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _complain(_INTERRUPTION, INTERRUPTED)
     except MatcamError as error:
-        return _complain(_one_line(str(error)), BAD_INPUT)
+        return _complain(_in_options(_one_line(str(error))), BAD_INPUT)
     except BrokenPipeError:
         sys.stderr.close()  # the reader has gone; Python would complain once more at exit
         return 0
@@ -63,6 +66,13 @@ def _run(arguments: list[str] | None) -> int:
 def _complain(message: str, code: int) -> int:
     print(f"matcam: {message}", file=sys.stderr)
     return code
+
+
+def _in_options(message: str) -> str:
+    """Return a library's message in the command line's words."""
+    for argument, option in OPTIONS.items():
+        message = message.replace(argument, option)
+    return message
 
 
 def _one_line(text: str) -> str:

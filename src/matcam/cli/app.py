@@ -1,4 +1,4 @@
-"""All commands, in the order in which people need them."""
+"""The application: all commands, in the order in which people need them."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from matcam.cli import (
     render,
     simulate,
 )
+from matcam.cli.options import Command
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -51,18 +52,21 @@ def _options(
     pass
 
 
-app.command("predict")(predict.command)
-app.command("fresnel")(fresnel.command)
-app.command("correct")(correct.command)
-app.command("fit")(fit.command)
-app.command("limits")(limits.command)
-app.command("simulate")(simulate.command)
-app.command("edge")(edge.command)
-app.command("calibrate")(calibrate.command)
-app.command("chart")(chart.command)
-app.command("inspect")(inspect.command)
-app.command("convert")(convert.command)
-app.command("render")(render.command)
-app.command("figures")(figures.command)
-app.command("demo")(demo.command)
+for _name, _module in {
+    "predict": predict,
+    "fresnel": fresnel,
+    "correct": correct,
+    "fit": fit,
+    "limits": limits,
+    "simulate": simulate,
+    "edge": edge,
+    "calibrate": calibrate,
+    "chart": chart,
+    "inspect": inspect,
+    "convert": convert,
+    "render": render,
+    "figures": figures,
+    "demo": demo,
+}.items():
+    app.command(_name, cls=Command)(_module.command)
 app.add_typer(data.app, name="data", help="Fetch published measurements.")

@@ -16,49 +16,58 @@ _SOME_FAILED = 1
 def command(
     pictures: Annotated[
         list[Path],
-        typer.Argument(help="Photographs of slanted edges, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."),
+        typer.Argument(
+            help="Photographs of slanted edges to read, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Camera profile to write (JSON).")] = Path(
         "camera.json"
     ),
     model: Annotated[
-        Literal["gaussian", "halo", "diffraction", "defocus", "measured"], typer.Option("--model", help="Lens.")
+        Literal["gaussian", "halo", "diffraction", "defocus", "measured"],
+        typer.Option("--model", help="Model of the lens."),
     ] = "gaussian",
     half_width: Annotated[
-        float, typer.Option("--half-width", metavar="PX", help="Half the side of a pixel's sensitive area, px.")
+        float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
     fit_pixel: Annotated[
-        bool, typer.Option("--fit-pixel", help="Fit the half width, too; refused where it cannot be known to 10 %.")
+        bool, typer.Option("--fit-pixel", help="Fit the half width too; refused if it cannot be known to 10 %.")
     ] = False,
     wavelength: Annotated[
-        float | None, typer.Option("--wavelength", metavar="NM", help="nm, where diffraction is taken into account.")
+        float | None,
+        typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
     ] = None,
     pitch: Annotated[
-        float | None, typer.Option("--pitch", metavar="UM", help="Of the pixels, um, where diffraction is.")
+        float | None, typer.Option("--pitch", metavar="UM", help="Pixel pitch for diffraction and defocus, um.")
     ] = None,
     f_number: Annotated[
-        list[float] | None, typer.Option("--f-number", help="One, or one for each picture. Default: the files' own.")
+        list[float] | None,
+        typer.Option("--f-number", help="F-number: one, or one for each picture. Default: the files' own."),
     ] = None,
     tone: Annotated[
         str,
         typer.Option(
             "--tone",
             metavar="CURVE",
-            help="auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file: linear values by code.",
+            help="Tone curve: auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file of linear values by code.",
         ),
     ] = "auto",
     tone_patches: Annotated[
         Path | None,
-        typer.Option("--tone-patches", help="File of lines x y width height light: patches of the first picture."),
+        typer.Option(
+            "--tone-patches",
+            help="File with lines x y width height light: patches of the first picture that show its tone curve.",
+        ),
     ] = None,
     channel: Annotated[
-        list[str] | None, typer.Option("--channel", help="R, G, B, Y (luminance) or grey. Default: all there are.")
+        list[str] | None,
+        typer.Option(
+            "--channel", help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all that the pictures have."
+        ),
     ] = None,
     chart: Annotated[
         Path | None,
-        typer.Option(
-            "--chart", help="Description of the chart, which matcam chart has written: measures all its targets."
-        ),
+        typer.Option("--chart", help="Description of the chart, as `matcam chart` writes it: measure all its targets."),
     ] = None,
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
@@ -69,7 +78,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """From photographs of a chart to a camera profile: edges are found and measured without help.
+    """Calibrate a camera from photographs of a chart, whose edges are found and measured without help.
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
@@ -111,7 +120,7 @@ def command(
 
 
 def _files(given: list[Path]) -> list[Path]:
-    """The pictures; of folders all that are in them."""
+    """Return the pictures, a folder's by name."""
     from matcam.core.errors import FileFormatError
     from matcam.files.photographs import PICTURES
 
@@ -171,7 +180,7 @@ def _write(found: Any, output: Path, figure: Path, table: Path, files: list[Path
 
 
 def _verdict(found: Any) -> list[str]:
-    """The result in a few lines."""
+    """Return the result in a few lines."""
     lines = []
     for name, fit in found.channels.items():
         numbers = ", ".join(

@@ -14,23 +14,25 @@ from matcam.cli.options import AsJson, Force
 def command(
     kinds: Annotated[
         list[str] | None,
-        typer.Argument(help="Panels: squares, bars, sines, lines, star, dots. Default: squares, bars, star, dots."),
+        typer.Argument(
+            help="Panels to draw: squares, bars, sines, lines, star, dots. Default: squares, bars, star, dots."
+        ),
     ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Page to write (.pdf, .svg, .png); its description goes beside it.")
     ] = Path("chart.pdf"),
-    page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper, lying.")] = "a4",
+    page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper format, landscape.")] = "a4",
     size: Annotated[
-        tuple[float, float] | None, typer.Option("--size", metavar="WIDTH HEIGHT", help="Page of another size, mm.")
+        tuple[float, float] | None, typer.Option("--size", metavar="WIDTH HEIGHT", help="Size of another page, mm.")
     ] = None,
     pixels: Annotated[
-        float, typer.Option("--pixels", help="Pixels of your camera that the page's width will fill.")
+        float, typer.Option("--pixels", help="Number of camera pixels that the page's width will fill.")
     ] = 3000.0,
-    dpi: Annotated[float, typer.Option("--dpi", help="Of a PNG.")] = 600.0,
+    dpi: Annotated[float, typer.Option("--dpi", help="Resolution of a PNG, dots per inch.")] = 600.0,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Print a chart to photograph: slanted squares, gratings, Siemens star, dots; with a description for `calibrate`.
+    """Draw a chart to photograph (slanted squares, gratings, Siemens star, dots), with a description for `calibrate`.
 
     Example: `matcam chart squares star --pixels 4000 -o chart.pdf`
     """

@@ -9,24 +9,25 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Radius, Sampling, rig_of
+from matcam.files.formats import MEASUREMENTS, suffixes_for, titles_for
 
 
 def command(
-    source: Annotated[
-        Path, typer.Argument(metavar="IN", help="MERL, RGL, CSV, NetCDF, Zarr, OpenEXR or float TIFF file.")
-    ],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=f"A file: {titles_for(*MEASUREMENTS)}.")],
     target: Annotated[
         Path,
-        typer.Argument(
-            metavar="OUT", help="Ends in .binary, .bsdf, .csv, .nc, .zarr.zip, .exr, .tif: that is its format."
-        ),
+        typer.Argument(metavar="OUT", help=f"Ends in {', '.join(suffixes_for(*MEASUREMENTS))}: that is its format."),
     ],
     sampling: Sampling = "centre",
-    square: Annotated[int, typer.Option("--square", help="Resolution of a .bsdf that is made; 36 MB at 192.")] = 192,
+    square: Annotated[
+        int, typer.Option("--square", help="Resolution of a .bsdf to write, in values along each side; 192 make 36 MB.")
+    ] = 192,
     metadata: Annotated[
         Path | None,
         typer.Option(
-            "--metadata", metavar="JSON", help="Also write how it was measured: the rig, its receiver's solid angle."
+            "--metadata",
+            metavar="JSON",
+            help="JSON file to write that says how it was measured: the rig, its receiver's solid angle.",
         ),
     ] = None,
     camera: CameraProfile = None,
@@ -35,7 +36,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """The same data in another format. What has to be resampled says so, and by how much it errs.
+    """Convert data to another format; if they must be resampled, say how, and by how much they then differ.
 
     Example: `matcam convert chrome.binary chrome.bsdf`
     """
@@ -50,7 +51,7 @@ def command(
     if metadata:
         check_output(metadata, force=force, inputs=[source, *([camera] if camera else [])])
         if metadata.absolute() == target.absolute():
-            raise OutputError(f"output {metadata} is asked for twice")
+            raise OutputError(f"output {metadata} is asked for twice: give two names")
         document = about(rig_of(camera, radius, lamp), table=target.name)
     with show.working("converting"):
         report = convert(source, target, sampling=sampling, square=square, force=force)

@@ -16,14 +16,18 @@ SOME_FAILED, NONE_DONE = 1, 2
 
 def command(
     paths: Annotated[
-        list[Path], typer.Argument(metavar="PATH...", help="MERL files, and folders whose *.binary are meant.")
+        list[Path],
+        typer.Argument(metavar="PATH...", help="MERL files to read, and folders that stand for their *.binary."),
     ],
     ndf: Annotated[
         Literal["auto", "ggx", "epd", "sgd", "beckmann", "gaussian"],
         typer.Option("--ndf", help="Family of the lobe; auto: ggx or epd, the likelier."),
     ] = "auto",
     glare: Annotated[
-        float, typer.Option("--glare", help="Share of light that the lens may scatter without its profile saying so.")
+        float,
+        typer.Option(
+            "--glare", help="Share of light that the lens may scatter without its profile saying so (no unit)."
+        ),
     ] = 1e-3,
     masking: Masking = "smith",
     camera: CameraProfile = None,
@@ -35,21 +39,26 @@ def command(
         typer.Option(
             "--output",
             "-o",
-            help="MERL file to write; .nc, .json and .html go beside it. Default: FILE-corrected.binary. Of several: a folder.",
+            help="MERL file to write (.nc, .json, .html go beside it), or a run's folder. Default: FILE-corrected.binary.",
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", help="Processes of a run, one core each. Default: one a core.", min=1)
+        int | None,
+        typer.Option(
+            "--workers", help="Number of a run's processes, one core each. Default: one for each core.", min=1
+        ),
     ] = None,
     cluster: Annotated[
         str | None,
         typer.Option(
-            "--cluster", metavar="WHERE", help="Run on Dask: local:N, or a scheduler's address (tcp://host:8786)."
+            "--cluster",
+            metavar="WHERE",
+            help="Do the run on Dask: local:N, or a scheduler's address (tcp://host:8786).",
         ),
     ] = None,
-    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="A page to read for each material.")] = True,
+    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page to read for each material.")] = True,
     zarr: Annotated[
-        bool, typer.Option("--zarr", help="All materials of a run as one Zarr besides, FOLDER/run.zarr.")
+        bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr besides, FOLDER/run.zarr.")
     ] = False,
     fit_camera: Annotated[
         bool,
@@ -60,10 +69,11 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """The table that a perfect camera would have measured, with its uncertainty: MERL, NetCDF, JSON and a page to read.
+    """Correct a table for its camera, with uncertainty: MERL, NetCDF, JSON and a page to read.
 
-    Of several files, or a folder, a run: `-o` names the folder that it fills. Killed, it goes on where it was when started
-    again. What fails is listed at the end and stops nothing else (exit code 1; 2 where nothing was corrected).
+    Several files, or a folder, are a run: `-o` names the folder that it fills. A run that was killed goes on where it was
+    when it is started again. What fails is listed at the end and stops nothing else (exit code 1; 2 if nothing was
+    corrected).
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
@@ -79,9 +89,11 @@ def command(
         )
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
-    from matcam.core.workspace import keep_rules
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
 
-    keep_rules()
+    use_compilation_cache()
+    workspace = Workspace.user()
     rig = rig_of(camera, radius, lamp, cell_value=sampling)
     how: dict[str, Any] = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
     if alone:
@@ -94,7 +106,7 @@ def command(
         for path in job.files:
             check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
         with show.working(f"{paths[0]}: correcting"):
-            document = write_corrected(job)
+            document = write_corrected(job, workspace)
         _print_table({**document, "files": [str(path) for path in job.files]}, paths[0].name, json)
         return
     from matcam.batch.run import correct_all
@@ -108,7 +120,7 @@ def command(
 
         run = correct_all(
             paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, zarr=zarr,
-            fit_camera=fit_camera, force=force, watch=show_progress, **how,
+            fit_camera=fit_camera, force=force, watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip
     _print_run(run, json)
     if run.failures:
@@ -127,7 +139,7 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
     )
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # printed with the fit
-            show.say(f"note: {remark}")
+            show.say(f"note: {remark['text']}")
     show.say("written: " + ", ".join(document["files"]))
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson
+from matcam.cli.options import AsJson, Command
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -18,22 +18,24 @@ def _group() -> None:
     pass
 
 
-@app.command("merl")
+@app.command("merl", cls=Command)
 def merl(
-    materials: Annotated[list[str] | None, typer.Argument(metavar="NAME...", help="Materials, e.g. chrome.")] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to put the files in.")] = Path(),
+    materials: Annotated[
+        list[str] | None, typer.Argument(metavar="NAME...", help="Materials to fetch, such as chrome.")
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to. Default: this one.")] = Path(),
     source: Annotated[
         str | None,
         typer.Option(
             "--source",
             envvar="MATCAM_MERL_SOURCE",
-            help="Archive (.zip) or folder on another server. Default: the official archive.",
+            help="Address of an archive (.zip) or folder on another server. Default: the official archive.",
         ),
     ] = None,
     listing: Annotated[bool, typer.Option("--list", help="List the 100 materials.")] = False,
     json: AsJson = False,
 ) -> int:
-    """Fetch true MERL files (35 MB each, CC BY-SA 4.0) and check each against its published SHA-256.
+    """Fetch measured MERL files (35 MB each, CC BY-SA 4.0) and check each against its published SHA-256.
 
     Example: `matcam data merl chrome nickel -o merl`
     """

@@ -1,4 +1,4 @@
-"""`matcam demo`: the main job, on data that the software makes itself."""
+"""`matcam demo`: the main job, on simulated data."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Simulate a chromium sphere, photograph it with the MERL rig, and get its Fresnel term back.
+    """Simulate the MERL rig's record of a chromium sphere, and recover its Fresnel term.
 
     Example: `matcam demo -o demo`
     """

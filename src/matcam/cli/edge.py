@@ -12,30 +12,36 @@ from matcam.cli.options import AsJson, Force
 
 
 def command(
-    picture: Annotated[Path, typer.Argument(help="Photograph of an edge: TIFF, PNG or JPEG.")],
+    picture: Annotated[
+        Path, typer.Argument(help="Photograph of an edge to read: TIFF, PNG, JPEG, OpenEXR, camera raw.")
+    ],
     roi: Annotated[
         tuple[int, int, int, int] | None,
-        typer.Option("--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: all of it."),
+        typer.Option(
+            "--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: the whole picture."
+        ),
     ] = None,
     model: Annotated[
         Literal["gaussian", "diffraction", "defocus", "halo"],
         typer.Option("--model", help="Lens of the parametric estimate."),
     ] = "gaussian",
     wavelength: Annotated[
-        float | None, typer.Option("--wavelength", metavar="NM", help="For diffraction and defocus, nm.")
+        float | None,
+        typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
     ] = None,
     pitch: Annotated[
-        float | None, typer.Option("--pitch", metavar="UM", help="Of the pixels, um: for diffraction and defocus.")
+        float | None, typer.Option("--pitch", metavar="UM", help="Pixel pitch for diffraction and defocus, um.")
     ] = None,
     half_width: Annotated[
-        float, typer.Option("--half-width", metavar="PX", help="Half the side of a pixel's sensitive area, px.")
+        float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
     cfa: Annotated[
         Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
-        typer.Option("--cfa", help="The picture is a mosaic: colours of its first 2 x 2 px."),
+        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
     ] = None,
     channel: Annotated[
-        Literal["R", "G", "B", "Y"] | None, typer.Option("--channel", help="Colour; Y: luminance (default).")
+        Literal["R", "G", "B", "Y"] | None,
+        typer.Option("--channel", help="Colour to measure; Y is luminance. Default: Y."),
     ] = None,
     tone: Annotated[
         Literal["linear", "srgb", "auto"],
@@ -51,7 +57,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """MTF of lens and pixel across a slanted edge, with error bars: free of a model, and as a lens (ISO 12233).
+    """Measure the MTF of lens and pixel across a slanted edge (ISO 12233): free of a model, and as a lens.
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """

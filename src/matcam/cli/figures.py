@@ -16,14 +16,14 @@ _SIMULATED = Path("simulated-chromium")
 
 def command(
     measured: Annotated[
-        list[Path] | None, typer.Argument(help="MERL files for Figure 6. Default: a simulated chromium sphere.")
+        list[Path] | None, typer.Argument(help="MERL files to read for Figure 6. Default: a simulated chromium sphere.")
     ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("figures"),
     vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Redraw the paper's Figures 3 to 6: PNG and PDF or SVG, with the data of each as CSV.
+    """Draw the paper's Figures 3 to 6 as PNG and PDF or SVG, with the data of each as CSV.
 
     Example: `matcam figures chrome.binary -o figures`
     """
@@ -53,7 +53,7 @@ def command(
 
 
 def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
-    """Every file that the command writes."""
+    """Return every file that the command writes."""
     return [folder / f"{stem}.{suffix}" for stem in stems for suffix in ("png", vector, "csv")]
 
 

@@ -1,4 +1,4 @@
-"""`matcam fit`: a material's numbers, estimated through the camera that recorded it."""
+"""`matcam fit`: a material's parameters, estimated through the camera that recorded it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
-from matcam.core.workspace import keep_rules
 
 Family = Annotated[
     Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
@@ -17,26 +16,34 @@ Family = Annotated[
 
 
 def command(
-    files: Annotated[list[Path], typer.Argument(help="MERL files: several of one rig are fitted with one camera.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="MERL files to read; several of one rig are fitted with one camera.")
+    ],
     ndf: Family = "ggx",
     fresnel: Annotated[
         Literal["conductor", "schlick", "dielectric", "free"],
-        typer.Option("--fresnel", help="n and k, f0, eta, or F free in every picture."),
+        typer.Option(
+            "--fresnel",
+            help="Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free).",
+        ),
     ] = "conductor",
     diffuse: Annotated[bool, typer.Option("--diffuse", help="Add a Lambertian part.")] = False,
-    per_channel: Annotated[bool, typer.Option("--per-channel", help="A lobe for each channel.")] = False,
+    per_channel: Annotated[bool, typer.Option("--per-channel", help="Fit a lobe for each channel.")] = False,
     lens: Annotated[
         Literal["auto", "fixed", "prior", "free"],
-        typer.Option("--lens", help="The camera: as the profile says, within its uncertainty, or its blur left free."),
+        typer.Option("--lens", help="Lens blur: fixed as in the profile, within its uncertainty (prior), or free."),
     ] = "auto",
     blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
     bend: Annotated[
-        float, typer.Option("--bend", help="How far the lobe may leave its family; 1: a non-parametric lobe.")
+        float,
+        typer.Option(
+            "--bend", help="How far the lobe may leave its family, 0 to 10 (no unit); 1 makes it non-parametric."
+        ),
     ] = 0.0,
     rival: Annotated[
         bool,
         typer.Option(
-            "--rival", help="Ask besides whether free shadowing explains the data better than the camera does."
+            "--rival", help="Compare with free shadowing: does it explain the data better than the camera does?"
         ),
     ] = False,
     every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.")] = 1,
@@ -49,7 +56,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Numbers of a microfacet material with their errors, estimated through the camera, all difference angles jointly.
+    """Fit the parameters of a microfacet material through the camera, all difference angles jointly, with their errors.
 
     Example: `matcam fit chrome.binary --ndf epd --fresnel free`
     """
@@ -57,14 +64,17 @@ def command(
     from matcam.core.io import check_output
 
     if blind and lens != "auto":
-        raise ArgumentError("--no-camera and --lens contradict each other")
+        raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
         raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
     if output:
         check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.files.merl import read_merl
-    from matcam.inverse.fit.material_fit import fit
+    from matcam.inverse.fit.fit_setup import fit
 
     rig = None if blind else rig_of(camera, radius, lamp, cell_value=sampling)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
@@ -76,11 +86,12 @@ def command(
             diffuse=diffuse,
             per_channel=per_channel,
             masking=None if masking == "none" else masking,
-            camera=None if lens == "auto" else lens,
+            camera_parameters=None if lens == "auto" else lens,
             bend=bend,
             every=every,
+            workspace=Workspace.user(),
         )
-    document = {"files": [str(file) for file in files], **found.summary()}
+    document = {"files": [str(file) for file in files], **found.to_dict()}
     if rival:
         document["rival"] = _rival(files[0], rig, ndf, sampling, every)
     if output:
@@ -90,7 +101,7 @@ def command(
     if json:
         show.as_json(document)
     else:
-        print_fit(found.summary(), ", ".join(file.name for file in files))
+        print_fit(found.to_dict(), ", ".join(file.name for file in files))
         if rival:
             show.say(f"note: {document['rival']['verdict']}")
         if output:
@@ -98,39 +109,26 @@ def command(
 
 
 def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
+    from matcam.core.workspace import Workspace
     from matcam.files.merl import read_merl
-    from matcam.inverse.rivals import rivals
+    from matcam.inverse.rival_fits import rivals
 
     with show.working(f"fitting {file} with free shadowing instead"):
-        found = rivals(read_merl(file, sampling=sampling), rig, ndf, every=every)
-    sides = {"camera": found.camera, "shadowing": found.shadowing}
-    return {
-        "verdict": found.verdict,
-        **{
-            name: {
-                "numbers": side.numbers,
-                "akaike": side.akaike,
-                "misfit": side.fit.misfit,
-                "degrees_of_freedom": side.fit.freedom,
-                "noise": side.fit.noise._asdict(),
-            }
-            for name, side in sides.items()
-        },
-    }
+        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every, workspace=Workspace.user()).to_dict()
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
-    """A fit's `summary()` as a table, and what is to be said of it."""
+    """A fit's `to_dict()` as a table, and what is to be said of it."""
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
-    show.table(["number", "value", "std"], rows, f"{name}: {summary['ndf']}")
-    show.say(f"half width at half maximum: {summary['half_width_rad']:.6g} ± {summary['half_width_std_rad']:.2g} rad")
+    show.table(["parameter", "value", "std"], rows, f"{name}: {summary['ndf']}")
+    show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(
         f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the picture's peak; of a picture's "
-        f"gain: {noise['gain']:.2%}"
+        f"gain: {noise['picture_gain']:.2%}"
     )
     show.say(
         f"sum of squared residuals over degrees of freedom: {summary['misfit']:.3f} ({summary['degrees_of_freedom']})"
     )
     for remark in summary["remarks"]:
-        show.say(f"note: {remark}")
+        show.say(f"note: {remark['text']}")

@@ -1,4 +1,4 @@
-"""`matcam fresnel`: the Fresnel term of a measured material, with and without the camera."""
+"""`matcam fresnel`: the Fresnel term of a measured material, raw and corrected for the camera."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
-from matcam.core.workspace import keep_rules
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="MERL file.")],
+    file: Annotated[Path, typer.Argument(help="MERL file to read.")],
     metal: Annotated[
         str | None,
         typer.Option(
-            "--metal", help="Compare with tabulated n, k of this metal (Cr, Fe, ...). Default: the nearest of all."
+            "--metal", help="Metal (Cr, Fe, ...) whose tabulated n and k to compare with. Default: the nearest of all."
         ),
     ] = None,
     ndf: Annotated[
@@ -33,30 +32,34 @@ def command(
     sampling: Sampling = "centre",
     normalise: Annotated[
         tuple[float, float],
-        typer.Option("--normalise", metavar="LOW HIGH", help="Range of theta_d, degrees, where F's mean is 1."),
+        typer.Option(
+            "--normalise", metavar="LOW HIGH", help="Range of theta_d over which F is divided by its mean, degrees."
+        ),
     ] = (10.0, 45.0),
-    channel: Annotated[
-        Literal["R", "G", "B"], typer.Option("--channel", help="Channel that is drawn and printed.")
-    ] = "G",
+    channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
     every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.", min=1, max=30)] = 1,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
-            help="Picture (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
+            help="Picture to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
         ),
     ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Fresnel term of a measured metal, raw and corrected for the camera, with its uncertainty (the paper's Figure 6).
+    """Extract the Fresnel term of a measured metal, raw and corrected for the camera, with its uncertainty.
 
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
+    from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
+    low, high = normalise
+    if not 0 <= low < high < 90:
+        raise ArgumentError(f"--normalise must be LOW HIGH with 0 <= LOW < HIGH < 90 degrees, got {low:g} {high:g}")
     output = output or Path(f"{file.stem}-fresnel.png")
     inputs = [path for path in (file, camera) if path]
     check_picture(output, force=force, inputs=inputs)
@@ -74,13 +77,16 @@ def command(
 def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise, every):  # type: ignore[no-untyped-def]
     import math
 
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.files.merl import read_merl
     from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
-    from matcam.material.metals import metal_sources
+    from matcam.material.metals import metals
 
     if metal is not None:
-        metal_sources(metal)  # an unknown name should cost nothing
+        metals(metal)  # an unknown name should cost nothing
     rig = rig_of(camera, radius, lamp)
     table = read_merl(file, sampling=sampling)
     result = fresnel(
@@ -90,6 +96,7 @@ def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalis
         masking=None if masking == "none" else masking,
         normalise=(math.radians(normalise[0]), math.radians(normalise[1])),
         every=every,
+        workspace=Workspace.user(),
     )
     return result, tabulated_fresnel(result, metal)
 
@@ -109,13 +116,16 @@ def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) ->
 def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
     import numpy as np
 
+    from matcam.core.remark import from_attribute
+
     return {
         **result.attrs,
+        "remarks": [remark.to_dict() for remark in from_attribute(result.attrs["remarks"])],
         "normalised_over": np.degrees(result.attrs["normalised_over"]),
         "width": float(result["width"]),
         "width_std": float(result["width_std"]),
-        "half_width_deg": float(np.degrees(result["half_width"])),
-        "half_width_std_deg": float(np.degrees(result["half_width_std"])),
+        "hwhm_deg": float(np.degrees(result["hwhm"])),
+        "hwhm_std_deg": float(np.degrees(result["hwhm_std"])),
         "supported_angle_deg": dict(
             zip(result["channel"].values.tolist(), np.degrees(result["supported_angle"].values), strict=True)
         ),
@@ -138,6 +148,8 @@ def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
 
 def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     import numpy as np
+
+    from matcam.core.remark import from_attribute
 
     one = result.sel(channel=channel)
     at = one.sel(theta_d=np.radians(_ANGLES), method="nearest")
@@ -162,7 +174,7 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     attrs = result.attrs
     determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
     width = f"width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}"
-    half, std = (float(np.degrees(result[name])) for name in ("half_width", "half_width_std"))
+    half, std = (float(np.degrees(result[name])) for name in ("hwhm", "hwhm_std"))
     show.say(
         f"lobe: {attrs['ndf']}, {'bent' if attrs['bent'] else width}; half width at half maximum {half:.4g}° ± {std:.1g}°"
     )
@@ -171,7 +183,7 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
         f"{attrs['noise_floor']:.2%} of the picture's peak"
     )
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
-    for remark in attrs["remarks"].split("; ") if attrs["remarks"] else []:
+    for remark in from_attribute(attrs["remarks"]):
         show.say(f"note: {remark}")
     show.say(f"supported (std under 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     rms = tables.sel(channel=channel)

@@ -1,4 +1,4 @@
-"""`matcam inspect`: what is in this file?"""
+"""`matcam inspect`: what a file holds."""
 
 from __future__ import annotations
 
@@ -9,23 +9,22 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, Sampling
+from matcam.files import formats
+from matcam.files.formats import CONTENTS, titles_for
 
 
 def command(
-    file: Annotated[
-        Path, typer.Argument(help="MERL, RGL, CSV, NetCDF, Zarr, OpenEXR, TIFF; camera profile, picture sidecar.")
-    ],
+    file: Annotated[Path, typer.Argument(help=f"A file: {titles_for(*CONTENTS)}.")],
     sampling: Sampling = "centre",
     json: AsJson = False,
 ) -> None:
-    """Format, grid, missing share, reciprocity, albedo and lobe width against angle of a BRDF, whether a camera shows in it;
-    what any other result, picture or camera profile holds.
+    """Show what a file holds: a BRDF, another result, a picture or a camera profile.
+
+    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, and whether a camera shows in it.
 
     Example: `matcam inspect chrome.binary`
     """
-    from matcam.exchange.contents import identify
-
-    kind = identify(file)
+    kind = formats.identify(file)
     report = {"file": str(file), "format": kind, **_report(file, kind, sampling)}
     if json:
         show.as_json(report)

@@ -1,4 +1,4 @@
-"""`matcam limits`: what can be recovered at all from a rig's pictures."""
+"""`matcam limits`: what can be recovered at all from a rig's records."""
 
 from __future__ import annotations
 
@@ -8,31 +8,40 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, rig_of
-from matcam.core.workspace import keep_rules
 
 
 def command(
     roughness: Annotated[
-        list[float] | None, typer.Argument(help="Roughnesses (alpha) to judge. Default: ten from 0.0003 to 0.2.")
+        list[float] | None,
+        typer.Argument(help="Roughnesses (alpha, a slope) to judge. Default: ten from 0.0003 to 0.2."),
     ] = None,
-    relative: Annotated[float, typer.Option("--noise", help="Noise of a pixel, share of its value.")] = 0.01,
-    floor: Annotated[float, typer.Option("--floor", help="Noise of a pixel, share of its picture's peak.")] = 1e-4,
+    relative: Annotated[
+        float, typer.Option("--noise", help="Noise of a pixel, as a share of its value (no unit).")
+    ] = 0.01,
+    floor: Annotated[
+        float, typer.Option("--floor", help="Noise of a pixel, as a share of its slice's peak (no unit).")
+    ] = 1e-4,
     camera: CameraProfile = None,
     radius: Radius = None,
     lamp: LampRadius = 0.0,
     json: AsJson = False,
 ) -> None:
-    """Which roughness and angle a rig can recover at all (Cramer-Rao), which other blur mimics its lens, what to change.
+    """Compute which roughness and angle a rig can recover at all (Cramer-Rao bounds), and which change would help.
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
-    keep_rules()
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
     rig = rig_of(camera, radius, lamp)
     with show.working("bounds"):
-        found = limits(rig, roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01))
+        found = limits(
+            rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01), workspace=Workspace.user()
+        )
     if json:
         show.as_json({**found.attrs, **{str(name): found[name].values for name in [*found.data_vars, *found.coords]}})
     else:

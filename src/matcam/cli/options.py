@@ -1,46 +1,94 @@
-"""Options that several commands share, and the rig that they describe."""
+"""Options that several commands share, the rig that they describe, and errors in the words of options.
+
+The library's messages name Python arguments ("half_width must lie in ..."). `Command` translates them, for all commands, by the
+command's own options and by the tables below ("--half-width must lie in ...").
+"""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
+
+from matcam.core.errors import MatcamError
 
 if TYPE_CHECKING:
     from matcam.rigs import Rig
 
+_RENAMED = {
+    "camera": "lens",
+    "camera_parameters": "lens",
+    "cell_value": "cell",
+    "f_numbers": "f_number",
+    "lamp_radius": "lamp",
+    "noise": "relative",
+    "noise.floor": "floor",
+    "noise.relative": "relative",
+    "pixel_pitch": "pitch",
+    "pixels_across": "pixels",
+    "shape": "size",
+}
+"""Arguments of the library whose option, in the commands that have it, has another name."""
+
+_PHRASES = {
+    "(Camera(..., uncertainty=...))": "(--camera: a profile that states one)",
+    "Camera(optics, pixel, sensor=Sensor(...))": "a profile with one (--camera)",
+    "page must lie in": "--size must lie in",
+}
+"""Python expressions in messages, in words."""
+
+_SCALES = {
+    "--lamp": (180 / math.pi, "degrees"),
+    "--lamp-angle": (180 / math.pi, "degrees"),
+    "--pitch": (1e6, "um"),
+    "--wavelength": (1e9, "nm"),
+}
+"""Options in units of their own: how many of them make the library's unit (rad, m)."""
+
+_VERBS = "must|can|belongs|needs|asks|as|may"
+
 CameraProfile = Annotated[
     Path | None,
-    typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the camera of the MERL rig."),
+    typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the MERL rig's camera."),
 ]
 Radius = Annotated[
     float | None,
-    typer.Option("--radius", metavar="PX", help="Radius of the sphere's picture in px. Default: 256, MERL's."),
+    typer.Option(
+        "--radius", metavar="PX", help="Radius of the sample's limb in the picture, px. Default: 256, the MERL rig's."
+    ),
 ]
 LampRadius = Annotated[
-    float, typer.Option("--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc, degrees.")
+    float,
+    typer.Option(
+        "--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc as seen from the sample, degrees."
+    ),
 ]
 Masking = Annotated[
     Literal["smith", "smith-separable", "van-ginneken", "none"],
-    typer.Option("--masking", help="Masking G that the Fresnel term is freed from."),
+    typer.Option("--masking", help="Masking function G of the material."),
 ]
 Sampling = Annotated[
     Literal["centre", "edge"],
-    typer.Option("--sampling", help="Where in its cell a tabulated value was sampled; the file does not say."),
+    typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, on standard output.")]
-
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]
 
 Distance = Annotated[
-    float | None, typer.Option("--distance", help="Distance of the camera in radii of the sample. Default: far away.")
+    float | None, typer.Option("--distance", help="Distance of the camera, in radii of the sample. Default: infinite.")
 ]
 Glare = Annotated[
-    float, typer.Option("--glare", help="Share of the light that the lens scatters around, beside its profile.")
+    float,
+    typer.Option(
+        "--glare", help="Share of the light that the lens scatters into a halo, added to its profile (no unit)."
+    ),
 ]
-GlareRadius = Annotated[float, typer.Option("--glare-radius", help="Standard deviation of that halo, px.")]
+GlareRadius = Annotated[float, typer.Option("--glare-radius", help="Standard deviation of the halo of --glare, px.")]
 
 
 def rig_of(
@@ -53,7 +101,7 @@ def rig_of(
     glare_radius: float = 30.0,
     **more: Any,
 ) -> Rig:
-    """The MERL rig, with what the user has replaced."""
+    """Return the MERL rig, with what the user has replaced."""
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
@@ -70,3 +118,78 @@ def rig_of(
     far = math.inf if distance is None else distance
     shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size, far)
     return rigs.Rig(chosen, shape, math.radians(lamp_degrees), **more)
+
+
+class Command(TyperCommand):
+    """Run a command; errors speak of its options."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, and translate the message of its error."""
+        try:
+            return super().invoke(ctx)
+        except MatcamError as error:
+            error.args = (in_options(str(error), self), *error.args[1:])
+            raise
+
+
+def in_options(message: str, command: TyperCommand) -> str:
+    """Translate a message of the library from Python's arguments to a command's options."""
+    options = {str(p.name): max(p.opts, key=len) for p in command.params if p.param_type_name == "option"}
+    renamed = {argument: options[name] for argument, name in _RENAMED.items() if name in options}
+    return _translated(message, {**options, **renamed})
+
+
+def _translated(message: str, option_of: Mapping[str, str]) -> str:
+    """Translate a message by the option of each argument."""
+    for phrase, words in _PHRASES.items():
+        message = message.replace(phrase, words)
+
+    def assignment(found: re.Match[str]) -> str:
+        option = option_of.get(found[1])
+        if option is None:
+            return found[0]
+        return option if found[3] == "True" else f"{option} {found[3]}"
+
+    def name(found: re.Match[str]) -> str:
+        return option_of.get(found[0], found[0])
+
+    message = re.sub(r"\b([a-z_]+)=('?)(\w+)\2", assignment, message)
+    # a plain word is an argument only where it is the subject; one with an underscore is nothing else anywhere
+    subject = re.match(rf"(?:[a-z_]+ and )?[a-z_.]+(?= (?:'\S*' )?(?:{_VERBS})\b)", message)
+    if subject:
+        message = re.sub(r"[a-z_.]+", name, subject[0]) + message[subject.end() :]
+    message = re.sub(r"(?<![\w/.-])[a-z]+(?:_[a-z]+)+(?![\w/.-])", name, message)
+    message = re.sub(r"(?<=\bgive )[a-z]+(?= if )", name, message)
+    message = re.sub(r"(--[a-z-]+), \1(?![a-z-])", r"\1", message)
+    return _in_unit(message)
+
+
+def _in_unit(message: str) -> str:
+    """Convert the numbers of a message about a range to the unit of the option that it begins with."""
+    option = message.partition(" ")[0]
+    if option not in _SCALES:
+        return message
+    scale, unit = _SCALES[option]
+    message = re.sub(r"(must be given\b.*), m$", r"\1", message)  # the option's help names its unit
+
+    def converted(found: re.Match[str]) -> str:
+        low, high, value = (f"{scale * float(found[i]):.4g}" for i in (2, 3, 6))
+        why = (found[5] or "").replace("pi", "180 degrees")
+        why = f" ({why})" if why and not why[0].isdigit() else ""  # digits: how to write 550 nm in m
+        return f"must lie in {found[1]}{low}, {high}{found[4]} {unit}{why}, got {value}"
+
+    number = r"[-+\d.einf]+"
+    pattern = rf"must lie in ([\[(])({number}), ({number})([\])]) (?:rad|m)\b(?: \(([^)]*)\))?, got ({number})"
+    return re.sub(pattern, converted, message)
+
+
+def one_of(names: Iterable[str], *more: str) -> dict[str, Any]:
+    """Return the arguments of `typer.Option` for one of a registry's names."""
+    known = (*more, *names)
+
+    def parse(text: str) -> str:
+        if text not in known:
+            raise typer.BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
+        return text
+
+    return {"parser": parse, "metavar": "|".join(known)}

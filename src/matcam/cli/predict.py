@@ -1,4 +1,4 @@
-"""`matcam predict`: how far can this rig be trusted?"""
+"""`matcam predict`: how much of a highlight a rig keeps, by roughness and angle."""
 
 from __future__ import annotations
 
@@ -16,20 +16,28 @@ _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 def command(
     roughness: Annotated[
         list[float] | None,
-        typer.Argument(help="Widths of the lobe: alpha or beta, rad for gaussian. Default: a row of them."),
+        typer.Argument(
+            help="Widths of the lobe: alpha or beta (slopes), rad for gaussian. Default: seven from 0.001 to 0.1."
+        ),
     ] = None,
     ndf: Annotated[
         Literal["ggx", "gaussian", "beckmann", "epd", "sgd"], typer.Option("--ndf", help="Family of the lobe.")
     ] = "ggx",
     power: Annotated[
-        float | None, typer.Option("--power", help="The power p of an epd or sgd lobe, which must be given.")
+        float | None, typer.Option("--power", help="Power p of an epd or sgd lobe, which needs it (no unit).")
     ] = None,
     sample: Annotated[
         Literal["sphere", "cylinder", "flat"], typer.Option("--sample", help="Shape of the sample.")
     ] = "sphere",
-    dims: Annotated[int, typer.Option("--dims", help="2: a real sample; 1: the paper's one-dimensional model.")] = 2,
+    dims: Annotated[
+        int, typer.Option("--dims", help="Dimensions: 2 for a real sample, 1 for the paper's one-dimensional model.")
+    ] = 2,
     exact: Annotated[
-        bool, typer.Option("--exact", help="The curved sample with its limb and Smith masking, not the tangent plane.")
+        bool,
+        typer.Option(
+            "--exact",
+            help="Integrate over the curved sample with its limb and Smith masking, instead of its tangent plane.",
+        ),
     ] = False,
     camera: CameraProfile = None,
     radius: Radius = None,
@@ -40,7 +48,7 @@ def command(
     map_: Annotated[
         Path | None,
         typer.Option(
-            "--map", help="Picture to write of the whole plane of roughness and angle; a .csv goes beside it."
+            "--map", help="Picture of the whole plane of roughness and angle to write; a .csv goes beside it."
         ),
     ] = None,
     output: Annotated[
@@ -49,8 +57,9 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """How much of a highlight a rig keeps, and up to which angle it loses less than 5 %; with --glare, how much false haze
-    and false diffuse each material gains.
+    """Predict how much of a highlight a rig keeps, and up to which angle it loses less than 5 %.
+
+    With --glare, also predict how much false haze and false diffuse reflection each material gains.
 
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
@@ -63,12 +72,12 @@ def command(
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.forward.prediction import predict
-    from matcam.material.ndf.families import ndf_of
+    from matcam.material.registry import family_ndf
 
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
-        lobes = [ndf_of(ndf, value, power) for value in values]
+        lobes = [family_ndf(ndf, value, power) for value in values]
         data = predict(rig, lobes, dims, exact)
     false = _false_light(rig, lobes) if glare else []
     if output:
@@ -140,10 +149,10 @@ def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, 
     from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
     from matcam.forward.prediction import predict
-    from matcam.material.ndf.families import ndf_of
+    from matcam.material.registry import family_ndf
 
     with show.working("drawing the plane"):
-        data = predict(rig, [ndf_of(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
+        data = predict(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
         write_columns(path.with_suffix(".csv"), data, force=force)
         save(plane_figure(data, f"Peak kept, relative to 0°: {rig.sample!r}"), path, force=force)
 

@@ -1,4 +1,4 @@
-"""`matcam render`: how does this material look?"""
+"""`matcam render`: a picture of a material's sphere."""
 
 from __future__ import annotations
 
@@ -13,23 +13,34 @@ from matcam.cli.options import AsJson, Force, Sampling
 
 
 def command(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE [FILE]", help="A table, or two: before and after.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE [FILE]", help="Table to read, or two: before and after.")
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Figure (.png, .pdf, .svg), or linear radiance (.exr, of one file)."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="Figure (.png, .pdf, .svg) or linear radiance of one file (.exr) to write. Default: FILE-render.png here.",
+        ),
     ] = None,
     lamp_angle: Annotated[float, typer.Option("--lamp-angle", help="Angle between lamp and camera, degrees.")] = 40.0,
     environment: Annotated[
-        Path | None, typer.Option("--environment", metavar="EXR", help="Light from all around instead of the lamp.")
+        Path | None,
+        typer.Option(
+            "--environment", metavar="EXR", help="Environment map that lights the sphere instead of the lamp."
+        ),
     ] = None,
-    exposure: Annotated[float, typer.Option("--exposure", help="Factor before display.")] = 0.8,
-    size: Annotated[int, typer.Option("--size", help="Height and width of a sphere's picture, px.")] = 256,
-    samples: Annotated[int, typer.Option("--samples", help="Rays for each pixel.")] = 64,
+    exposure: Annotated[
+        float, typer.Option("--exposure", help="Factor by which radiance is multiplied before display (no unit).")
+    ] = 0.8,
+    size: Annotated[int, typer.Option("--size", help="Height and width of the picture of a sphere, px.")] = 256,
+    samples: Annotated[int, typer.Option("--samples", help="Number of rays for each pixel.")] = 64,
     sampling: Sampling = "centre",
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """A sphere of the material under a lamp or an environment, by Mitsuba 3; two files stand side by side.
+    """Render a sphere of the material under a lamp or an environment with Mitsuba 3; two files stand side by side.
 
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
@@ -43,7 +54,7 @@ def command(
     from matcam.files.float_pictures import write_exr
 
     if len(files) > 2:
-        raise ArgumentError(f"one file is rendered, or two side by side; got {len(files)}")
+        raise ArgumentError(f"one file can be rendered, or two side by side, got {len(files)}")
     if not (exposure > 0 and math.isfinite(exposure)):
         raise ArgumentError(f"--exposure must be above 0, got {exposure:g}")
     target = Path(f"{files[0].name.split('.')[0]}-render.png") if output is None else output

@@ -1,4 +1,4 @@
-"""How commands talk: results and tables on standard output, progress and remarks on standard error."""
+"""Output of the commands: results and tables to standard output, progress and remarks to standard error."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _SECONDS = 30.0
 
 
 def as_json(result: Any) -> None:
-    """Print a result as one JSON document; what is not a number is null."""
+    """Print a result as one JSON document; NaN and infinity become null."""
     print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table: first column left, the others right."""
+    """Print a table, its first column aligned left, the others right."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -43,13 +43,13 @@ def say(text: str, *, quiet: bool = False) -> None:
 
 
 def remark(text: str) -> None:
-    """Print a line on standard error: what was left out, what went wrong without ending the work."""
+    """Print a line to standard error: what was left out, or failed without ending the work."""
     print(f"matcam: {text}", file=sys.stderr)
 
 
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
-    """Show on standard error that something is going on, if somebody is watching."""
+    """Show on standard error that work is in progress, if that is a terminal."""
     if not sys.stderr.isatty():
         yield
         return
@@ -61,7 +61,7 @@ def working(what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def counting(what: str) -> Iterator[Any]:
-    """A progress bar over bytes on standard error; yields update(done, total)."""
+    """Show a progress bar over bytes on standard error; yield update(done, total)."""
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
@@ -79,8 +79,10 @@ def counting(what: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def tallying(what: str) -> Iterator[Any]:
-    """A progress bar over things done, with the time that is left, on standard error, or now and then a line where nobody
-    watches; yields update(done, total)."""
+    """Show a progress bar over jobs and the time left; yield update(done, total).
+
+    It stands on standard error; if that is no terminal, a line appears there at most twice a minute.
+    """
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -99,9 +101,9 @@ def tallying(what: str) -> Iterator[Any]:
         TextColumn("left:"),
         TimeRemainingColumn(),
     )
-    watched = sys.stderr.isatty()
+    terminal = sys.stderr.isatty()
     with Progress(
-        *columns, console=Console(stderr=True), disable=not watched, speed_estimate_period=3600.0
+        *columns, console=Console(stderr=True), disable=not terminal, speed_estimate_period=3600.0
     ) as progress:
         task = progress.add_task(what, total=None)
         log = _Log(what)
@@ -114,31 +116,32 @@ def tallying(what: str) -> Iterator[Any]:
             else:  # what was done before says nothing of the pace
                 progress.reset(task, completed=done, total=total)
             begun = True
-            if not watched:
-                log.tell(done, total)
+            if not terminal:
+                log.update(done, total)
 
         yield update
 
 
 class _Log:
-    """Progress as lines, at most one in half a minute."""
+    """Report progress as lines, at most one in half a minute."""
 
     def __init__(self, what: str):
-        self.what, self.started, self.told, self.first = what, time.monotonic(), -math.inf, 0
+        self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0
 
-    def tell(self, done: int, total: int) -> None:
-        """Say how far it is, and how long the rest will take at the pace so far."""
+    def update(self, done: int, total: int) -> None:
+        """Report how far the work is, and how long the rest will take at the pace so far."""
         now = time.monotonic()
-        if self.told == -math.inf:
+        if self.last == -math.inf:
             self.first, self.started = done, now
-        if now - self.told < _SECONDS and done < total:
+        if now - self.last < _SECONDS and done < total:
             return
-        self.told = now
+        self.last = now
         left = (now - self.started) / (done - self.first) * (total - done) if done > self.first else math.nan
         remark(f"{self.what}: {done} of {total}" + (f", {_span(left)} left" if 0 < left < math.inf else ""))
 
 
 def _span(seconds: float) -> str:
+    """Write a time in the largest unit of which there are at least two."""
     for unit, size in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"

@@ -1,4 +1,4 @@
-"""`matcam simulate`: what would a rig record of a known material?"""
+"""`matcam simulate`: the table or picture that a rig records of a known material."""
 
 from __future__ import annotations
 
@@ -21,30 +21,36 @@ from matcam.cli.options import (
     Sampling,
     rig_of,
 )
+from matcam.files.formats import suffixes_for
 
-_TABLES, _PICTURES = (".binary", ".nc"), (".exr", ".tif", ".tiff")
+_TABLES, _PICTURES = (".binary", ".nc"), suffixes_for("picture")
 
 
 def command(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", help="A table (.binary, .nc) or a picture (.exr, .tif; a .json goes beside it)."
+            "--output", "-o", help="Table (.binary, .nc) or picture (.exr, .tif; a .json goes beside it) to write."
         ),
     ],
     table: Annotated[
         Path | None, typer.Argument(help="MERL file of the material. Default: the lobe that the options describe.")
     ] = None,
-    roughness: Annotated[float, typer.Option("--roughness", help="Width of the lobe: alpha or beta.")] = 0.01,
+    roughness: Annotated[
+        float, typer.Option("--roughness", help="Width of the lobe: alpha or beta (slopes), rad for gaussian.")
+    ] = 0.01,
     ndf: Annotated[
         Literal["ggx", "gaussian", "beckmann", "epd", "sgd"], typer.Option("--ndf", help="Family of the lobe.")
     ] = "ggx",
-    power: Annotated[float | None, typer.Option("--power", help="The power p of an epd or sgd lobe.")] = None,
+    power: Annotated[
+        float | None, typer.Option("--power", help="Power p of an epd or sgd lobe, which needs it (no unit).")
+    ] = None,
     metal: Annotated[str, typer.Option("--metal", help="Metal whose n and k make the Fresnel term.")] = "Cr",
     source: Annotated[
-        str | None, typer.Option("--source", help="Which table of n and k; see the metals' names.")
+        str | None,
+        typer.Option("--source", help="Which published table of n and k to use. Default: the metal's first."),
     ] = None,
-    diffuse: Annotated[float, typer.Option("--diffuse", help="Albedo of a Lambertian part.")] = 0.0,
+    diffuse: Annotated[float, typer.Option("--diffuse", help="Albedo of a Lambertian part, 0 to 1 (no unit).")] = 0.0,
     lamp_angle: Annotated[
         float, typer.Option("--lamp-angle", help="Angle between lamp and camera in a picture, degrees.")
     ] = 60.0,
@@ -58,12 +64,15 @@ def command(
     ] = None,
     exposure: Annotated[
         float | None,
-        typer.Option("--exposure", help="e- per unit of radiance: a raw picture of the profile's sensor, with noise."),
+        typer.Option(
+            "--exposure",
+            help="Electrons per unit of radiance: take a raw picture with the profile's sensor and its noise.",
+        ),
     ] = None,
     preview: Annotated[
         Path | None, typer.Option("--preview", help="Figure of the picture to write (.png, .pdf, .svg).")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of that noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the noise of --exposure.")] = 0,
     camera: CameraProfile = None,
     radius: Radius = None,
     distance: Distance = None,
@@ -74,7 +83,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """What a rig records of a known material: the whole table, or one picture.
+    """Simulate what a rig records of a known material: the whole table, or one picture.
 
     Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
     """
@@ -94,7 +103,7 @@ def command(
         from matcam.figures.style import check_picture
 
         if suffix in _TABLES:
-            raise ArgumentError("--preview shows a picture, and the output is a table")
+            raise ArgumentError("--preview shows a picture, and the output is a table: leave it out")
         check_picture(preview, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
 
@@ -118,18 +127,18 @@ def command(
 def _material(table, sampling, ndf, roughness, power, metal, source, diffuse):  # type: ignore[no-untyped-def]
     if table:
         from matcam.files.merl import read_merl
-        from matcam.material.material import Tabulated
+        from matcam.material.tabulated import Tabulated
 
         return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.metals import metal as constants
     from matcam.material.microfacet import Microfacet
-    from matcam.material.ndf.families import ndf_of
     from matcam.material.reflectance import Conductor
+    from matcam.material.registry import family_ndf
 
     n, k, used = constants(metal, CHANNEL_WAVELENGTHS, *([source] if source else []))
     described = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": used, "diffuse": diffuse}
-    return Microfacet(ndf_of(ndf, roughness, power), Conductor(n, k), diffuse), described
+    return Microfacet(family_ndf(ndf, roughness, power), Conductor(n, k), diffuse), described
 
 
 def _table(material, rig, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]

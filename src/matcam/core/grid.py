@@ -186,13 +186,13 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
     if not isinstance(table, xr.DataArray):
         raise ArgumentError(f"a BRDF table must be an xarray.DataArray (see read_merl), got {type(table).__name__}")
     if table.dims != DIMS:
-        raise ArgumentError(f"a BRDF table has dims {DIMS}, got {table.dims}")
+        raise ArgumentError(f"a BRDF table must have dims {DIMS}, got {table.dims}")
     if table.shape[:3] != GRID_SHAPE or table.shape[3] < 1:
-        raise ArgumentError(f"a BRDF table has shape {GRID_SHAPE} x channels, got {table.shape}")
+        raise ArgumentError(f"a BRDF table must have shape {GRID_SHAPE} x channels, got {table.shape}")
     sampling = sampling_of(table)
     for name, expected in merl_grid(sampling)._asdict().items():
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
-            raise ArgumentError(f"coordinate {name} is not that of the MERL grid sampled at each cell's {sampling}")
+            raise ArgumentError(f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}")
     if np.isinf(table.values).any():
         raise ArgumentError("a BRDF table must not hold infinities; a missing value is NaN")
     return table

@@ -12,10 +12,12 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-
-import xarray as xr
+from typing import TYPE_CHECKING
 
 from matcam.core.errors import FileFormatError, OutputError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
@@ -90,3 +92,13 @@ def write_columns(path: str | Path, data: xr.Dataset, *, force: bool = False) ->
     }
     with replacing(path, force=force) as temporary:
         frame.rename(columns=names).to_csv(temporary, index=False, float_format="%.10g")
+
+
+def user_cache_folder() -> Path:
+    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own."""
+    root = os.environ.get("XDG_CACHE_HOME")
+    if root:
+        return Path(root) / "matcam"
+    import pooch  # a fifth of a second that only programs should cost
+
+    return pooch.os_cache("matcam")

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from matcam.core.workspace import user_cache_folder
+from matcam.core.io import user_cache_folder
 
 jax.config.update("jax_enable_x64", True)
 

@@ -43,3 +43,35 @@ def texts(remarks: Iterable[Remark]) -> list[str]:
         One line each, in the same order.
     """
     return [remark.text for remark in remarks]
+
+
+def to_attribute(remarks: Iterable[Remark]) -> str:
+    """Return the remarks as one text that a file's attribute can hold.
+
+    Args:
+        remarks: any number of them.
+
+    Returns:
+        One line each, "code: text".
+
+    Example:
+        >>> to_attribute([Remark("clipped", "3 pixels are clipped; they were left out")])
+        'clipped: 3 pixels are clipped; they were left out'
+    """
+    return "\n".join(f"{remark.code}: {remark.text}" for remark in remarks)
+
+
+def from_attribute(attribute: str) -> tuple[Remark, ...]:
+    """Read the remarks that `to_attribute` wrote.
+
+    Args:
+        attribute: one line for each remark.
+
+    Returns:
+        The remarks in the same order.
+
+    Example:
+        >>> from_attribute("clipped: 3 pixels are clipped; they were left out")[0].code
+        'clipped'
+    """
+    return tuple(Remark(*line.split(": ", 1)) for line in attribute.splitlines())

@@ -10,7 +10,6 @@ basis, a lens model) are constants, whoever asks: they stay in `functools.cache`
 from __future__ import annotations
 
 import hashlib
-import os
 import threading
 import zipfile
 from collections import OrderedDict
@@ -19,12 +18,12 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import replacing
+from matcam.core.io import replacing, user_cache_folder
 
 T = TypeVar("T")
 
@@ -72,14 +71,14 @@ class Workspace:
 
     @classmethod
     def user(cls) -> Workspace:
-        """Return a workspace in the user's cache folder.
+        """Return this process's workspace in the user's cache folder.
 
         A program may choose this for its user; a library must not.
 
         Returns:
-            A workspace that keeps files in the folder `rules` of `user_cache_folder`.
+            The workspace that keeps files in the folder `rules` of `user_cache_folder`, always the same one.
         """
-        return cls(user_cache_folder() / "rules")
+        return _user_workspace(user_cache_folder() / "rules")
 
     def remember(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
         """Return what `make` returned for this key before, or call it.
@@ -145,44 +144,6 @@ def default_workspace() -> Workspace:
     return Workspace()
 
 
-def user_cache_folder() -> Path:
-    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    if root:
-        return Path(root) / "matcam"
-    import pooch  # a fifth of a second that only programs should cost
-
-    return pooch.os_cache("matcam")
-
-
-# For callers that do not pass a workspace yet.
-
-
-class Keyed(Generic[T]):
-    """Compare a thing by a key."""
-
-    def __init__(self, key: Hashable, thing: T):
-        self.key, self.thing = key, thing
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Keyed) and self.key == other.key
-
-
-_rules = default_workspace()
-
-
-def kept(description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Keep arrays in the workspace that `keep_rules` chose."""
-    return _rules.kept(description, make)
-
-
-def keep_rules() -> None:
-    """Keep compiled functions and arrays in the user's cache folder from now on."""
-    from matcam.core.jax import use_compilation_cache
-
-    global _rules
-    use_compilation_cache()
-    _rules = Workspace.user()
+@cache
+def _user_workspace(folder: Path) -> Workspace:
+    return Workspace(folder)

@@ -1,133 +1,214 @@
-"""What a file is, by its content.
-
-What a file holds, whatever its format: a table on the MERL grid, RGL's fields, samples, any other result, or a picture.
-"""
+"""Files of any format: what one holds, and how to read and write it without naming the format."""
 
 from __future__ import annotations
 
-import struct
+import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from matcam.calibration.chart.chart import Chart
+from matcam.calibration.chart.chart_file import read_chart, write_chart
+from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.grid import GRID_SHAPE, Sampling, checked_table
-from matcam.core.io import reading
-from matcam.files.datasets import read_netcdf, read_zarr
-from matcam.files.float_pictures import read_exr, read_float_tiff
-from matcam.files.merl import read_merl
-from matcam.files.rgl import check_fields, read_rgl
-from matcam.files.samples import read_samples, table_of
+from matcam.core.grid import DIMS, Sampling, checked_table
+from matcam.core.io import check_output
+from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
+from matcam.files.rgl import check_fields
+from matcam.files.samples import samples_of, table_of
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Material, Tabulated
-
-Format = Literal["merl", "rgl", "csv", "netcdf", "zarr", "exr", "tiff", "camera profile", "picture sidecar"]
-
-_STARTS: tuple[tuple[bytes, Format], ...] = (
-    (np.array(GRID_SHAPE, dtype="<i4").tobytes(), "merl"),
-    (b"tensor_file\0", "rgl"),
-    (b"\x89HDF\r\n\x1a\n", "netcdf"),
-    (struct.pack("<i", 20000630), "exr"),
-    (b"II*\0", "tiff"),
-    (b"MM\0*", "tiff"),
-)
-_TEXT_LENGTH = 4096
+from matcam.material.material import Material
+from matcam.material.tabulated import Tabulated
 
 
-def identify(path: str | Path) -> Format:
-    """Format of a file, by its content, or by its name where that is damaged. FileFormatError for anything that matcam does
-    not read."""
-    path = Path(path)
-    with reading(path), path.open("rb") as file:
-        head = file.read(_TEXT_LENGTH)
-        file.seek(max(0, path.stat().st_size - _TEXT_LENGTH))
-        tail = file.read(_TEXT_LENGTH)
-    for start, kind in _STARTS:
-        if head.startswith(start):
-            return kind
-    if head.startswith(b"PK\3\4") and b"zarr.json" in head + tail:
-        return "zarr"
-    if head.lstrip().startswith(b"{"):
-        return "picture sidecar" if b'"matcam picture sidecar"' in head else "camera profile"
-    first = head.split(b"\n", 1)[0]
-    if b"_per_sr" in first and b"," in first:
-        return "csv"
-    by_name: dict[str, Format] = {".binary": "merl", ".bsdf": "rgl", ".csv": "csv", ".nc": "netcdf", ".exr": "exr"}
-    if path.suffix in by_name:
-        return by_name[path.suffix]
-    raise FileFormatError(
-        f"{path}: none of what matcam reads: MERL (starts with {GRID_SHAPE}), RGL, CSV of samples, NetCDF-4, Zarr in a zip, "
-        "OpenEXR, TIFF, camera profile or picture sidecar (JSON)"
-    )
+@dataclass(frozen=True)
+class Contents:
+    """The contents of a file; one field besides `format` is not None.
 
+    Attributes:
+        format: short name of the file's format; "": it was not read from a file.
+        table: a BRDF on the MERL grid.
+        fields: a BRDF in RGL's parameterisation.
+        samples: samples of a BRDF, off the MERL grid.
+        result: any other labelled result.
+        picture: a picture.
+    """
 
-class Contents(NamedTuple):
-    """A file's format and what is in it; one of the others is not None."""
-
-    format: Format
+    format: str = ""
     table: xr.DataArray | None = None
-    """On the MERL grid."""
     fields: xr.Dataset | None = None
-    """RGL's."""
     samples: xr.DataArray | None = None
-    """Of a BRDF, off the MERL grid."""
     result: xr.Dataset | None = None
-    """Any other labelled result."""
     picture: np.ndarray | None = None
 
     @property
+    def content(self) -> str:
+        """Return the name of the field that is not None."""
+        return next(name for name in MEASUREMENTS if getattr(self, name) is not None)
+
+    @property
+    def data(self) -> Any:
+        """Return the field that is not None."""
+        return getattr(self, self.content)
+
+    @property
     def kind(self) -> str:
-        """What it is, in words."""
-        names = {
-            "table": "a table on the MERL grid",
-            "fields": "a BRDF in RGL's parameterisation",
-            "samples": "scattered samples",
-            "result": "a result that is no BRDF",
-            "picture": "a picture",
-        }
-        return next(words for name, words in names.items() if getattr(self, name) is not None)
+        """Return the kind of the contents, in words."""
+        return CONTENTS[self.content]
+
+
+def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
+    """Read a file of any format, recognised by its content.
+
+    Args:
+        path: file to read.
+        sampling: where in its cell a value was sampled, "centre" or "edge"; used for MERL files, which do not say it (see
+            `read_merl`). Default: "centre".
+
+    Returns:
+        What the format's own reader returns. An `xarray.DataArray` for a table or scattered samples; an `xarray.Dataset` for
+        RGL's fields or another result; an array (rows, columns, channels) for a picture; a `Camera` for a camera profile; a
+        dict for a picture sidecar; a `Chart` for a chart's description.
+
+    Raises:
+        FileFormatError: the file is of no format that matcam reads, or is damaged.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from matcam.exchange.contents import read
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "picture.exr"
+        ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
+        ...     picture = read(path)
+        >>> picture.shape
+        (2, 3, 3)
+    """
+    name = identify(path)
+    if name == "camera profile":
+        return Camera.load(path)
+    if name == "chart":
+        return read_chart(path)
+    if name == "picture sidecar":
+        return format_named(name).read(path)
+    return read_contents(path, sampling).data
+
+
+def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
+    """Write a thing in the format that the file's name ends in.
+
+    Things are tables, results, pictures, cameras and charts. Every value is kept: nothing is resampled (see `convert`).
+
+    Args:
+        path: file to write.
+        thing: what `read` returns, except a sidecar (see `write_sidecar`).
+        force: replace an existing file. Default: False.
+
+    Raises:
+        ArgumentError: the name's ending is unknown, the format cannot hold the thing, or nothing can.
+        OutputError: the file cannot be written, or exists.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from matcam.exchange.contents import read, write
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "camera.json"
+        ...     write(path, matcam.rigs.merl().camera)
+        ...     read(path)
+        Camera(...)
+    """
+    if isinstance(thing, Camera | Chart):
+        form = format_for(path, *MEASUREMENTS, "camera")
+        if form.suffixes != suffixes_for("camera"):
+            raise ArgumentError(f"a {type(thing).__name__} has no place in {form.suffixes[0]}: .json can hold it")
+        if isinstance(thing, Camera):
+            thing.save(path, force=force)
+        else:
+            write_chart(path, thing, force=force)
+        return
+    write_contents(path, contents_of(thing), force=force)
+
+
+def contents_of(thing: Any) -> Contents:
+    """Wrap a table, a result or a picture as contents.
+
+    ArgumentError for anything else.
+    """
+    if isinstance(thing, Contents):
+        return thing
+    if isinstance(thing, xr.DataArray):
+        if thing.dims == DIMS:
+            return Contents(table=checked_table(thing))
+        if thing.dims == ("sample", "channel"):
+            return Contents(samples=thing)
+        return Contents(result=thing.to_dataset(name=thing.name or "values"))
+    if isinstance(thing, xr.Dataset):
+        return Contents(fields=check_fields(thing)) if "vndf" in thing else Contents(result=thing)
+    if isinstance(thing, np.ndarray) or hasattr(thing, "__jax_array__") or type(thing).__module__.startswith("jax"):
+        return Contents(picture=np.asarray(thing))
+    raise ArgumentError(
+        f"thing must be an xarray.DataArray or Dataset, a picture as an array, a Camera or a Chart, got {type(thing).__name__}"
+    )
+
+
+def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
+    """Write contents in the format that the name ends in.
+
+    ArgumentError where it cannot hold them.
+    """
+    path = Path(path)
+    form = format_for(path)
+    writer = form.writer(contents.content)
+    check_output(path, force=force)
+    data = contents.data
+    if form.name == "csv" and contents.content == "table":
+        data = samples_of(data)
+    elif form.name in ("netcdf", "zarr") and isinstance(data, xr.DataArray):
+        data = data.to_dataset(name="brdf" if contents.content == "table" else "samples")
+    writer(path, data, force=force)
 
 
 def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
-    """Read a file of any format that holds measurements. sampling: of a MERL file, see `read_merl`. FileFormatError for
-    anything else."""
-    kind = identify(path)
-    if kind == "merl":
-        return Contents(kind, table=read_merl(path, sampling=sampling))
-    if kind == "rgl":
-        return Contents(kind, fields=read_rgl(path))
-    if kind == "csv":
-        samples = read_samples(path)
+    """Read a file of any format that holds measurements. FileFormatError for anything else.
+
+    Args:
+        path: file to read.
+        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. Default: "centre".
+
+    Returns:
+        The contents, with the name of the format.
+    """
+    form = format_named(identify(path))
+    if not set(form.holds) & set(MEASUREMENTS):
+        raise FileFormatError(f"{path}: a {form.name}, which holds no measurement")
+    data = form.read(path, **({"sampling": sampling} if form.name == "merl" else {}))
+    if form.name == "csv":
         try:
-            return Contents(kind, table=table_of(samples))
+            return Contents(form.name, table=table_of(data))
         except ArgumentError:
-            return Contents(kind, samples=samples)
-    if kind in ("netcdf", "zarr"):
-        return _labelled(Path(path), kind, read_netcdf(path) if kind == "netcdf" else read_zarr(path))
-    if kind in ("exr", "tiff"):
-        return Contents(kind, picture=read_exr(path) if kind == "exr" else read_float_tiff(path))
-    raise FileFormatError(f"{path}: a {kind}, which holds no measurement")
+            return Contents(form.name, samples=data)
+    if len(form.holds) > 1:
+        return _labelled(Path(path), form.name, data)
+    return dataclasses.replace(Contents(form.name), **{form.holds[0]: data})
 
 
-def _labelled(path: Path, kind: Format, data: xr.Dataset) -> Contents:
+def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
     try:
         if "vndf" in data:
-            return Contents(kind, fields=check_fields(data))
-        if (
-            "brdf" in data
-            and data["brdf"].dims == ("theta_h", "theta_d", "phi_d", "channel")
-            and len(data.data_vars) == 1
-        ):
-            return Contents(kind, table=checked_table(data["brdf"]))
+            return Contents(name, fields=check_fields(data))
+        if "brdf" in data and data["brdf"].dims == DIMS and len(data.data_vars) == 1:
+            return Contents(name, table=checked_table(data["brdf"]))
     except ArgumentError as error:
         raise FileFormatError(f"{path}: {error}") from None
-    return Contents(kind, result=data)
+    return Contents(name, result=data)
 
 
 def material_of(contents: Contents) -> Material:
-    """The material that a file describes. ArgumentError where it describes none."""
+    """Return the material that a file describes. ArgumentError where it describes none."""
     if contents.table is not None:
         return Tabulated(contents.table)
     if contents.fields is not None:

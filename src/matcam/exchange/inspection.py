@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,32 +17,27 @@ from matcam.exchange.contents import Contents
 from matcam.exchange.trace import camera_trace, lobe_widths
 from matcam.forward.measurement import true_table
 from matcam.material.adaptive import Adaptive
-from matcam.material.material import Tabulated, albedo
+from matcam.material.material import albedo
+from matcam.material.tabulated import Tabulated
 
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 """Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
 
 
 def inspect_contents(contents: Contents) -> dict[str, Any]:
-    """Report the contents of a file that holds measurements (see `read_contents`), as plain values (JSON).
+    """Report on contents (see `read_contents`), as plain values (JSON).
 
     The report has `holds`, and what there is of a table, samples, another result or a picture. RGL's fields are reported by
     their own grid, and by all that is reported of a table after resampling.
     """
-    return {"holds": contents.kind, **_report(contents)}
-
-
-def _report(contents: Contents) -> dict[str, Any]:
-    if contents.table is not None:
-        return inspect_table(contents.table)
-    if contents.fields is not None:
-        return _fields_report(contents.fields)
-    if contents.samples is not None:
-        return _samples_report(contents.samples)
-    if contents.result is not None:
-        return _result_report(contents.result)
-    assert contents.picture is not None
-    return _picture_report(contents.picture)
+    report: dict[str, Callable[[Any], dict[str, Any]]] = {
+        "table": inspect_table,
+        "fields": _fields_report,
+        "samples": _samples_report,
+        "result": _result_report,
+        "picture": _picture_report,
+    }
+    return {"holds": contents.kind, **report[contents.content](contents.data)}
 
 
 def inspect_table(table: xr.DataArray) -> dict[str, Any]:
@@ -151,7 +147,7 @@ def _result_report(data: xr.Dataset) -> dict[str, Any]:
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
-        raise ArgumentError("every value of the picture is missing")
+        raise ArgumentError("every value of the picture is missing: there is nothing to inspect")
     return {
         "shape": list(picture.shape),
         "missing_share": float(missing.mean()),
@@ -160,7 +156,10 @@ def _picture_report(picture: np.ndarray) -> dict[str, Any]:
 
 
 def inspect_camera(path: str | Path) -> dict[str, Any]:
-    """Report parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance of a camera profile."""
+    """Report on a camera profile, as plain values (JSON).
+
+    Reported are its parameters, their standard deviations, MTF50 (cycles/px, along a row) and provenance.
+    """
     camera = Camera.load(path)
     frequency = np.linspace(0, 2, 4001)
     below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)

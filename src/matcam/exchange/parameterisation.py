@@ -3,11 +3,11 @@
 The format divides by functions that are chosen so that a smooth remainder is tabulated:
 
 - `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o: of D F G and of all else there is. It is even in
-  sqrt(theta_h) with twice the density of a MERL table, so that the table's points are among the nodes and its kinks are met.
+  sqrt(theta_h), with twice the density of a MERL table. So the table's points are among the nodes, and its kinks are met.
 - `sigma`: the projected area of facets so distributed, by the closed integral over azimuth.
 - `vndf`: visible normals D max(0, i . m) / sigma, mixed with normals ~ sqrt(D) cos theta_m, which spread logarithmically
   over the tail, and with even ones. Visible normals alone would leave the tail a few per cent of the square.
-- `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it goes on linearly in cos theta_o, so that the
+- `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it goes on linearly in cos theta_o. So the
   cells at the horizon are right on this side of it. It never goes below zero, which renderers take for a mistake.
 - `luminance`: the density that is left, so that samples are distributed as BRDF cos theta_o.
 """
@@ -70,7 +70,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
 
     Example:
-        >>> fields = matcam.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=8)
         >>> fields["rgb"].dims, fields["rgb"].shape
         (('phi_i', 'theta_i', 'channel', 'row', 'column'), (1, 44, 3, 8, 8))
     """
@@ -89,7 +89,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     visible = _visible(u, facets)
     warp = Warp(visible)
     grid = np.linspace(0, 1, square)
-    place_u, place_v, tabulated_density = warp.placed(grid, grid[: square // 2])  # the other half mirrors it
+    place_u, place_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
     theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
     d = np.interp(place_u, u, facets)
@@ -117,13 +117,19 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
 
 
 def _nodes(material: Material) -> int:
-    """Return the count of nodes in theta_h: a multiple of a MERL table's steps, at least ten to the lobe's width."""
+    """Return the count of nodes in theta_h.
+
+    It is a multiple of a MERL table's steps, with at least ten nodes to the lobe's width.
+    """
     finest = np.sqrt(float(material.finest) / _HALF_PI)
     return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
 
 
 def _facets(material: Material, u: np.ndarray) -> np.ndarray:
-    """Return D at the nodes, (n,), with the integral of D cos over the hemisphere 1."""
+    """Return D at the nodes, (n,).
+
+    The integral of D cos over the hemisphere is 1.
+    """
     theta_h = (u**2 * _HALF_PI)[:, None, None]
     theta_d = np.radians(np.arange(2.5, 80, 5))[:, None]
     phi_d = np.radians(np.arange(0, 180, 30.0))
@@ -150,7 +156,10 @@ def _between(u: np.ndarray) -> np.ndarray:
 
 
 def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> np.ndarray:
-    """Integrate D max(0, m . o) over the hemisphere of m; over azimuth max(0, a + b cos phi) has a closed form."""
+    """Integrate D max(0, m . o) over the hemisphere of m.
+
+    Over azimuth, max(0, a + b cos phi) has a closed form.
+    """
     fine = _between(u)
     theta = fine**2 * _HALF_PI
     a, b = np.cos(theta) * np.cos(theta_o)[:, None], np.sin(theta) * np.sin(theta_o)[:, None]
@@ -165,10 +174,10 @@ def _jacobian(u: np.ndarray) -> np.ndarray:
 
 
 def _visible(u: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Return the density of half vectors per area of the unit square, (T, azimuths, nodes).
+    """Return the density of half vectors, (T, azimuths, nodes).
 
-    Azimuths are distributed as visible normals and evenly, half and half. In each, angles are distributed as visible normals
-    and, for the sake of resolution, as sqrt(D) cos and evenly.
+    It is per area of the unit square. Azimuths are distributed as visible normals and evenly, half and half. In each,
+    angles are distributed as visible normals and, for the sake of resolution, as sqrt(D) cos and evenly.
     """
     theta = u**2 * _HALF_PI
     phi = np.linspace(-np.pi, np.pi, _AZIMUTH_NODES)[:, None]
@@ -183,9 +192,10 @@ def _visible(u: np.ndarray, facets: np.ndarray) -> np.ndarray:
 
 
 def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return BRDF cos_o for the light at LIGHT_ANGLES and half vectors (T, rows, columns), channels last.
+    """Return BRDF cos_o, cos_o, and the missing share above the horizon.
 
-    It is NaN below the horizon and where missing. Also returned are cos_o, and the missing share above the horizon.
+    The light stands at LIGHT_ANGLES, and half vectors have shape (T, rows, columns). Channels are last. BRDF cos_o is
+    NaN below the horizon and where missing.
     """
     light = np.broadcast_to(LIGHT_ANGLES[:, None, None], theta_m.shape)
     i = np.sin(light), np.zeros(light.shape), np.cos(light)
@@ -195,7 +205,7 @@ def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tup
     reflected = np.asarray(material.reflected(local_shading(vector(*i), vector(*o))))
     reflected = reflected if reflected.ndim == 4 else reflected[..., None]
     if reflected.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"an RGL file holds {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
+        raise ArgumentError(f"an RGL file can hold {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
     above = (o[2] > 0) & (twice > 0)
     outgoing = np.broadcast_to(reflected / np.cos(light)[..., None], (*light.shape, len(CHANNELS)))
     missing = float(np.isnan(outgoing[above]).mean()) if above.any() else 0.0
@@ -203,7 +213,10 @@ def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tup
 
 
 def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
-    """Fill gaps: inside, linearly along each row; beyond a row's last value linearly in cos_o, constant below -0.2."""
+    """Fill the gaps of every row.
+
+    Inside it is linear along the row. Beyond its last value it is linear in cos_o, and constant below -0.2.
+    """
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)
     for place in np.ndindex(values.shape[0], values.shape[1]):

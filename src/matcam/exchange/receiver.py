@@ -48,7 +48,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
         docs/exchange.md, *The receiver's solid angle*.
 
     Example:
-        >>> angles = matcam.solid_angles(matcam.rigs.merl())
+        >>> angles = matcam.exchange.solid_angles(matcam.rigs.merl())
         >>> print(f"{angles['equivalent_receiver_sr']:.2g} sr, {angles['kernel_area_px2']:.3g} px^2")
         0.00026 sr, 4.23 px^2
     """
@@ -85,7 +85,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
         The manner of the BRDF format of the BiRD and BxDiff projects (Lanevski et al. 2022), not its schema.
 
     Example:
-        >>> document = matcam.metadata(matcam.rigs.merl(), sample="chrome")
+        >>> document = matcam.exchange.metadata(matcam.rigs.merl(), sample="chrome")
         >>> document["quantity"], document["about"]
         ({'name': 'BRDF', 'unit': '1/sr'}, {'sample': 'chrome'})
     """

@@ -23,9 +23,8 @@ from matcam.files.float_pictures import read_exr
 from matcam.files.rgl import write_rgl
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
-from matcam.material.ndf.anisotropic import AnisotropicBeckmann, AnisotropicGGX
-from matcam.material.ndf.beckmann import Beckmann
-from matcam.material.ndf.ggx import GGX
+from matcam.material.ndf.beckmann import AnisotropicBeckmann, Beckmann
+from matcam.material.ndf.ggx import GGX, AnisotropicGGX
 from matcam.material.reflectance import Conductor, Constant
 
 _ELSE = "convert it to a .bsdf file instead"
@@ -53,7 +52,7 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
 
     Example:
         >>> gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
-        >>> facets = matcam.mitsuba_material(gold)
+        >>> facets = matcam.exchange.mitsuba_material(gold)
         >>> facets["type"], facets["distribution"], facets["alpha_u"]
         ('roughconductor', 'ggx', 0.1)
     """
@@ -66,7 +65,9 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     albedo = _rgb(material.diffuse)
     share = float(albedo.max())
     if share >= 1:
-        raise ArgumentError("a diffuse albedo of 1 leaves no share for the highlight in Mitsuba's blendbsdf")
+        raise ArgumentError(
+            "a diffuse albedo of 1 leaves no share for the highlight in Mitsuba's blendbsdf: it must be less"
+        )
     if isinstance(material.fresnel, Conductor):
         facets |= {"eta": _colour(_rgb(material.fresnel.n)), "k": _colour(_rgb(material.fresnel.k))}
         facets |= {"specular_reflectance": 1 / (1 - share)} if share else {}
@@ -104,14 +105,14 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
 
     Example:
         >>> gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
-        >>> print(matcam.pbrt_material(gold, name="gold").splitlines()[1])
+        >>> print(matcam.exchange.pbrt_material(gold, name="gold").splitlines()[1])
         MakeNamedMaterial "gold" "string type" "conductor"
     """
     _check(material)
     if not isinstance(material.ndf, GGX | AnisotropicGGX):
-        raise ArgumentError(f"pbrt has GGX facets, not {material.ndf!r}")
+        raise ArgumentError(f"pbrt takes GGX facets, not {material.ndf!r}")
     if not isinstance(material.fresnel, Conductor) or np.any(np.asarray(material.diffuse) > 0):
-        raise ArgumentError("pbrt's conductor is a metal without a diffuse part")
+        raise ArgumentError("pbrt's conductor can only be a metal without a diffuse part")
     if name is not None and (not name or any(c in name for c in '"\\\n')):
         raise ArgumentError(f"name must hold no quotes, backslashes or line breaks, got {name!r}")
     along, across = _alphas(material)
@@ -193,9 +194,9 @@ def rendered_sphere(
 
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(0.2, 3.0))
-        >>> matcam.rendered_sphere(material, size=32, samples=4).shape  # doctest: +SKIP
+        >>> matcam.exchange.rendered_sphere(material, size=32, samples=4).shape  # doctest: +SKIP
         (32, 32, 3)
-        >>> matcam.rendered_sphere(material, size=8)
+        >>> matcam.exchange.rendered_sphere(material, size=8)
         Traceback (most recent call last):
         matcam.core.errors.ArgumentError: size must be a whole number from 16 to 4096, got 8
     """

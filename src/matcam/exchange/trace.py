@@ -48,7 +48,7 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> print(np.round(matcam.lobe_widths(table).across[:3], 3))
+        >>> print(np.round(matcam.exchange.lobe_widths(table).across[:3], 3))
         [0.065 0.065 0.065]
     """
     along = np.abs(np.cos(table["phi_d"].values))
@@ -80,7 +80,7 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> matcam.camera_trace(table)["visible"]
+        >>> matcam.exchange.camera_trace(table)["visible"]
         False
     """
     widths = lobe_widths(table)
@@ -109,7 +109,10 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
 
 
 def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
-    """Return the half width at each theta_d of values (theta_h, theta_d, phi_d, channel), linear between the angles."""
+    """Return the half width at each theta_d.
+
+    The values (theta_h, theta_d, phi_d, channel) are linear between the angles.
+    """
     present = np.isfinite(values)
     count = present.sum(axis=(2, 3))
     mean = np.where(count > 0, np.where(present, values, 0).sum(axis=(2, 3)) / np.maximum(count, 1), np.nan)

@@ -1,7 +1,4 @@
-"""A calibration on one page: edges in the picture, their mean MTF and the camera's, what is left, the blur over the field.
-
-What a chart's targets say of the MTF, side by side.
-"""
+"""Figures of calibrations: a camera fitted to edges on one page, and the MTFs of a chart's targets side by side."""
 
 from __future__ import annotations
 
@@ -23,17 +20,23 @@ _LARGEST = 900  # px of the picture as it is drawn
 
 
 def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Sequence[str]) -> Figure:
-    """Figure of a result of `calibrate`. picture: the first one, any codes; None: there is none. lines: the verdict."""
+    """Draw a result of `calibrate`: edges in the picture, MTFs, residuals, blur over the field.
+
+    Args:
+        found: the result.
+        picture: the first picture, in any codes; None if there is none.
+        lines: the verdict, printed below.
+    """
     with styled():
         figure = Figure(figsize=(10.5, 7.6), layout="constrained")
         axes = figure.subplot_mosaic(
-            [["picture", "mtf"], ["left", "field"], ["words", "words"]],
+            [["picture", "mtf"], ["residuals", "field"], ["words", "words"]],
             height_ratios=(1.15, 1, 0.12 + 0.075 * len(lines)),
         )
         channel = found.channels[found.channel]
         _draw_picture(axes["picture"], channel, picture, found.channel)
         _draw_mtf(axes["mtf"], found)
-        _draw_left(axes["left"], found)
+        _draw_residuals(axes["residuals"], found)
         _draw_field(axes["field"], found, picture)
         axes["words"].axis("off")
         axes["words"].text(
@@ -86,7 +89,7 @@ def _draw_mtf(axes: Axes, found: Calibration) -> None:
     axes.set_title("MTF, and 2 standard deviations", loc="left")
 
 
-def _draw_left(axes: Axes, found: Calibration) -> None:
+def _draw_residuals(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     for name, fit in found.channels.items():
         left = fit.curve.mtf - fit.curve.camera_mtf
@@ -135,8 +138,13 @@ _LOOKS = {
 
 
 def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, title: str = "") -> Figure:
-    """MTF of lens and pixel by frequency, with error bars, of every kind of target; camera: to compare them with, then with
-    what they leave, in their standard deviations."""
+    """Draw the MTF of lens and pixel that each kind of target shows, with error bars.
+
+    Args:
+        samples: samples of all targets.
+        camera: camera to compare them with; a second panel then shows the differences in standard deviations. Default: None.
+        title: title. Default: "MTF".
+    """
     with styled():
         figure = Figure(figsize=(9.2, 4.2), layout="constrained")
         axes, left = figure.subplots(1, 2, width_ratios=(1.5, 1)) if camera is not None else (figure.subplots(), None)

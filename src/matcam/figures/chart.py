@@ -1,4 +1,4 @@
-"""A chart as a page to print. What leaves the printer or screen should be sRGB: levels are encoded so."""
+"""A chart as a page to print. Levels are encoded for a printer or screen that reproduces sRGB."""
 
 from __future__ import annotations
 
@@ -21,18 +21,22 @@ _INCH = 25.4
 _MOST = 2e8  # pixels of a raster
 
 
-class Shape(NamedTuple):
-    """A polygon of one level."""
+class Polygon(NamedTuple):
+    """Hold a polygon of one level.
+
+    Attributes:
+        points: corners, mm (n, 2).
+        level: light relative to the paper's, in [0, 1] (no unit).
+    """
 
     points: np.ndarray
-    """(n, 2) mm."""
     level: float
 
 
 def chart_figure(chart: Chart) -> Figure:
-    """Page of a chart in its true size, with a ruler of 50 mm. Vector formats are the better ones to print."""
-    shapes = [shape for fiducial in chart.fiducials for shape in _fiducial(fiducial, chart.ink)]
-    shapes += [shape for element in chart.elements for shape in element_shapes(element)]
+    """Draw the page of a chart in its true size, with a ruler of 50 mm. Vector formats are the better ones to print."""
+    polygons = [polygon for fiducial in chart.fiducials for polygon in _fiducial(fiducial, chart.ink)]
+    polygons += [polygon for element in chart.elements for polygon in element_polygons(element)]
     width, height = chart.page
     with styled():
         figure = Figure(figsize=(width / _INCH, height / _INCH), facecolor="white")
@@ -41,8 +45,8 @@ def chart_figure(chart: Chart) -> Figure:
         axes.axis("off")
         axes.add_collection(
             PolyCollection(
-                [shape.points for shape in shapes],
-                facecolors=[(_nearest_code(shape.level),) * 3 for shape in shapes],
+                [polygon.points for polygon in polygons],
+                facecolors=[(_nearest_code(polygon.level),) * 3 for polygon in polygons],
                 edgecolors="none",
                 linewidths=0,
             ),
@@ -57,7 +61,7 @@ def chart_figure(chart: Chart) -> Figure:
 
 
 def check_raster(chart: Chart, dpi: float) -> None:
-    """Refuse a raster that would be too coarse to be a chart, or too large for memory."""
+    """Refuse a raster that is too coarse for a chart, or too large for memory."""
     checks.within("dpi", dpi, 50, 10_000)
     pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2
     if pixels > _MOST:
@@ -66,21 +70,21 @@ def check_raster(chart: Chart, dpi: float) -> None:
         )
 
 
-def element_shapes(element: Element) -> Iterator[Shape]:
-    """Polygons of an element, to be painted one after the other."""
+def element_polygons(element: Element) -> Iterator[Polygon]:
+    """Yield the polygons of an element, to be painted one after the other."""
     if isinstance(element, Grating):
         yield from _grating(element)
     elif isinstance(element, Star):
         yield from _star(element)
     elif isinstance(element, Dots):
         for centre in element.centres:
-            yield Shape(_circle(centre, element.radius), element.level)
+            yield Polygon(_circle(centre, element.radius), element.level)
     else:
-        yield Shape(np.array(element.corners), element.level)
+        yield Polygon(np.array(element.corners), element.level)
 
 
 def _nearest_code(level: float) -> float:
-    """A level's sRGB code, of 8 bits, which writers would otherwise round down."""
+    """Return the nearest 8-bit sRGB code of a level, which writers would otherwise round down."""
     return min((round(255 * float(srgb.encoded(level))) + 0.25) / 255, 1.0)
 
 
@@ -91,14 +95,14 @@ def _circle(centre: tuple[float, float], radius: float) -> np.ndarray:
     return np.array(centre) + radius * np.stack([np.cos(t), np.sin(t)], axis=-1)
 
 
-def _fiducial(fiducial: Fiducial, ink: float) -> Iterator[Shape]:
+def _fiducial(fiducial: Fiducial, ink: float) -> Iterator[Polygon]:
     for ring in range(fiducial.rings, 0, -1):
-        yield Shape(_circle(fiducial.centre, (2 * ring + 1) * fiducial.radius), ink)
-        yield Shape(_circle(fiducial.centre, 2 * ring * fiducial.radius), 1.0)
-    yield Shape(_circle(fiducial.centre, fiducial.radius), ink)
+        yield Polygon(_circle(fiducial.centre, (2 * ring + 1) * fiducial.radius), ink)
+        yield Polygon(_circle(fiducial.centre, 2 * ring * fiducial.radius), 1.0)
+    yield Polygon(_circle(fiducial.centre, fiducial.radius), ink)
 
 
-def _grating(grating: Grating) -> Iterator[Shape]:
+def _grating(grating: Grating) -> Iterator[Polygon]:
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)]) * grating.size[1] / 2
     half = grating.size[0] / 2
@@ -109,26 +113,29 @@ def _grating(grating: Grating) -> Iterator[Shape]:
 
     if grating.profile == "sine":
         for start, stop, level in _staircase(-half, half, grating, 2 * np.pi / grating.period):
-            yield Shape(strip(start, stop), level)
+            yield Polygon(strip(start, stop), level)
         return
     # dark bars on a bright ground: where that is the paper's own level, its border leaves no trace
-    yield Shape(strip(-half, half), grating.bright)
+    yield Polygon(strip(-half, half), grating.bright)
     shift, reach = grating.phase / (2 * np.pi), half / grating.period
     for n in range(int(np.floor(shift - reach)) - 1, int(np.ceil(shift + reach)) + 2):
         low, high = ((n - shift + side) * grating.period for side in (grating.duty / 2, 1 - grating.duty / 2))
         if low < half and high > -half:
-            yield Shape(strip(low, high), grating.dark)
+            yield Polygon(strip(low, high), grating.dark)
 
 
-def _star(star: Star) -> Iterator[Shape]:
+def _star(star: Star) -> Iterator[Polygon]:
     for start, stop, level in _staircase(0.0, 2 * np.pi, star, star.cycles):
         t = np.array([start, stop])
         rim = np.stack([np.cos(t), np.sin(t)], axis=-1)
-        yield Shape(np.array(star.centre) + np.concatenate([star.inner * rim, star.outer * rim[::-1]]), level)
+        yield Polygon(np.array(star.centre) + np.concatenate([star.inner * rim, star.outer * rim[::-1]]), level)
 
 
 def _staircase(low: float, high: float, of: Grating | Star, per: float) -> Iterator[tuple[float, float, float]]:
-    """Steps of equal width whose first harmonic is exactly the sine that is meant; `per`: rad of phase per unit."""
+    """Yield (start, stop, level) of equal steps whose first harmonic is exactly the wanted sine.
+
+    `per` is the phase per unit of length, rad.
+    """
     mean, amplitude = (of.bright + of.dark) / 2, (of.bright - of.dark) / 2 / np.sinc(1 / _STEPS)
     step = 2 * np.pi / _STEPS / per
     count = round((high - low) / step)

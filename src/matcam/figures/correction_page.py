@@ -9,12 +9,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
-from matcam.figures.spheres import ball, body_white, shown
+from matcam.core.remark import texts
+from matcam.figures.spheres import body_white, encoded_for_screen, table_sphere
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
-from matcam.inverse.correction.correction import BENT, Correction
+from matcam.inverse.correction.correction import Correction
 
 _SLICES = (5, 45, 65, 75)
-_BALL = 180
+_SPHERE = 180  # px
 
 
 def write_correction_page(
@@ -33,44 +34,27 @@ def write_correction_page(
     figures = [
         ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
         ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
-        ("A sphere in the light of one lamp, before and after", ball_figure(raw, done)),
+        ("A sphere in the light of one lamp, before and after", sphere_figure(raw, done)),
     ]
     content = {
         "name": name,
-        "verdict": verdict(raw, done),
-        "remarks": done.remarks,
+        "verdict": done.verdict,
+        "remarks": texts(done.remarks),
         "family": found.family,
         "parameters": [
             *((key, value, found.std[key]) for key, value in found.params.items()),
-            ("half width at half maximum, rad", found.half_width, found.half_width_std),
+            ("half width at half maximum, rad", found.hwhm, found.hwhm_std),
         ],
         "figures": [(title, inline_png(figure)) for title, figure in figures],
     }
     write_page(path, "correction_page.html", content, force=force)
 
 
-def verdict(raw: xr.DataArray, done: Correction) -> str:
-    """What was found, in three plain sentences."""
-    grid = merl_grid(sampling_of(raw))
-    angles = (5, 45, 75)
-    response = done.table["response"].values[grid.index(theta_h=0.0, theta_d=np.radians(angles), phi_d=np.pi / 2)]
-    there = np.isfinite(raw.values)
-    share = float(done.table["supported"].values[there].mean())
-    lost = [f"{1 - kept:.0%} at {angle}°" for angle, kept in zip(angles, response, strict=True)]
-    known = "well determined" if done.fit.determined else "NOT determined by these pictures"
-    if done.fit.determined and done.shape.strength > BENT:
-        known = f"determined only if its lobe is {done.fit.family}, which does not explain the data"
-    peak = done.table["supported"].values[grid.index(theta_h=0.0, theta_d=np.radians(np.arange(5, 76)))].mean()
-    return (
-        f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
-        f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and {share:.0%} of all "
-        "entries are."
-    )
-
-
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """F over theta_d, free in every picture, beside the recorded peak over cos^2, both over their mean at 10 to 45 degrees;
-    middle channel."""
+    """Draw F over theta_d, free in every slice, beside the recorded peak times cos^2, in the middle channel.
+
+    Both are divided by their mean from 10 to 45 degrees.
+    """
     curves = done.fit.curves
     channel = curves.sizes["channel"] // 2
     theta = np.degrees(curves["theta_d"].values)
@@ -103,7 +87,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """BRDF against theta_h at several theta_d, phi_d = 90 degrees, middle channel."""
+    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, in the middle channel."""
     channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
     theta_h = np.degrees(raw["theta_h"].values)
     with styled():
@@ -135,18 +119,19 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     return figure
 
 
-def ball_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """A sphere under one distant lamp 50 degrees from the camera, from the table before and after, and its highlight 20
-    times closer and as bright as it is."""
+def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
+    """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight 20 times closer."""
     with styled():
         figure = Figure(figsize=(8.6, 8.6), layout="constrained")
         panels = figure.subplots(2, 2)
         for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
-            before, after = (ball(values, _BALL, zoom) for values in (raw.values, done.table["brdf"].values))
+            before, after = (table_sphere(values, _SPHERE, zoom) for values in (raw.values, done.table["brdf"].values))
             white = body_white(after) if zoom == 1 else after.max(initial=0)
             for axes, picture, title in zip(row, (before, after), ("as recorded", "corrected"), strict=True):
-                seen = shown(picture, white)
-                axes.imshow(seen if seen.shape[-1] == 3 else seen[..., 0], cmap="gray", interpolation="nearest")
+                display = encoded_for_screen(picture, white)
+                axes.imshow(
+                    display if display.shape[-1] == 3 else display[..., 0], cmap="gray", interpolation="nearest"
+                )
                 axes.set_title(f"{title}, exposed {exposed}", loc="left")
                 axes.axis("off")
         figure.supxlabel(

@@ -1,9 +1,4 @@
-"""Figure 6: the Fresnel term of a measured material, with and without the camera.
-
-What to expect of a rig: loss at the peak against angle for several roughnesses.
-
-The paper's Figures 3, 4 and 5, redrawn (Figure 6: figures/fresnel_term.py).
-"""
+"""Curves over an angle or a position: the paper's Figures 3 to 6, and the loss that a rig is predicted to have."""
 
 from __future__ import annotations
 
@@ -22,9 +17,13 @@ _MOST_TABLES = 4
 def fresnel_figure(
     result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
 ) -> Figure:
-    """Raw and corrected F over theta_d beside tabulated metals (left), and the loss at the peak (right).
+    """Draw raw and corrected F over theta_d beside tabulated metals (left), and the loss at the peak (right): Figure 6.
 
-    result: from `fresnel`; tables: from `tabulated_fresnel`. channel: index; default the middle one (green).
+    Args:
+        result: from `fresnel`.
+        tables: from `tabulated_fresnel`; None for none. Default: None.
+        title: title. Default: source and channel.
+        channel: index of the channel. Default: None, the middle one (green).
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
     with styled():
@@ -40,7 +39,7 @@ def fresnel_figure(
 
 
 def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, channel: int) -> None:
-    """The curves of one channel on one pair of axes."""
+    """Draw the curves of one channel."""
     one = result.isel(channel=channel)
     theta = np.degrees(one["theta_d"].values)
     supported = np.degrees(float(one["supported_angle"]))
@@ -80,13 +79,13 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
     axes.set_xticks(range(0, 91, 30))
     axes.set_ylim(0, 1.05)
     axes.set_ylabel(r"recorded / true peak, relative to $\theta_d$ = 0 [-]")
-    half = float(np.degrees(result["half_width"]))
+    half = float(np.degrees(result["hwhm"]))
     axes.set_title(f"Loss of this lobe,\nhalf width {half:.3f}°", loc="left")
     axes.legend(loc="lower left", fontsize=8.2)
 
 
 def prediction_figure(data: xr.Dataset, title: str) -> Figure:
-    """Relative response over theta, one line per roughness, loss angles marked. data: `forward.peak.predict`."""
+    """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predict`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()
@@ -101,9 +100,7 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
             if angle < 90:
                 axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
         axes.axhline(limit, color=GREY, lw=0.8)
-        axes.annotate(
-            _name_of_limit(data), (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY
-        )
+        axes.annotate(_limit_name(data), (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
         axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
         degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylim(0, 1.04)
@@ -116,7 +113,7 @@ def prediction_figure(data: xr.Dataset, title: str) -> Figure:
 
 
 def plane_figure(data: xr.Dataset, title: str) -> Figure:
-    """Map of the (angle, roughness) plane: relative response, its loss angle drawn. data: `forward.peak.predict`."""
+    """Draw relative response over the plane of angle and roughness, and its loss angle; `data` is from `predict`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.6), layout="constrained")
         axes = figure.subplots()
@@ -128,7 +125,7 @@ def plane_figure(data: xr.Dataset, title: str) -> Figure:
         limit = 1 - data.attrs["loss"]
         if relative.min() < limit < relative.max():
             lines = axes.contour(theta, roughness, relative, levels=[limit], colors=[BLACK], linewidths=1.6)
-            axes.clabel(lines, fmt={limit: _name_of_limit(data)}, fontsize=8.5)
+            axes.clabel(lines, fmt={limit: _limit_name(data)}, fontsize=8.5)
         axes.set_yscale("log")
         degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylabel(f"roughness ({data.attrs['ndf']}) [{'rad' if data.attrs['ndf'] == 'gaussian' else 'slope'}]")
@@ -137,12 +134,13 @@ def plane_figure(data: xr.Dataset, title: str) -> Figure:
     return figure
 
 
-def _name_of_limit(data: xr.Dataset) -> str:
+def _limit_name(data: xr.Dataset) -> str:
+    """Return the name of the line at which the loss counts."""
     return f"{100 * data.attrs['loss']:g} % loss"
 
 
 def highlight_figure(data: xr.Dataset) -> Figure:
-    """Figures 3 and 4: a highlight on the sensor, after the optics, and in the pixels. data: `paper.figure_3_4`."""
+    """Draw a highlight on the sensor, after the optics, and in the pixels: Figures 3 and 4, from `paper.figure_3_4`."""
     with styled():
         figure = Figure(figsize=(10, 3.3), layout="constrained")
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
@@ -174,7 +172,7 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 
 
 def loss_figure(data: xr.Dataset) -> Figure:
-    """Figure 5: relative loss at the peak against angle, for narrow to wide lobes. data: `paper.figure_5`."""
+    """Draw relative loss at the peak over the angle, for narrow to wide lobes: Figure 5, from `paper.figure_5`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()

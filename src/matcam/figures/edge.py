@@ -1,4 +1,4 @@
-"""One edge on one page: the region, ESF, LSF, MTF with its error band, and what the fits leave."""
+"""The figure of one edge: region, ESF, LSF, MTF with its error band, and residuals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, nyquist_line, sty
 
 
 def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, name: str) -> Figure:
-    """Figure of a result of `edge_mtf`. image: the picture it was measured in, any codes; roi as given there."""
+    """Draw a result of `edge_mtf`.
+
+    Args:
+        result: the result.
+        image: the picture in which it was measured, in any codes.
+        roi: region (x, y, width, height) px; None for the whole picture.
+        name: title.
+    """
     with styled():
         figure = Figure(figsize=(10.2, 6.2), layout="constrained")
         axes = figure.subplot_mosaic([["region", "esf", "lsf"], ["mtf", "mtf", "residual"]], width_ratios=(1, 1.2, 1.2))
@@ -30,7 +37,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
 
 def _reach(result: EdgeMTF) -> float:
-    """px: where the edge is over, and a little more."""
+    """Return the distance at which the edge is over, and a little more, px."""
     distance = np.linspace(0.5, 30, 60)
     line = result.lsf(distance).value
     return float(np.clip(2.2 * distance[line > 0.01 * line[0]].max(initial=2.0), 4, 30))

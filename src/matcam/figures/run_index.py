@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from matcam.figures.style import write_page
-from matcam.inverse.correction.correction import BENT
 from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 INLINE = 1000
@@ -89,14 +88,9 @@ def _material(record: dict[str, Any]) -> _Cell:
 
 def _verdict(record: dict[str, Any]) -> _Cell:
     """Return the verdict in two words, which open the whole of it and the remarks."""
-    fit, strength = record["fit"], (record.get("shape") or {}).get("strength") or 0.0
-    short = "not determined"
-    if strength > BENT:
-        short = "family fails: bent"
-    elif fit.get("determined"):
-        short = "determined"
+    short = record.get("determination") or "not determined"
     verdict = record.get("verdict") or ""
-    return _Cell(short, short, details=(verdict, *(record.get("remarks") or ())))
+    return _Cell(short, short, details=(verdict, *(remark["text"] for remark in record.get("remarks") or ())))
 
 
 def _number(value: Any, text: Callable[[float], str]) -> _Cell:
@@ -146,7 +140,7 @@ _COLUMNS = (
     _Column(
         ("half width at half", "maximum (degrees)"),
         "number",
-        lambda r: _with_std(r["fit"]["half_width_rad"], r["fit"]["half_width_std_rad"], 180 / math.pi),
+        lambda r: _with_std(r["fit"]["hwhm_rad"], r["fit"]["hwhm_std_rad"], 180 / math.pi),
     ),
     _Column(("peak lost", "at 5°"), "number", _peak_loss("5")),
     _Column(("at 45°",), "number", _peak_loss("45")),

@@ -1,11 +1,4 @@
-"""A sphere in the light of one distant lamp, drawn straight from the entries of a table.
-
-A material's sphere before and after, as small as a row of a table is high.
-
-Rendered spheres beside each other, on one scale.
-
-A picture for the eye: tone-mapped, with axes in pixels.
-"""
+"""Spheres for the eye: from a table's entries, as a thumbnail before and after, rendered, or as a rig pictures them."""
 
 from __future__ import annotations
 
@@ -26,9 +19,14 @@ LAMP = np.radians(50.0)
 """Angle between lamp and camera."""
 
 
-def ball(values: np.ndarray, size: int, zoom: float = 1.0) -> np.ndarray:
-    """Radiance of a sphere under a lamp 50 degrees from the camera, (size, size, channels), by the nearest entries of a
-    table's values (theta_h, theta_d, phi_d, channel); missing is dark. zoom: about its highlight."""
+def table_sphere(values: np.ndarray, size: int, zoom: float = 1.0) -> np.ndarray:
+    """Return the radiance of a sphere under a lamp 50 degrees from the camera, (size, size, channel).
+
+    Args:
+        values: a table's values (theta_h, theta_d, phi_d, channel); the nearest entry is taken, and missing is dark.
+        size: height and width, px.
+        zoom: magnification about the highlight (no unit). Default: 1, the whole sphere.
+    """
     t = ((np.arange(size) + 0.5) / size * 2 - 1) / zoom
     half = LAMP / 2
     x, y = np.meshgrid(t + (np.sin(half) if zoom > 1 else 0), -t)
@@ -44,13 +42,13 @@ def ball(values: np.ndarray, size: int, zoom: float = 1.0) -> np.ndarray:
     return np.where(inside[..., None], light, 0.0)
 
 
-def shown(picture: np.ndarray, white: float) -> np.ndarray:
-    """A radiance as a screen shows it (sRGB), in [0, 1]: `white` is white, and what is brighter stays white."""
+def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
+    """Encode a radiance for a screen (sRGB), in [0, 1]: `white` is white, and what is brighter stays white."""
     return srgb.encoded(np.clip(picture / max(white, 1e-300), 0, 1))
 
 
 def body_white(corrected: np.ndarray) -> float:
-    """The radiance to show as white so that a ball's body is well exposed: what all but the brightest hundredth stay under."""
+    """Return the radiance to show as white so that a sphere's body is well exposed: its 99th percentile."""
     lit = corrected[corrected > 0]
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
 
@@ -60,11 +58,10 @@ SIZE = 64
 
 
 def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray, *, force: bool = False) -> None:
-    """Write a PNG of 128 x 64 px: a sphere under one lamp from the recorded table (left) and from the corrected one (right),
-    at one exposure."""
-    before, after = (ball(table.values, SIZE) for table in (raw, corrected))
+    """Write a PNG of 128 x 64 px: a sphere from the recorded table (left) and from the corrected one (right)."""
+    before, after = (table_sphere(table.values, SIZE) for table in (raw, corrected))
     white = body_white(after)
-    both = np.concatenate([shown(half, white) for half in (before, after)], axis=1)
+    both = np.concatenate([encoded_for_screen(half, white) for half in (before, after)], axis=1)
     if both.shape[-1] != 3:
         both = np.repeat(both[..., :1], 3, axis=-1)
     encoded = imagecodecs.png_encode(np.ascontiguousarray((both * 255 + 0.5).astype(np.uint8)))
@@ -73,8 +70,13 @@ def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray
 
 
 def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: float = 1.0) -> Figure:
-    """Linear radiances (size, size, 3) by their titles, encoded for display (sRGB) at one exposure: radiance 1 / exposure is
-    white, and what is brighter stays white. light: what they are lit by, in words."""
+    """Draw rendered spheres beside each other at one exposure, encoded for display (sRGB).
+
+    Args:
+        pictures: linear radiances (size, size, 3) by their titles.
+        light: what lights them, in words.
+        exposure: factor before display: radiance 1 / exposure is white. Default: 1.
+    """
     with styled():
         figure = Figure(figsize=(3.6 * len(pictures), 4.15), layout="constrained")
         for axes, (title, picture) in zip(
@@ -88,22 +90,26 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 
 
 def picture_figure(data: xr.DataArray, title: str) -> Figure:
-    """The picture (row, column[, channel]) of `forward.image.picture` beside the profile through its axis.
+    """Draw a rig's picture beside the profile through its axis.
 
-    Left: display-encoded, the 99.5th percentile of what is lit as white; right: the row through the optical axis on a
-    logarithmic scale, which shows what the eye does not.
+    Left, the picture is encoded for display, the 99.5th percentile of what is lit as white. Right, the row through the
+    optical axis has a logarithmic scale, which shows what the eye does not.
+
+    Args:
+        data: picture (row, column[, channel]), from `picture`.
+        title: title.
     """
     values = np.nan_to_num(data.values)
     lit = values[values > 0]
     white = np.percentile(lit, 99.5) if lit.size else 1.0
-    shown = np.clip(values / white, 0, 1) ** (1 / 2.2)
+    display = np.clip(values / white, 0, 1) ** (1 / 2.2)
     x, y = data["x"].values, data["y"].values
     with styled():
         figure = Figure(figsize=(8.6, 4.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
         left.grid(False)
         edges = (x[0] - 0.5, x[-1] + 0.5, y[-1] - 0.5, y[0] + 0.5)
-        grey = shown[..., 0] if shown.ndim == 3 and shown.shape[2] == 1 else shown
+        grey = display[..., 0] if display.ndim == 3 and display.shape[2] == 1 else display
         left.imshow(grey, extent=edges, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
         left.set_xlabel("x, towards the lamp [px]")
         left.set_ylabel("y [px]")

@@ -46,12 +46,12 @@ _RC: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Context in which every figure is drawn."""
+    """Return the context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-    """`check_output` for a picture; its suffix chooses the format."""
+    """Check an output that is a picture, whose suffix chooses the format, as `check_output` does."""
     path = Path(path)
     path = check_output(path, force=force, inputs=inputs)
     if path.suffix.lower() not in SUFFIXES:
@@ -60,7 +60,7 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
-    """Write a figure; a format's own date is left out, so that the same data give the same file. dpi: of a PNG."""
+    """Write a figure without a date, so that the same data give the same file. `dpi` is a PNG's."""
     path = check_picture(path, force=force)
     metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
     with styled(), replacing(path, force=force) as temporary:
@@ -68,14 +68,14 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
-    """Angles on the x axis, in degrees."""
+    """Label the x axis with angles in degrees."""
     axes.set_xlabel(f"{label} [degrees]")
     axes.set_xlim(0, end)
     axes.set_xticks(range(0, int(end) + 1, 15))
 
 
 def nyquist_line(axes: Axes, height: float = 1.0) -> None:
-    """The highest frequency that whole pixels resolve, 0.5 cycles/px on the x axis; its name stands just below `height`."""
+    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name stands just below `height`."""
     axes.axvline(0.5, color=GREY, lw=0.8)
     axes.annotate("Nyquist", (0.5, height), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
 

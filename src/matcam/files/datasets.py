@@ -1,11 +1,10 @@
-"""What the containers of labelled arrays share: what they may say that they hold.
+"""Labelled arrays (xarray Datasets) on disk: as NetCDF-4, and as Zarr in one zip file.
 
-Results as NetCDF-4: labelled, self-describing, read by xarray, MATLAB, R and everything else.
+NetCDF-4 is self-describing and read by xarray, MATLAB, R and most else. Zarr (version 3, .zarr.zip) is what `xarray.open_zarr`
+reads, here and from object storage. It is a zip and not a folder, because a file appears whole or not at all; its members carry
+CRC-32 checksums. Zarr needs the extra `matcam[scale]`.
 
-Results as Zarr, version 3, in one zip file (.zarr.zip): what `xarray.open_zarr` reads, here and from object storage.
-
-A zip, and not a folder, because a file appears whole or not at all; its members carry CRC-32 checksums. Needs the extra
-`matcam[scale]`.
+Both formats may claim to hold far more than they do, so that sizes are checked before anything is read.
 """
 
 from __future__ import annotations
@@ -28,8 +27,11 @@ _MOST_TIMES, _MOST_VARIABLES, _SPARE = 4, 256, 1 << 16
 
 
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-    """FileFormatError where arrays of these shapes and types are more than four times the file's bytes together: damaged, or
-    compressed beyond what is trusted."""
+    """Refuse arrays that are larger than their file could hold.
+
+    FileFormatError where arrays of these shapes and types take more than four times the file's bytes together: damaged, or
+    compressed beyond what is trusted.
+    """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
     total = 0
@@ -45,7 +47,7 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
 
 
 def one_line(error: Exception) -> str:
-    """What a library complained about, cut short."""
+    """Return a library's complaint as one line, cut short."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
@@ -53,7 +55,25 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
-    """Write a Dataset with its attributes. OutputError where it cannot go."""
+    """Write a Dataset with its attributes as NetCDF-4.
+
+    Args:
+        path: file to write (.nc).
+        data: result with labels and units.
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile, xarray
+        >>> from pathlib import Path
+        >>> data = xarray.Dataset({"raw": ("theta_d", [1.0, 2.0], {"units": "1/sr"})})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_netcdf(Path(folder) / "a.nc", data)
+        ...     matcam.io.read_netcdf(Path(folder) / "a.nc")["raw"].attrs
+        {'units': '1/sr'}
+    """
     with replacing(path, force=force) as temporary:
         try:
             data.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
@@ -62,8 +82,25 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> 
 
 
 def read_netcdf(path: str | Path) -> xr.Dataset:
-    """Read a Dataset, whole. FileFormatError naming the file where it is no NetCDF-4 file, is damaged, or says it holds
-    more than four times the bytes that it has."""
+    """Read a Dataset, whole, from a NetCDF-4 file.
+
+    Args:
+        path: NetCDF-4 file.
+
+    Returns:
+        The Dataset, in memory.
+
+    Raises:
+        FileFormatError: the file is no NetCDF-4 file, is damaged, or claims to hold more than four times its bytes.
+
+    Example:
+        >>> import tempfile, xarray
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_netcdf(Path(folder) / "a.nc", xarray.Dataset({"raw": ("theta_d", [1.0, 2.0])}))
+        ...     matcam.io.read_netcdf(Path(folder) / "a.nc")["raw"].values
+        array([1., 2.])
+    """
     import netCDF4
 
     path = Path(path)
@@ -90,7 +127,26 @@ _LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
 
 
 def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
-    """Write a Dataset with its attributes. ArgumentError where zarr is not installed, OutputError where it cannot go."""
+    """Write a Dataset with its attributes as Zarr in one zip file.
+
+    Args:
+        path: file to write (.zarr.zip).
+        data: result with labels and units.
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        ArgumentError: zarr is not installed.
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile, xarray
+        >>> from pathlib import Path
+        >>> data = xarray.Dataset({"raw": ("theta_d", [1.0, 2.0], {"units": "1/sr"})})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_zarr(Path(folder) / "a.zarr.zip", data)
+        ...     matcam.io.read_zarr(Path(folder) / "a.zarr.zip")["raw"].attrs
+        {'units': '1/sr'}
+    """
     held: dict[str, Any] = {}
     store = _storage().MemoryStore(held)
     with warnings.catch_warnings():
@@ -105,8 +161,26 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
 
 
 def read_zarr(path: str | Path) -> xr.Dataset:
-    """Read a Dataset, whole. FileFormatError naming the file where it is no Zarr in a zip, is damaged, or says it holds
-    more than four times the bytes that it has."""
+    """Read a Dataset, whole, from Zarr in one zip file.
+
+    Args:
+        path: zip file whose members are stored as they are (zip -0).
+
+    Returns:
+        The Dataset, in memory.
+
+    Raises:
+        ArgumentError: zarr is not installed.
+        FileFormatError: the file is no Zarr in a zip, is damaged, or claims to hold more than four times its bytes.
+
+    Example:
+        >>> import tempfile, xarray
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_zarr(Path(folder) / "a.zarr.zip", xarray.Dataset({"raw": ("theta_d", [1.0, 2.0])}))
+        ...     matcam.io.read_zarr(Path(folder) / "a.zarr.zip")["raw"].values
+        array([1., 2.])
+    """
     import json
 
     storage = _storage()
@@ -144,7 +218,10 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
 
 def _check_directory(path: Path, size: int) -> None:
-    """The list of members at the zip's end: memory for as much of it as it says would be asked for before anything else."""
+    """Check the list of members at the zip's end.
+
+    Memory for as much of it as it claims would be asked for before anything else.
+    """
     with path.open("rb") as file:
         file.seek(max(0, size - _LONGEST_END))
         end = file.read()
@@ -157,6 +234,7 @@ def _check_directory(path: Path, size: int) -> None:
 
 
 def _storage() -> Any:
+    """Import zarr; ArgumentError if it is not installed."""
     try:
         from zarr import storage
     except ImportError:

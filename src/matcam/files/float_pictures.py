@@ -1,10 +1,9 @@
-r"""What a picture file may hold: 32-bit floats, (H, W) or (H, W, channels), row 0 on top. Shared by the formats.
+r"""Pictures of 32-bit floats, (H, W) or (H, W, channels), row 0 on top, as TIFF and as OpenEXR.
 
-Pictures as TIFF of 32-bit floats (TIFF 6.0, SampleFormat 3): one page, channels beside each other, deflated losslessly.
+TIFF 6.0 with SampleFormat 3: one page, channels beside each other, deflated losslessly. Three channels are marked as RGB, any
+other number as grey with extra samples; the values are linear all the same.
 
-Three channels are marked as RGB, any other number as grey with extra samples; the values are linear all the same.
-
-Pictures as OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
+OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
 
     byte 0  int32   20000630, the magic number
          4  int32   version: low byte 2; bits 0x200 tiles, 0x800 deep data, 0x1000 several parts: none of them here
@@ -41,8 +40,11 @@ DEFLATE_LIMIT = 1032
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
-    """`picture` as contiguous float32. ArgumentError for a wrong shape, for complex numbers or text, and for values that
-    float32 cannot hold; NaN (missing) and infinities pass."""
+    """Return a picture as contiguous float32.
+
+    NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values that float32
+    cannot hold.
+    """
     given = np.asarray(picture)
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
@@ -59,8 +61,10 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
 
 
 def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
-    """FileFormatError for a picture that nobody would store, or that a file of `size` bytes cannot hold however well it is
-    compressed, before any memory is asked for it."""
+    """Refuse a picture that its file cannot hold, before any memory is asked for it.
+
+    FileFormatError for one that nobody would store, or that `size` bytes cannot hold however well they are compressed.
+    """
     values = height * width * channels
     if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
         raise FileFormatError(
@@ -69,13 +73,31 @@ def check_promised(path: Path, height: int, width: int, channels: int, size: int
 
 
 def file_size(path: Path) -> int:
-    """Size in bytes. FileFormatError where there is no file that could be read."""
+    """Return a file's size in bytes; FileFormatError if there is no file that can be read."""
     with reading(path, "a picture"):
         return path.stat().st_size
 
 
 def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
-    """Write a picture, shape (H, W) or (H, W, channels), as float32. OutputError where it cannot go."""
+    """Write a picture as a TIFF file of 32-bit floats.
+
+    Args:
+        path: file to write (.tif).
+        picture: linear values, shape (H, W) or (H, W, channels), row 0 on top; NaN where missing.
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        ArgumentError: the picture has another shape, or values that float32 cannot hold.
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_float_tiff(Path(folder) / "a.tif", np.ones((2, 3, 3)))
+        ...     matcam.io.read_float_tiff(Path(folder) / "a.tif").shape
+        (2, 3, 3)
+    """
     import tifffile
 
     stored = as_float32(picture)
@@ -91,8 +113,25 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
 
 
 def read_float_tiff(path: str | Path) -> np.ndarray:
-    """Read a picture: float32, shape (H, W) or (H, W, channels). FileFormatError for more than one page, other numbers
-    than 32-bit floats, and damaged files."""
+    """Read a picture from a TIFF file of 32-bit floats.
+
+    Args:
+        path: TIFF file of one page.
+
+    Returns:
+        Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
+
+    Raises:
+        FileFormatError: the file is damaged, has several pages, or holds other numbers than 32-bit floats.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_float_tiff(Path(folder) / "a.tif", np.full((2, 3), 0.25))
+        ...     matcam.io.read_float_tiff(Path(folder) / "a.tif")[0]
+        array([0.25, 0.25, 0.25], dtype=float32)
+    """
     import tifffile
 
     path = Path(path)
@@ -122,7 +161,7 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The library logs what it then raises; one line is enough."""
+    """Silence the library, which logs what it then raises: one line is enough."""
     logger = logging.getLogger("tifffile")
     level = logger.level
     logger.setLevel(logging.CRITICAL + 1)
@@ -145,7 +184,25 @@ class _Skeleton(NamedTuple):
 
 
 def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
-    """Write a picture, shape (H, W) or (H, W, channels), as float32. OutputError where it cannot go."""
+    """Write a picture as an OpenEXR file of 32-bit floats.
+
+    Args:
+        path: file to write (.exr).
+        picture: linear values, shape (H, W) or (H, W, channels), row 0 on top; NaN where missing.
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        ArgumentError: the picture has another shape, or values that float32 cannot hold.
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_exr(Path(folder) / "a.exr", np.ones((2, 3, 3)))
+        ...     matcam.io.read_exr(Path(folder) / "a.exr").shape
+        (2, 3, 3)
+    """
     import OpenEXR
 
     stored = as_float32(picture)
@@ -158,8 +215,25 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
 
 
 def read_exr(path: str | Path) -> np.ndarray:
-    """Read a picture: float32, shape (H, W) or (H, W, channels). FileFormatError for anything else than what the head
-    of this file describes."""
+    """Read a picture from an OpenEXR file of 32-bit floats.
+
+    Args:
+        path: OpenEXR file of one part, scan lines, compressed without loss.
+
+    Returns:
+        Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
+
+    Raises:
+        FileFormatError: the file is damaged, or holds something else; the message says what can be read.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_exr(Path(folder) / "a.exr", np.full((2, 3), 0.25))
+        ...     matcam.io.read_exr(Path(folder) / "a.exr")[0]
+        array([0.25, 0.25, 0.25], dtype=float32)
+    """
     import OpenEXR
 
     path = Path(path)
@@ -175,6 +249,7 @@ def read_exr(path: str | Path) -> np.ndarray:
 
 
 def _names(channels: int | None) -> tuple[str, ...]:
+    """Return the names of a picture's channels."""
     if channels is None:
         return ("Y",)
     return ("R", "G", "B") if channels == 3 else tuple(f"C{i:04}" for i in range(channels))

@@ -32,12 +32,34 @@ _MISSING = -1.0
 
 
 def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
-    """Read a MERL file: DataArray of 1/sr, dims (theta_h, theta_d, phi_d, channel), NaN where missing.
+    """Read a BRDF table from a MERL file.
 
-    sampling: "centre" or "edge": where in its cell each value was sampled. The file does not say, and at a sharp peak
-    the choice matters by up to 45 %; it is kept in `attrs["sampling"]` and decides the angle coordinates.
-    Raises FileFormatError, naming the file and the byte, for anything that is not a MERL file or holds NaN, infinities
-    or no valid value at all.
+    Args:
+        path: MERL file (.binary).
+        sampling: where in its cell each value was sampled, "centre" or "edge" (no unit). Default: "centre". The file does not
+            say it, and at a sharp peak the choice changes values by up to 45 %. It is kept in `attrs["sampling"]` and decides
+            the angle coordinates.
+
+    Returns:
+        Table in 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, 3); NaN where missing.
+
+    Raises:
+        FileFormatError: the file is no MERL file, holds NaN or infinities, or no valid value; the message names the byte.
+        ArgumentError: `sampling` is neither "centre" nor "edge".
+
+    Source:
+        Matusik et al. (2003), "A data-driven reflectance model".
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from matcam.core.grid import brdf_table
+        >>> table = brdf_table(np.full((90, 90, 180, 3), 0.5), "edge")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.write_merl(Path(folder) / "grey.binary", table)
+        ...     again = matcam.read_merl(Path(folder) / "grey.binary", sampling="edge")
+        >>> dict(again.sizes)
+        {'theta_h': 90, 'theta_d': 90, 'phi_d': 180, 'channel': 3}
     """
     path = Path(path)
     if sampling not in SAMPLINGS:
@@ -57,13 +79,32 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 
 
 def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> None:
-    """Write a table as a MERL file; NaN becomes -1, the format's missing value.
+    """Write a BRDF table as a MERL file.
 
-    Raises ArgumentError for a table that the format cannot hold: other than three channels, or negative values.
+    Missing values (NaN) become -1, the format's own.
+
+    Args:
+        path: file to write (.binary).
+        brdf: table in 1/sr as from `read_merl`, three channels, nowhere negative, shape (90, 90, 180, 3).
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        ArgumentError: the format cannot hold the table: it has other than three channels, or negative values.
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from matcam.core.grid import brdf_table
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "grey.binary"
+        ...     matcam.write_merl(path, brdf_table(np.full((90, 90, 180, 3), 0.5), "centre"))
+        ...     path.stat().st_size
+        34992012
     """
     brdf = checked_table(brdf)
     if brdf.sizes["channel"] != len(CHANNELS):
-        raise ArgumentError(f"a MERL file holds the channels R, G, B; this table has {brdf.sizes['channel']}")
+        raise ArgumentError(f"a MERL file takes the channels R, G, B; this table has {brdf.sizes['channel']}")
     values = np.moveaxis(np.asarray(brdf.values, dtype=np.float64), -1, 0)
     lowest = np.nanmin(values, initial=np.inf)
     if lowest < 0:
@@ -79,7 +120,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
 
 def _read_stored(path: Path) -> np.ndarray:
-    """Stored values (3, 90, 90, 180); nothing is allocated before size and header have been checked."""
+    """Return stored values (3, 90, 90, 180); allocate nothing before size and header have been checked."""
     with reading(path, "a MERL file"):
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -99,6 +140,7 @@ def _read_stored(path: Path) -> np.ndarray:
 
 
 def _refuse_non_finite(path: Path, stored: np.ndarray) -> None:
+    """Raise FileFormatError naming the first byte whose value is not finite."""
     bad = np.flatnonzero(~np.isfinite(stored))
     if bad.size:  # a sum of huge but valid values overflows too
         byte = _HEADER_BYTES + _VALUE.itemsize * bad[0]

@@ -67,10 +67,31 @@ _ORDER = (
 
 
 def read_rgl(path: str | Path) -> xr.Dataset:
-    """Read a .bsdf file: its fields, in the file's own types, as variables of a Dataset.
+    """Read a BRDF in RGL's parameterisation.
 
-    FileFormatError naming the file and the byte or field where it is no tensor file, is truncated, or its fields do not
-    make a BRDF. No more memory is asked for than the file has bytes.
+    Each field of the file becomes a variable of its own type. No more memory is asked for than the file has bytes.
+
+    Args:
+        path: RGL file (.bsdf).
+
+    Returns:
+        Dataset of the fields; `Adaptive` makes a material of it.
+
+    Raises:
+        FileFormatError: the file is no tensor file, is truncated, or its fields do not make a BRDF; the message names the byte
+            or the field.
+
+    Source:
+        Dupuy and Jakob (2018), "An adaptive parameterization for efficient material acquisition and rendering".
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=16)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_rgl(Path(folder) / "grey.bsdf", fields)
+        ...     sorted(matcam.io.read_rgl(Path(folder) / "grey.bsdf").data_vars)[:4]
+        ['description', 'jacobian', 'luminance', 'ndf']
     """
     path = Path(path)
     with reading(path, "an RGL file"):
@@ -83,7 +104,27 @@ def read_rgl(path: str | Path) -> xr.Dataset:
 
 
 def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> None:
-    """Write such a Dataset. ArgumentError for fields that do not make a BRDF, OutputError where it cannot go."""
+    """Write a BRDF in RGL's parameterisation.
+
+    Args:
+        path: file to write (.bsdf).
+        fields: Dataset as from `read_rgl` or `adaptive_grid`.
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        ArgumentError: the fields do not make a BRDF; the message names the field.
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> fields = matcam.exchange.adaptive_grid(matcam.Microfacet(matcam.GGX(0.3), 0.9), square=16)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "grey.bsdf"
+        ...     matcam.io.write_rgl(path, fields)
+        ...     path.read_bytes()[:11]
+        b'tensor_file'
+    """
     if not isinstance(fields, xr.Dataset):
         raise ArgumentError(f"an RGL file is made of a Dataset (see read_rgl, adaptive), got {type(fields).__name__}")
     names = sorted(map(str, fields.variables), key=lambda n: _ORDER.index(n) if n in _ORDER else len(_ORDER))
@@ -109,7 +150,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
 
 
 def check_fields(fields: xr.Dataset) -> xr.Dataset:
-    """`fields` with the file's names of dimensions, if they make a BRDF; ArgumentError naming the field otherwise."""
+    """Return fields with the file's names of dimensions; ArgumentError, naming the field, if they make no BRDF."""
     return _checked({str(name): field.values for name, field in fields.variables.items()})
 
 
@@ -118,7 +159,7 @@ def _next_aligned(at: int) -> int:
 
 
 def _fields(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """All fields as views of `content`, each within it, together no longer than it."""
+    """Return all fields as views of `content`, each within it, together no longer than it."""
     start = len(_MAGIC) + len(_VERSION)
     if content[:start] != _MAGIC + _VERSION:
         raise FileFormatError(f"{path}: not an RGL file: it starts with {content[:start]!r}, not {_MAGIC + _VERSION!r}")
@@ -154,7 +195,7 @@ def _fields(path: Path, content: bytes) -> dict[str, np.ndarray]:
 
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
-    """The fields labelled; ArgumentError, naming the field, where they do not make a BRDF."""
+    """Label the fields; ArgumentError, naming the field, if they make no BRDF."""
     colour = "spectra" if "wavelengths" in fields else "rgb"
     missing = [name for name in (*_REQUIRED, colour) if name not in fields]
     if missing:
@@ -165,7 +206,7 @@ def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
             if array.dtype != np.float32 or array.ndim != len(dims) or 0 in array.shape:
                 raise ArgumentError(f"field {name} must be float32 {dims}, got {array.dtype} of shape {array.shape}")
             if not np.all(np.isfinite(array)):
-                raise ArgumentError(f"field {name} holds {array[~np.isfinite(array)].flat[0]}, not a number")
+                raise ArgumentError(f"field {name} must hold finite numbers, got {array[~np.isfinite(array)].flat[0]}")
     if fields["jacobian"].dtype != np.uint8 or fields["jacobian"].shape != (1,):
         raise ArgumentError("field jacobian must be one uint8")
     labelled = {

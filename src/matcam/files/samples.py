@@ -3,9 +3,9 @@
     theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr
     0.0123,0.5,1.2,0.31,0.30,0.28
 
-The first line names the columns, in any order: angles first_deg or first_rad, either theta_h, theta_d, phi_d (half and
-difference angles) or theta_i, phi_i, theta_o, phi_o (light and view, to the surface normal); every other column, which must
-end in _per_sr, is a channel of the BRDF. An empty value is missing. Numbers are written with all their digits.
+The first line names the columns, in any order. Angles end in _deg or _rad: either theta_h, theta_d, phi_d (half and difference
+angles) or theta_i, phi_i, theta_o, phi_o (light and view, to the surface normal). Every other column must end in _per_sr and is
+a channel of the BRDF. An empty value is missing. Numbers are written with all their digits.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ON_THE_GRID = 1e-6  # rad
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
-    """All values of a table that are there in some channel, as samples: dims (sample, channel), angles as coordinates."""
+    """Return all values of a table that some channel has, as samples with dims (sample, channel)."""
     stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
     known = np.isfinite(stacked.values).any(axis=-1)
     angles = np.meshgrid(*(stacked[name].values for name in reversed(_HALF)), indexing="ij")[::-1]
@@ -36,10 +36,15 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
 
 
 def table_of(samples: xr.DataArray) -> xr.DataArray:
-    """The table that has these samples; what is not among them is missing. ArgumentError where one lies beside the MERL
-    grid, or two in one cell: nothing is interpolated."""
+    """Return the table that has these samples; what is not among them is missing.
+
+    Nothing is interpolated: ArgumentError where a sample lies beside the MERL grid, or two in one cell.
+    """
     if "sample" not in getattr(samples, "dims", ()) or samples.sizes["channel"] not in (1, len(CHANNELS)):
-        raise ArgumentError("samples must have dims (sample, channel) with one channel or three (see read_samples)")
+        dims = getattr(samples, "dims", type(samples).__name__)
+        raise ArgumentError(
+            f"samples must have dims (sample, channel) with one channel or three (see read_samples), got {dims}"
+        )
     found = {name: np.asarray(samples[name].values) for name in _HALF}
     found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is 0 again
     for sampling in SAMPLINGS:
@@ -58,18 +63,41 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
     numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
     if np.unique(numbers).size < numbers.size:
         twice = int(np.flatnonzero(np.bincount(numbers) > 1)[0])
-        raise ArgumentError(f"cell {np.unravel_index(twice, values.shape[:3])} of the MERL grid has several samples")
+        cell = tuple(int(i) for i in np.unravel_index(twice, values.shape[:3]))
+        raise ArgumentError(f"cell {cell} of the MERL grid has several samples: give one")
     values[tuple(nearest)] = samples.values
     return brdf_table(values, sampling)
 
 
 def _nearest(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return the indices of the nearest points of an axis."""
     above = np.clip(np.searchsorted(axis, angle), 1, axis.size - 1)
     return np.where(angle - axis[above - 1] < axis[above] - angle, above - 1, above)
 
 
 def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = False) -> None:
-    """Write samples; angles in rad. OutputError where they cannot go."""
+    r"""Write BRDF samples as CSV, angles in rad.
+
+    Args:
+        path: file to write (.csv).
+        samples: values in 1/sr as from `read_samples`, dims (sample, channel), shape (n, channels), with the coordinates
+            theta_h, theta_d and phi_d in rad.
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> text = "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n"
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.csv"
+        ...     _ = path.write_text(text)
+        ...     matcam.io.write_samples(path, matcam.io.read_samples(path), force=True)
+        ...     print(path.read_text().splitlines()[0])
+        theta_h_rad,theta_d_rad,phi_d_rad,Y_per_sr
+    """
     import pandas as pd
 
     columns = {f"{name}_rad": samples[name].values for name in _HALF}
@@ -79,10 +107,28 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
 
 
 def read_samples(path: str | Path) -> xr.DataArray:
-    """Read samples: 1/sr, dims (sample, channel), coordinates theta_h, theta_d, phi_d in rad; NaN where missing.
+    r"""Read BRDF samples from CSV.
 
-    FileFormatError naming the file and the line for columns that are not known, lines that are no numbers, angles out of
-    their range, directions below the horizon and infinite values.
+    Args:
+        path: CSV file whose first line names its columns, such as theta_h_deg or R_per_sr.
+
+    Returns:
+        Values in 1/sr, dims (sample, channel), shape (n, channels), NaN where missing. Coordinates theta_h, theta_d and phi_d
+        are in rad.
+
+    Raises:
+        FileFormatError: columns are not known, a line is no numbers, an angle is out of its range, or a value is infinite; the
+            message names the line.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "a.csv"
+        ...     _ = path.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n")
+        ...     samples = matcam.io.read_samples(path)
+        >>> samples.values, samples["theta_d"].values.round(4)
+        (array([[0.25]]), array([0.5236]))
     """
     path = Path(path)
     names, scale, lines = _head(path)
@@ -110,7 +156,7 @@ def _samples(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) 
 
 
 def _head(path: Path) -> tuple[list[str], list[float], int]:
-    """(names of the columns, the unit of each, lines that may follow)."""
+    """Return (names of the columns, the unit of each, lines that may follow)."""
     with reading(path, "a CSV file"), path.open("rb") as file:
         head = file.readline(_LONGEST_HEAD)
         lines = 1 + sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 16), b""))
@@ -143,7 +189,7 @@ def _head(path: Path) -> tuple[list[str], list[float], int]:
 
 
 def _fill(path: Path, values: np.ndarray) -> int:
-    """Fill the rows from the file's lines, some at a time; how many there were."""
+    """Fill the rows from the file's lines, some at a time, and return how many there were."""
     import pandas as pd
 
     at = 0

@@ -135,7 +135,7 @@ def write_sidecar(
         _Sidecar.model_validate(document)
         write_json(path, document, force=force)
     except ValidationError as error:
-        raise ArgumentError(f"sidecar {first_problem(error)}") from None
+        raise ArgumentError(f"sidecar: {first_problem(error)}") from None
     except (TypeError, ValueError, RecursionError) as error:
         raise ArgumentError(f"sidecar cannot be written as JSON: {error}") from None
 

@@ -68,10 +68,12 @@ def picture(
         docs/model.md 2 and 3.
 
     Example:
-        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(12.0))
-        >>> image = matcam.picture(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, error=0.01)
+        The middle of a sphere, where no kernel meets the highlight or the limb; without a shape, the whole sphere.
+
+        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
+        >>> image = matcam.picture(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5))
         >>> image.dims, image.shape
-        (('row', 'column', 'channel'), (33, 33, 1))
+        (('row', 'column', 'channel'), (3, 5, 1))
     """
     view = _view(material, rig, lamp_angle, shape)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
@@ -125,9 +127,9 @@ def picture_values(
         docs/model.md 2 and 3.
 
     Example:
-        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(12.0))
-        >>> matcam.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, 1.0, shape=(5, 33)).shape
-        (5, 33, 1)
+        >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
+        >>> matcam.forward.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
+        (3, 5, 1)
     """
     return _exact_record(material, _view(material, rig, lamp_angle, shape))
 
@@ -166,7 +168,10 @@ def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int,
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
-    """Return the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px."""
+    """Return the picture's (height, width), px.
+
+    It is the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px.
+    """
     if shape is not None:
         return picture_shape("shape", shape)
     if rig.crop is not None:

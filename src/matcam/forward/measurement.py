@@ -1,13 +1,11 @@
 """The table that a rig records of a material: every cell of the MERL grid as its pixels see it (docs/model.md 3).
 
 A rig's pictures show each cell at two places. Their records, divided by the cosine of the light there, make the cell's value.
-Which places those are, and how to integrate them, depends on the rig alone: the last rig's answer is kept for the next
-material.
+Which places those are, and how to integrate them, depends on the rig alone: a workspace keeps the plan for the next material.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,7 @@ from matcam.core.grid import (
     theta_h_edges,
 )
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.core.workspace import Keyed
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
@@ -42,7 +40,7 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
 """Places in a cell at which it is looked at, as shares of its sides."""
 
 
-def measure(material: Material, rig: Rig) -> xr.DataArray:
+def measure(material: Material, rig: Rig, workspace: Workspace | None = None) -> xr.DataArray:
     """Return the BRDF table that a rig records of a material.
 
     Each cell is the pixel centred on the point of the cell that the rig's `cell_value` names; "mean" is the mean over the
@@ -54,6 +52,7 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
+        workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
 
     Returns:
         BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where nothing is recorded. Coordinate `pixels`
@@ -74,18 +73,20 @@ def measure(material: Material, rig: Rig) -> xr.DataArray:
         >>> table.dims, table.shape
         (('theta_h', 'theta_d', 'phi_d', 'channel'), (90, 90, 180, 3))
         >>> print(np.round(table.values[0, 0, 0], 2))
-        [7.12 7.12 7.12]
+        [7.16 7.16 7.16]
     """
-    recorded, pixels = table_values(material, rig)
+    recorded, pixels = table_values(material, rig, workspace)
     if recorded.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"a table has {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}")
+        raise ArgumentError(
+            f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
+        )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
 
 
-def table_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:
+def table_values(material: Material, rig: Rig, workspace: Workspace | None = None) -> tuple[jax.Array, np.ndarray]:
     """Return the values and pixel counts of `measure` as arrays.
 
     The values are differentiable in the parameters of material and camera.
@@ -93,6 +94,7 @@ def table_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:
     Args:
         material: material to record, with any count of channels.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
+        workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
 
     Returns:
         BRDF, (90, 90, 180, channels), 1/sr, NaN where nothing is recorded; and the count of pixels behind each cell,
@@ -106,7 +108,7 @@ def table_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:
 
     Example:
         >>> flat = matcam.Rig(matcam.rigs.merl().camera, matcam.Flat())
-        >>> values, pixels = matcam.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
+        >>> values, pixels = matcam.forward.table_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), flat)
         >>> values.shape, pixels.shape
         ((90, 90, 180, 1), (90, 90, 180))
     """
@@ -123,17 +125,20 @@ def table_values(material: Material, rig: Rig) -> tuple[jax.Array, np.ndarray]:
             f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
         )
     imaging = imaging_of(rig)
-    cells, plan = table_plan(imaging, rig.cell_value, rig.crop)
+    cells, plan = _table_plan(imaging, rig.cell_value, rig.crop, workspace or default_workspace())
     return cell_means(record(material, imaging, plan), cells), cells.pixels
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
-    """Return the table of a material itself, at each cell's centre or edge: any camera's, of a flat sample."""
+    """Return the table of a material itself.
+
+    It is sampled at each cell's centre or edge, and is any camera's table of a flat sample.
+    """
     return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Return the point of its cell at which a table of this kind is sampled."""
+    """Return the point of a cell at which a table is sampled."""
     return "edge" if cell_value == "edge" else "centre"
 
 
@@ -164,26 +169,29 @@ class TablePlan(NamedTuple):
     plan: IntegrationPlan
 
 
-def table_plan(imaging: Imaging, cell_value: CellValue, crop: tuple[int, int] | None) -> TablePlan:
+def _table_plan(
+    imaging: Imaging, cell_value: CellValue, crop: tuple[int, int] | None, workspace: Workspace
+) -> TablePlan:
     """Plan the table of a rig. Needs concrete values: ArgumentError inside jax.jit."""
     imaging = jax.lax.stop_gradient(imaging)
     leaves, tree = jax.tree.flatten(imaging)
     if not all(is_concrete(leaf) for leaf in leaves):
         raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
-    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
-    return _table_plan(Keyed(key, imaging), cell_value, crop)
 
+    def plan() -> TablePlan:
+        cells = table_cells(imaging.sample, cell_value, crop)
+        theta_d = jnp.asarray(merl_grid(cell_sampling(cell_value)).theta_d)
+        return TablePlan(cells, integration_plan(imaging, np.asarray(imaging.sample.lamp_angle(theta_d)), cells.places))
 
-@lru_cache(maxsize=1)
-def _table_plan(imaging: Keyed[Imaging], cell_value: CellValue, crop: tuple[int, int] | None) -> TablePlan:
-    sphere = imaging.thing.sample
-    cells = table_cells(sphere, cell_value, crop)
-    lamps = np.asarray(sphere.lamp_angle(jnp.asarray(merl_grid(cell_sampling(cell_value)).theta_d)))
-    return TablePlan(cells, integration_plan(imaging.thing, lamps, cells.places))
+    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), cell_value, crop
+    return workspace.remember("table plan", key, plan, most=1)
 
 
 def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | None) -> TableCells:
-    """Find the cells of a table in the pictures of a sphere, of which the sensor shows `crop` (height, width), px."""
+    """Find the cells of a table in the pictures of a sphere.
+
+    The sensor shows `crop`, (height, width), px; None stands for all.
+    """
     n_h, n_d, n_p = GRID_SHAPE
     points = np.array(_POINTS[cell_value])
     share = (np.arange(n_h)[:, None] + points) / n_h
@@ -215,7 +223,10 @@ def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | N
 
 
 def cell_means(radiance: jax.Array, cells: TableCells) -> jax.Array:
-    """Average the radiance at the places of each cell, both ways, as a BRDF; NaN where none is seen."""
+    """Average the BRDF over the places of each cell, both ways.
+
+    It is NaN where none is seen.
+    """
     channels = radiance.shape[-1]
     spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.flat_index].set(radiance)
     spread = spread.reshape(*cells.cos_i.shape, channels)
@@ -231,7 +242,10 @@ def _other_way(one_way):  # type: ignore[no-untyped-def]
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
-    """Return the values of a flat sample, tilted so that each cell is seen, both ways: even light has no blur."""
+    """Return the values of a flat sample, both ways.
+
+    It is tilted so that each cell is seen. Even light has no blur.
+    """
     if rig.cell_value == "mean":
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
     sampling = cell_sampling(rig.cell_value)

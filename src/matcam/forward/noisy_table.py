@@ -7,7 +7,6 @@ on one pixel share its noise.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,8 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, GRID_SHAPE, Sampling, checked_table, merl_grid, sampling_of
+from matcam.core.jax import jax
+from matcam.core.workspace import default_workspace
 from matcam.forward.measurement import measure
 from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
@@ -56,13 +57,13 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     Example:
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
-        >>> noisy = matcam.with_pixel_noise(table, matcam.rigs.merl(), matcam.PixelNoise(0.01, 0.0), seed=1)
+        >>> noisy = matcam.forward.with_pixel_noise(table, matcam.rigs.merl(), matcam.camera.PixelNoise(0.01, 0.0), seed=1)
         >>> bool(abs(noisy / table - 1).mean() < 0.01)
         True
     """
     noise.checked()
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a table is recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+        raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     pixels = cell_pixels(rig.sample, sampling_of(checked_table(table)))
     values = table.values.copy()
@@ -91,10 +92,11 @@ class CellPixels(NamedTuple):
 
 
 def cell_pixels(sphere: Sphere, sampling: Sampling) -> CellPixels:
-    """Number the pixels behind the cells of a table that pictures of a sphere fill."""
+    """Number the pixels of a sphere's pictures behind the cells."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
-    return CellPixels(*(_pixel_number(sphere.place(theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
+    place = jax.jit(lambda sphere, *angles: sphere.place(*angles))
+    return CellPixels(*(_pixel_number(place(sphere, theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
 
 
 def _pixel_number(place: Place) -> np.ndarray:
@@ -109,11 +111,10 @@ def simulated_chromium(seed: int = 1) -> xr.DataArray:
     MERL file cannot hold values below 0. The true answer is known, so this tests eyes and installation. It does not test the
     method, for which tests/oracle is made.
     """
-    return _simulated(seed).copy()
+    return default_workspace().remember("simulated chromium", seed, lambda: _noisy_chromium(seed), most=1).copy()
 
 
-@lru_cache(maxsize=1)
-def _simulated(seed: int) -> xr.DataArray:
+def _noisy_chromium(seed: int) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
     # without masking: for so smooth a surface it is 1 to within 1e-6 up to 89 degrees
     chromium = Microfacet(GaussianNDF(CHROMIUM_WIDTH), Conductor(n, k), masking=None)

@@ -76,8 +76,9 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
         Holzschuch and Pacanowski (2017), section 3; docs/model.md 4.
 
     Example:
-        >>> round(np.degrees(matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.02))), 1)
-        61.8
+        >>> angle = matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.02))
+        >>> print(f"{np.degrees(angle):.1f} degrees")
+        57.1 degrees
     """
     return float(predict(rig, [ndf], dims)["loss_angle"][0])
 
@@ -92,9 +93,10 @@ def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
 
 
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
-    """Predict the haze and the diffuse part that a lens's halo adds to a material (docs/model.md 2).
+    """Predict the haze and the diffuse part that a halo adds.
 
-    The angles lie across the plane of camera and lamp (phi_d = pi / 2), where light and view stay high.
+    Veiling glare makes them of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
+    (phi_d = pi / 2), where light and view stay high.
 
     Args:
         material: the material.
@@ -113,7 +115,7 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     if not isinstance(optics, HaloOptics):
         raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
     if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"false light is predicted for a Sphere, not for a {type(rig.sample).__name__}")
+        raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)

@@ -67,7 +67,7 @@ def highlight_stamps(
 
     Example:
         >>> camera = matcam.Camera(matcam.GaussianOptics(0.5))
-        >>> stamps = matcam.highlight_stamps(camera, 9, flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
+        >>> stamps = matcam.forward.highlight_stamps(camera, 9, flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
         >>> print(stamps.shape, np.round(stamps.sum((1, 2)), 3))
         (2, 9, 9) [1. 1.]
     """
@@ -119,7 +119,10 @@ class _PixelEdges(eqx.Module):
     half_width: jax.Array
 
     def positions(self) -> jax.Array:
-        """Return the edges, px from the middle: one row of shared ones, or all left ones before all right."""
+        """Return the edges, px from the middle.
+
+        They are one row of shared ones, or all left ones before all right.
+        """
         if self.shared:
             return jnp.arange(self.size + 1) - self.size / 2
         centres = jnp.arange(self.size) - (self.size - 1) / 2
@@ -147,7 +150,10 @@ def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
 
 
 def _order(lens: list[tuple[jax.Array, jax.Array]], highlights: _Highlights) -> int:
-    """Return the count of Gauss-Legendre nodes that a pixel's height needs for the narrowest Gaussian of all."""
+    """Return the count of Gauss-Legendre nodes over a pixel's height.
+
+    The narrowest Gaussian of all decides.
+    """
     lengths = [jax.lax.stop_gradient(a) for a in (highlights.std_along, highlights.std_across, *(s for _, s in lens))]
     if all(is_concrete(a) for a in lengths) and highlights.std_along.size:
         along, across, *sigmas = (np.min(np.asarray(a)) for a in lengths)
@@ -161,9 +167,10 @@ def _order(lens: list[tuple[jax.Array, jax.Array]], highlights: _Highlights) -> 
 
 
 def _log_error(order: int, length: float) -> float:
-    """Return the logarithm of the Gauss-Legendre rule's error for exp(-t^2 / 2) over `length`, relative to the length.
+    """Return the logarithm of the Gauss-Legendre rule's error.
 
-    The bound is length^(2n+1) n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.
+    The integrand is exp(-t^2 / 2) over `length`, and the error is relative to the length. The bound is length^(2n+1)
+    n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.
     """
     n = order
     derivative = lgamma(2 * n + 1) - n * log(2) - lgamma(n + 1)

@@ -6,8 +6,9 @@ keeps the camera's total transfer function there. Pixels are read at their centr
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
+import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -43,7 +44,7 @@ def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.
 
     Example:
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Flat())
-        >>> print(np.round(matcam.texture_contrast(rig, 0.2, np.radians([0, 60])), 3))
+        >>> print(np.round(matcam.forward.texture_contrast(rig, 0.2, np.radians([0, 60])), 3))
         [0.768 0.344]
     """
     return rig.camera.mtf(_flat_sample(rig).frequency_on_sensor(frequency, theta_o))
@@ -85,7 +86,7 @@ def textured_picture(
     Example:
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Flat())
         >>> stripes = np.tile([0.0, 0.0, 1.0, 1.0], (4, 2))
-        >>> image = matcam.textured_picture(stripes, rig, theta_o=0.5, texels="squares")
+        >>> image = matcam.forward.textured_picture(stripes, rig, theta_o=0.5, texels="squares")
         >>> image.shape, round(float(image.mean()), 2)
         ((4, 8), 0.5)
     """
@@ -98,47 +99,71 @@ def textured_picture(
     rows, columns = _check_shape(texture.shape[:2] if shape is None else shape)
     height, width = texture.shape[:2]
     band = rig.camera.optics.band() if texels == "squares" else None
-    (k_y, weight_y), (k_x, weight_x) = (_harmonics(n, pitch, band) for n in (height, width))
-    if (k_x.size // 2 + 1) * (k_y.size // 2 + 1) > _MOST_WAVES:
+    across = _axis_waves(height, rows, 1.0, pitch, band)
+    along = _axis_waves(width, columns, jnp.cos(theta_o), pitch, band)
+    if (along.k.size // 2 + 1) * (across.k.size // 2 + 1) > _MOST_WAVES:
         raise ArgumentError(
-            f"texture of {height} x {width} texels of {pitch:g} px makes {k_y.size} x {k_x.size} waves that this lens may "
-            f"pass: more than {4 * _MOST_WAVES}; give a smaller texture"
+            f"texture of {height} x {width} texels of {pitch:g} px makes {across.k.size} x {along.k.size} waves that this lens "
+            f"may pass: more than {4 * _MOST_WAVES}; give a smaller texture"
         )
-
     # the transfer function is even in both frequencies: a quarter of the plane will do
-    along = flat.frequency_on_sensor(np.arange(k_x.size // 2 + 1) / (width * pitch), theta_o)
-    across = jnp.arange(k_y.size // 2 + 1)[:, None] / (height * pitch)
-    transfer = rig.camera.transfer(along, across)[np.abs(k_y)[:, None], np.abs(k_x)]
-    planes = texture if texture.ndim == 3 else texture[..., None]
-    spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")[(k_y % height)[:, None], k_x % width]
-    spectrum = spectrum * (transfer * weight_y[:, None] * weight_x)[..., None]
-    # where the pixels lie on the texture, in texels
-    at_x = (width - 1) / 2 + (jnp.arange(columns) - (columns - 1) / 2) / (pitch * jnp.cos(theta_o))
-    at_y = (height - 1) / 2 + (jnp.arange(rows) - (rows - 1) / 2) / pitch
-    waves_x, waves_y = _waves(k_x, at_x, width), _waves(k_y, at_y, height)
-    picture = jnp.einsum("rc,cwk->rwk", waves_y, jnp.einsum("cdk,wd->cwk", spectrum, waves_x)).real
+    frequency_x = flat.frequency_on_sensor(np.arange(along.k.size // 2 + 1) / (width * pitch), theta_o)
+    frequency_y = jnp.arange(across.k.size // 2 + 1)[:, None] / (height * pitch)
+    picture = _sum_of_waves(
+        texture if texture.ndim == 3 else texture[..., None],
+        rig.camera.transfer(frequency_x, frequency_y),
+        across,
+        along,
+    )
     return picture if texture.ndim == 3 else picture[..., 0]
 
 
-def _harmonics(texels: int, pitch: float, band: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wave numbers k of exp(2 pi i k u / texels), symmetric about 0, and the share of each in the signal.
+class _AxisWaves(NamedTuple):
+    """The waves exp(2 pi i k u / texels) of a texture along one axis, symmetric about 0.
 
-    Args:
-        texels: count of texels along the axis.
-        pitch: distance of neighbouring texels, px.
-        band: frequency up to which the camera passes the waves of squares, cycles/px; None for a band-limited signal.
+    Attributes:
+        texels: count of texels.
+        k: wave numbers.
+        weight: share of each wave in the signal between the texels' centres.
+        at: places of the pixels on the texture, in texels.
     """
+
+    texels: int
+    k: np.ndarray
+    weight: np.ndarray
+    at: jax.Array
+
+
+def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: float, band: float | None) -> _AxisWaves:
+    """Return the waves along an axis.
+
+    Those of squares go up to `band`, cycles/px. None stands for a band-limited signal.
+    """
+    at = (texels - 1) / 2 + (jnp.arange(pixels) - (pixels - 1) / 2) / (pitch * foreshortening)
     if band is None:
         k = np.arange(-(texels // 2), texels // 2 + 1)
         # the wave that changes sign from texel to texel is its own mirror image
-        return k, np.where(2 * np.abs(k) == texels, 0.5, 1.0)
+        return _AxisWaves(texels, k, np.where(2 * np.abs(k) == texels, 0.5, 1.0), at)
     reach = int(np.ceil(band * texels * pitch))
     k = np.arange(-reach, reach + 1)
-    return k, np.sinc(k / texels)
+    return _AxisWaves(texels, k, np.sinc(k / texels), at)
 
 
-def _waves(k: np.ndarray, at: jax.Array, texels: int) -> jax.Array:
-    turns = at[:, None] / texels * k
+@eqx.filter_jit
+def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
+    """Sum the waves that the camera leaves of a texture (H, W, channels).
+
+    The transfer function is given at the wave numbers from 0 on.
+    """
+    transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
+    spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")
+    spectrum = spectrum[(across.k % across.texels)[:, None], along.k % along.texels]
+    spectrum = spectrum * (transfer * across.weight[:, None] * along.weight)[..., None]
+    return jnp.einsum("rc,cwk->rwk", _waves(across), jnp.einsum("cdk,wd->cwk", spectrum, _waves(along))).real
+
+
+def _waves(axis: _AxisWaves) -> jax.Array:
+    turns = axis.at[:, None] / axis.texels * axis.k
     return jnp.exp(2j * jnp.pi * (turns - jnp.round(turns)))
 
 

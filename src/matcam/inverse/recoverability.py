@@ -1,8 +1,9 @@
-"""What nobody can know from a rig's pictures: Cramer-Rao bounds, and blurs that look alike (MODEL 8)."""
+"""Bounds on what a rig's pictures can tell: Cramer-Rao bounds, and blurs that look alike (docs/model.md 8)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -13,18 +14,24 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
 from matcam.core.jax import jnp
-from matcam.inverse.fit.lobe_slopes import lobe_and_slope
+from matcam.core.workspace import Workspace
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
-from matcam.inverse.operator.rig_axes import LENS, known_axis
-from matcam.material.ndf.families import ONE_WIDTH
+from matcam.inverse.operator.rig_axes import LENS, prior_axis
+from matcam.material.registry import ONE_WIDTH
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 from matcam.sample.sphere import Sphere
 
-DETERMINED = 0.05
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""Roughnesses that are judged where the user names none."""
+
 _STEP = 0.004
+"""Relative standard deviation of the lens for which its axis is made: the bounds need slopes only."""
+_SEEN = 3.0
+"""Standard deviations at which a blur is seen."""
 
 BLURS: dict[str, tuple[str, float]] = {
     "lamp (degrees)": ("lamp_radius", float(np.radians(0.15))),
@@ -36,32 +43,52 @@ BLURS: dict[str, tuple[str, float]] = {
 
 def limits(
     rig: Rig,
-    roughness: Sequence[float] = ROUGHNESSES,
     ndf: str = "ggx",
     *,
+    roughness: Sequence[float] = ROUGHNESSES,
     noise: PixelNoise | None = None,
     every: int = 10,
+    workspace: Workspace | None = None,
 ) -> xr.Dataset:
-    """Which roughness and which angle a rig can recover at all, what mimics its lens, and what to change.
+    """Bound which roughness and which angle a rig can recover at all.
 
-    rig: a distant camera with a Gaussian lens ("optics.sigma_px") and a sphere. roughness: of lobes of the one-width family
-    `ndf`. noise: of a pixel and of a picture's gain. every: use every n-th theta_d of a table; the bounds shrink with more.
-    F is free in every picture.
+    The bounds (Cramer-Rao) also tell what mimics the lens, and what to change. F is free in every slice. Masking is Smith's, as
+    there are no data to choose another by.
 
-    Dataset over roughness, theta_d (rad), blur and change:
-      width_std            Cramer-Rao bound of ln roughness, camera exact
-      width_std_stated     the same with the lens known as its profile says (NaN where it says nothing)
-      width_std_free       the same with the lens left free
-      lens_std_free        bound of ln sigma_mtf then
-      fresnel_std          of F at each theta_d, relative, lens as stated, else exact; pixel noise and lens, without gain
-      alike                (roughness, blur): correlation of what a blur changes with what a wider lens changes, all that
-                           roughness and F can take up set aside: 1 cannot be told apart
-      smallest             (roughness, blur): size at which the blur is told at 3 standard deviations, lens free
-      width_bias           (roughness, blur): change of ln roughness if a blur of the size in `size` is there and ignored,
-                           lens exact
-      width_std_changed    (roughness, change): width_std_free, and width_std if the lens is exact, after a change
+    Args:
+        rig: the rig: a distant camera with a Gaussian lens, a sphere, and a distant lamp.
+        ndf: family of the lobe, one with a single width. Default: "ggx". It is not "auto", as there are no data to choose by.
+        roughness: roughnesses to judge, no unit (n,). Default: ten from 0.0003 to 0.2.
+        noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
+        every: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, as the bounds of nine slices are what a
+            reader compares rigs by. They shrink with more.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
-    ArgumentError for a rig that a fit would refuse, or for another lens.
+    Returns:
+        Dataset over roughness, theta_d (rad), blur and change:
+
+        - `width_std`: bound of ln roughness, camera exact. `width_std_stated`: with the lens known as its profile says, NaN
+          where it says nothing. `width_std_free`: with the lens left free.
+        - `lens_std_free`: bound of ln sigma_mtf then.
+        - `fresnel_std`: bound of F at each theta_d, relative; lens as stated, else exact; without the picture gain.
+        - `alike`, (roughness, blur): correlation of what a blur changes with what a wider lens changes, after all that
+          roughness and F can explain. 1 cannot be told apart.
+        - `smallest`, (roughness, blur): size at which the blur is seen at 3 standard deviations, lens free.
+        - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` is there and ignored.
+        - `width_std_changed`, (roughness, change, lens): `width_std` and `width_std_free` after a change of the rig.
+
+    Raises:
+        ArgumentError: the rig is not one that a fit can follow, its lens is no Gaussian, or a roughness is out of range.
+
+    Source:
+        docs/model.md section 8.
+
+    Example:
+        >>> matcam.limits(matcam.rigs.merl(), roughness=[0.002])["width_std"]  # doctest: +SKIP
+        >>> matcam.limits(matcam.rigs.merl(), roughness=[-1.0])
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.ArgumentError: roughness must lie in [1e-05, 1], got -1
     """
     check_rig(rig)
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
@@ -70,10 +97,10 @@ def limits(
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
-    assumed = (noise or PixelNoise(gain=0.01)).checked()
-    known = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
-    relative = known / float(rig.camera.parameters()[LENS])
-    own = [_Information(rig, ndf, a, assumed, every) for a in values]
+    view = _View(rig, ndf, (noise or PixelNoise(picture_gain=0.01)).checked(), every, workspace)
+    stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
+    relative = stated_std / float(rig.camera.parameters()[LENS])
+    own = [_Information(view, a) for a in values]
     rest: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]
     rest["width_std"] = ("roughness",), np.array([i.std(0.0)[0] for i in own])
@@ -82,22 +109,13 @@ def limits(
     rest["lens_std_free"] = ("roughness",), np.array([i.std(np.inf)[1] for i in own])
     prior = relative if np.isfinite(relative) else 0.0
     rest["fresnel_std"] = ("roughness", "theta_d"), np.array([i.fresnel_std(prior) for i in own])
-    signatures = [[_signature(rig, ndf, a, i, field, size, assumed, every) for field, size in BLURS.values()]
-                  for a, i in zip(values, own, strict=True)]  # fmt: skip
+    signatures = [[_signature(i, field, size) for field, size in BLURS.values()] for i in own]
     for name, column in zip(("alike", "smallest", "width_bias"), np.array(signatures).transpose(2, 0, 1), strict=True):
         rest[name] = ("roughness", "blur"), column
     changes = changed_rigs(rig)
     rest["width_std_changed"] = (
         ("roughness", "change", "lens"),
-        np.array(
-            [
-                [
-                    (lambda i: (i.std(0.0)[0], i.std(np.inf)[0]))(_Information(r, ndf, a, assumed, every))
-                    for r in changes.values()
-                ]
-                for a in values
-            ]
-        ),
+        np.array([[_exact_and_free(_Information(view._replace(rig=r), a)) for r in changes.values()] for a in values]),
     )
     cells = own[0].cells
     return xr.Dataset(
@@ -110,12 +128,12 @@ def limits(
             "change": list(changes),
             "lens": ["exact", "free"],
         },
-        attrs={"ndf": ndf, "noise": str(tuple(assumed)), "every": every, "lens_std_stated": float(relative)},
+        attrs={"ndf": ndf, "noise": str(tuple(view.noise)), "every": every, "lens_std_stated": float(relative)},
     )
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
-    """What a user can change, each by itself."""
+    """Return what a user can change, each by itself."""
     radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[LENS])  # type: ignore[attr-defined]
 
     def with_(radius: float, sigma: float) -> Rig:
@@ -129,19 +147,38 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
     }
 
 
-class _Information:
-    """Fisher information of ln roughness and ln sigma_mtf in the chosen cells, F free in every picture."""
+class _View(NamedTuple):
+    """Hold what bounds depend on besides the roughness.
 
-    def __init__(self, rig: Rig, ndf: str, roughness: float, noise: PixelNoise, every: int):
+    Attributes:
+        rig: the rig.
+        ndf: family of the lobe.
+        noise: of a pixel and of the picture gain.
+        every: spacing of the slices of theta_d.
+        workspace: keeps what depends on the rig alone.
+    """
+
+    rig: Rig
+    ndf: str
+    noise: PixelNoise
+    every: int
+    workspace: Workspace | None
+
+
+class _Information:
+    """Hold the Fisher information of ln roughness and ln sigma_mtf in the chosen cells, F free in every slice."""
+
+    def __init__(self, view: _View, roughness: float):
+        self.view, self.roughness = view, roughness
+        rig, noise = view.rig, view.noise
         sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
-        cells, operator = lobe_operator(
-            rig, sampling, every, (known_axis(LENS, float(rig.camera.parameters()[LENS]), _STEP),)
-        )
-        at = jnp.array([np.log(roughness), 0.0])
-        record, slopes = (np.asarray(a) for a in lobe_and_slope(operator, ndf, "smith", at, 1))
-        peak = record.max(-1, keepdims=True, where=cells.kept, initial=0)
+        axis = prior_axis(LENS, float(rig.camera.parameters()[LENS]), _STEP)
+        cells, operator = lobe_operator(rig, sampling, view.every, (axis,), view.workspace)
+        at = np.array([np.log(roughness), 0.0])
+        record, slopes = record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
+        peak = record.max(-1, keepdims=True, where=cells.valid, initial=0)
         share = np.where(cells.one_pixel, 1.0, 0.5)
-        used = cells.kept & (peak > 0)
+        used = cells.valid & (peak > 0)
         variance = share * ((noise.relative * record) ** 2 + (noise.floor * peak) ** 2)
         self.root = np.where(used, 1 / np.sqrt(np.where(used, variance, 1.0)), 0.0)
         a = record * self.root
@@ -154,7 +191,7 @@ class _Information:
         self.columns = self.free(slopes)
 
     def free(self, column: np.ndarray) -> np.ndarray:
-        """A change of the record in standard deviations, without what free strengths take up."""
+        """Return a change of the record in standard deviations, without what free strengths explain."""
         u = column * self.root
         return u - self.direction * (u * self.direction).sum(-1, keepdims=True)
 
@@ -166,33 +203,36 @@ class _Information:
         return scaled_inverse(information)
 
     def std(self, prior: float) -> np.ndarray:
-        """Of (ln roughness, ln sigma_mtf); prior: standard deviation of the latter, 0 exact, infinite free."""
+        """Bound (ln roughness, ln sigma_mtf). prior: standard deviation of the latter, 0 exact, infinite free."""
         return np.sqrt(np.diag(self._matrix(prior)))
 
     def fresnel_std(self, prior: float) -> np.ndarray:
-        """Relative, of F in every picture: its own pixels' noise, and roughness and lens through the lobe."""
-        taken = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
-        shared = np.einsum("ps,pq,qs->s", taken, self._matrix(prior), taken)
+        """Bound F of every slice, relative: its own pixels' noise, and roughness and lens through the lobe."""
+        by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
+        shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
         return np.sqrt(np.where(self.length > 0, 1 / np.maximum(self.length, 1e-300) ** 2 + shared, np.inf))
 
 
-def _signature(
-    rig: Rig, ndf: str, roughness: float, own: _Information, field: str, size: float, noise: PixelNoise, every: int
-) -> tuple[float, float, float]:
-    """(alike, smallest, width_bias) of one blur."""
-    blurred = eqx.tree_at(lambda r: getattr(r, field), rig, jnp.asarray(size))
-    other = _Information(blurred, ndf, roughness, noise, every)
+def _exact_and_free(information: _Information) -> tuple[float, float]:
+    """Bound ln roughness with the lens exact and with the lens free."""
+    return information.std(0.0)[0], information.std(np.inf)[0]
+
+
+def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
+    """Return (alike, smallest, width_bias) of one blur."""
+    blurred = eqx.tree_at(lambda r: getattr(r, field), own.view.rig, jnp.asarray(size))
+    other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()
     width, lens = own.columns.reshape(2, -1)
     exact = float(change @ width / (width @ width))
 
-    def aside(column: np.ndarray) -> np.ndarray:
+    def without_width(column: np.ndarray) -> np.ndarray:
         return column - width * (column @ width) / (width @ width)
 
-    seen, of_lens = aside(change), aside(lens)
-    sizes = np.sqrt((seen @ seen) * (of_lens @ of_lens))
-    alike = float(seen @ of_lens / sizes) if sizes > 0 else 1.0
-    left = seen - of_lens * (seen @ of_lens) / max(of_lens @ of_lens, 1e-300)
-    strength = float(np.sqrt(left @ left))  # standard deviations at `size`; a blur adds variance: it goes as size^2
-    smallest = size * np.sqrt(3 / strength) if strength > 1e-6 else np.inf
+    by_blur, by_lens = without_width(change), without_width(lens)
+    sizes = np.sqrt((by_blur @ by_blur) * (by_lens @ by_lens))
+    alike = float(by_blur @ by_lens / sizes) if sizes > 0 else 1.0
+    left = by_blur - by_lens * (by_blur @ by_lens) / max(by_lens @ by_lens, 1e-300)
+    deviations = float(np.sqrt(left @ left))  # at `size`; a blur adds variance, so they go as size^2
+    smallest = size * np.sqrt(_SEEN / deviations) if deviations > 1e-6 else np.inf
     return alike, float(np.degrees(smallest)) if field == "lamp_radius" else smallest, exact

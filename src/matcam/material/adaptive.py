@@ -1,18 +1,16 @@
-"""Densities on the unit square, bilinear between the nodes of a grid and given for some directions of light; and the map
-that flattens them (Dupuy & Jakob 2018, section 4; the marginal first, then the conditional).
+"""BRDFs in RGL's adaptive parameterisation as materials (Dupuy & Jakob 2018; files/rgl.py has the fields).
 
-The map runs row by row: y is the marginal distribution along the rows' axis, x that along the columns within a row. Between
-the directions of light the densities AND their integrals are interpolated linearly, as Mitsuba's `Marginal2D` does, so that
-what is stored on the flattened square is found where that renderer finds it.
-
-BRDFs in RGL's adaptive parameterisation as materials (Dupuy & Jakob 2018; files/rgl.py has the fields).
-
-The half vector m, as a point u of the unit square (theta = u^2 pi / 2, phi = (2 v - 1) pi; azimuth from that of the light
-where the material is isotropic), is carried by the map that flattens `vndf` to the point s where `rgb` is tabulated:
+The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, azimuth from that of the light
+where the material is isotropic. A map that flattens the density `vndf` carries it to the point s at which `rgb` is tabulated:
 
     BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; rgb(s) alone without.
 
 "i" is the light, "o" the view. A measured file need not be reciprocal, and its tables go below zero here and there.
+
+Densities are bilinear between the nodes of a grid and given for some directions of light. The map runs row by row
+(section 4): y is the marginal distribution along the rows' axis, x the conditional one along the columns within a row.
+Between the directions of light the densities AND their integrals are interpolated linearly, as Mitsuba's `Marginal2D` does,
+so that what is stored on the flattened square is found where that renderer finds it.
 """
 
 from __future__ import annotations
@@ -29,21 +27,28 @@ from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 from matcam.material.material import Material, above_horizon
 
+_HALF_PI = np.pi / 2
+
 
 class Blend(NamedTuple):
-    """Slices that stand for a direction of light, and their weights; both shape (points, slices)."""
+    """Interpolate between tabulated directions of light.
+
+    Attributes:
+        slices: indices of the directions that stand for each point's, shape (points, slices).
+        weight: their weights, same shape.
+    """
 
     slices: jax.Array
     weight: jax.Array
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
-        """sum of weight * grids[slices, ..., *at], shape (points,) and what axes are left of a grid."""
+        """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the grid's axes that are left."""
         picked = grids[(self.slices, *(a[:, None] for a in at))]
         return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (picked.ndim - 2)) * picked, axis=1)
 
 
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
-    """Linear interpolation between the grid (azimuths P, angles T) of light directions, P T slices; clamped at its ends."""
+    """Interpolate linearly on the grid (azimuths P, angles T) of light directions, P T slices; clamped at its ends."""
     (i_p, w_p), (i_t, w_t) = (_between(axis, value) for axis, value in zip(axes, (azimuth, theta), strict=True))
     index = i_p[:, :, None] * axes[1].size + i_t[:, None, :]
     return Blend(index.reshape(theta.size, -1), (w_p[:, :, None] * w_t[:, None, :]).reshape(theta.size, -1))
@@ -58,7 +63,7 @@ def _between(axis: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Values at (x, y) of grids (rows, columns), or (slices, rows, columns, ...) blended; x along the columns."""
+    """Interpolate grids (rows, columns), or (slices, rows, columns, ...) blended, at (x, y); x along the columns."""
     rows, columns = slices.shape[:2] if chosen is None else slices.shape[1:3]
     (i_x, t_x), (i_y, t_y) = _cell(x, columns), _cell(y, rows)
     look = (lambda r, c: slices[r, c]) if chosen is None else (lambda r, c: chosen.of(slices, r, c))
@@ -76,14 +81,17 @@ def _cell(place: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
 
 
 class Warp(eqx.Module):
-    """Densities (slices, rows, columns), each normalised to 1 over the square."""
+    """Map the unit square so that densities on it become flat.
+
+    Attributes:
+        density: of each slice, normalised so that trapezoid sums over whole grid steps are 1; (slices, rows, columns).
+        conditional: its integral along each row up to each node, same shape.
+        marginal: the integral of whole rows up to each row, (slices, rows).
+    """
 
     density: jax.Array
-    """Per node, in units that make trapezoid sums over whole grid steps 1."""
     conditional: jax.Array
-    """Its integral along each row up to each node."""
     marginal: jax.Array
-    """That of whole rows up to each row."""
 
     def __init__(self, density: ArrayLike):
         raw = np.asarray(density, dtype=np.float64)
@@ -95,7 +103,10 @@ class Warp(eqx.Module):
         self.marginal = jnp.asarray(down / total[:, None])
 
     def flattened(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Where the map takes (x, y), shape (points,) each. A place without any density around it goes to its cell's start."""
+        """Map (x, y), shape (points,) each, to the flattened square.
+
+        A point without any density around it goes to its cell's start.
+        """
         i_x, t_x = _cell(x, self.density.shape[2])
         i_y, t_y = _cell(y, self.density.shape[1])
         corner = {(a, b): chosen.of(self.density, i_y + b, i_x + a) for a in (0, 1) for b in (0, 1)}
@@ -107,9 +118,14 @@ class Warp(eqx.Module):
         above = t_y * (whole[0] + t_y * (whole[1] - whole[0]) / 2) + chosen.of(self.marginal, i_y)
         return jnp.where(row > 0, part / jnp.where(row > 0, row, 1.0), 0.0), above
 
-    def placed(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inverse for every slice: where on the density's square the grid x (nx,) by y (ny,) of the flattened square
-        comes from, and the density there; shapes (slices, ny, nx) each. Every row must hold something above 0."""
+    def inverse(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Map the grid x (nx,) by y (ny,) of the flattened square back, for every slice.
+
+        Every row must hold something above 0.
+
+        Returns:
+            x and y on the density's square and the density there, shape (slices, ny, nx) each.
+        """
         density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
         slices, rows, columns = density.shape
         found_x, found_y, found = (np.empty((slices, y.size, x.size)) for _ in range(3))
@@ -131,44 +147,66 @@ class Warp(eqx.Module):
 
 
 def _running(values: np.ndarray) -> np.ndarray:
-    """Trapezoid sums along the last axis, from 0."""
+    """Return trapezoid sums along the last axis, from 0."""
     steps = (values[..., 1:] + values[..., :-1]) / 2
     return np.concatenate([np.zeros_like(values[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
 
 
 def _within(first: np.ndarray, last: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """t in [0, 1] with the integral of a density, linear from `first` to `last`, up to t equal to `area`."""
+    """Return the t in [0, 1] up to which a density, linear from `first` to `last`, integrates to `area`."""
     root = np.sqrt(np.maximum(first**2 + 2 * area * (last - first), 0))
     total = first + root
     return np.clip(2 * area / np.where(total > 0, total, 1.0), 0, 1)
 
 
-_HALF_PI = np.pi / 2
-
-
 class Adaptive(Material):
-    """A BRDF of the Dataset that `read_rgl` reads or `adaptive_grid` makes, interpolated as Mitsuba's `measured` does.
+    """Interpolate a BRDF in RGL's adaptive parameterisation, as Mitsuba's `measured` does.
 
-    Channels: R, G, B, or the file's wavelengths. Differentiable almost everywhere.
+    Channels are R, G, B, or the file's wavelengths. Results are differentiable almost everywhere.
+
+    Args:
+        fields: Dataset that `read_rgl` reads or `adaptive_grid` makes.
+
+    Attributes:
+        azimuths: of the light, rad, (P,).
+        angles: of the light to the normal, rad, (T,).
+        ndf: density of facet normals on the unit square, (rows, columns).
+        sigma: projected area of the facets towards each direction, (rows, columns).
+        warp: map that flattens the density of visible normals.
+        values: tabulated BRDF on the flattened square, (P T, N, N, channels).
+        jacobian: True if `values` lack the factor ndf / (4 sigma).
+        mirrored: number of times that the light's azimuths fit into a whole turn, 1, 2 or 4; the rest follows by symmetry.
+            0 for an isotropic material.
+
+    Raises:
+        ArgumentError: `fields` is not such a Dataset, or its azimuths span neither a whole turn nor a half or a quarter.
+
+    Source:
+        Dupuy & Jakob (2018), "An Adaptive Parameterization for Efficient Material Acquisition and Rendering".
+
+    Example:
+        >>> white = matcam.Microfacet(matcam.GGX(0.5), 0.0, diffuse=0.5)
+        >>> material = matcam.material.Adaptive(matcam.exchange.adaptive_grid(white, square=8))
+        >>> material.mirrored  # isotropic
+        0
     """
 
     azimuths: jax.Array
-    """Of the light, rad, (P,)."""
     angles: jax.Array
-    """Of the light to the normal, rad, (T,)."""
     ndf: jax.Array
     sigma: jax.Array
     warp: Warp
     values: jax.Array
-    """(P T, N, N, channels)."""
     jacobian: bool = eqx.field(static=True)
     mirrored: int = eqx.field(static=True)
-    """How many times the light's azimuths fit into a whole turn, 1, 2 or 4; the rest follows by symmetry. 0: isotropic."""
 
     def __init__(self, fields: xr.Dataset):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
             raise ArgumentError(f"fields must be a Dataset such as read_rgl's, got {type(fields).__name__}")
-        numbers = lambda name: fields[name].values.astype(np.float64)  # noqa: E731
+
+        def numbers(name: str) -> np.ndarray:
+            return fields[name].values.astype(np.float64)
+
         self.azimuths, self.angles = jnp.asarray(numbers("phi_i")), jnp.asarray(numbers("theta_i"))
         self.ndf, self.sigma = jnp.asarray(numbers("ndf")), jnp.asarray(numbers("sigma"))
         vndf, values = numbers("vndf"), numbers("spectra" if "spectra" in fields else "rgb")
@@ -184,7 +222,7 @@ class Adaptive(Material):
 
     @eqx.filter_jit
     def reflected(self, seen: Shading) -> jax.Array:
-        """The interpolated BRDF times both cosines."""
+        """Return the interpolated BRDF times both cosines, 1/sr."""
         seen, above = above_horizon(seen)
         shape = above.shape
         flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in seen))
@@ -202,7 +240,7 @@ class Adaptive(Material):
         return jnp.where(above[..., None], outgoing, 0.0)
 
     def _directions(self, seen: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Angles and azimuths of light and half vector, within the range that is tabulated."""
+        """Return angles and azimuths of light and half vector, within the tabulated range."""
         slope = jnp.hypot(seen.slope_along, seen.slope_across)
         none = slope == 0
         safe = jnp.where(none, 1.0, slope)
@@ -221,7 +259,7 @@ class Adaptive(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """Where the mean normal distribution has fallen to half its peak, or the grid's first step where that is wider."""
+        """Half width of the mean lobe, rad, at least one step."""
         profile = jnp.mean(self.ndf, axis=0)
         below = jnp.argmax(jnp.append(profile, 0.0) < profile.max() / 2)
         return jnp.maximum(below / (profile.size - 1), 1 / (profile.size - 1)) ** 2 * _HALF_PI

@@ -1,17 +1,27 @@
-"""Masking and shadowing: how much of a rough surface hides the rest (MODEL 6)."""
+"""Masking and shadowing: the share of a rough surface that the rest does not hide (docs/model.md 6).
+
+Smith's Lambda of a direction is the ratio of masked to visible facets. A lobe gives it in closed form, by an integral over
+its slopes, or from a table of that integral; `g2` joins the Lambdas of light and view.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.material.registry import MASKING_MODELS
 from matcam.numerics.interpolate import lagrange_basis
 
-Masking = Literal["smith", "smith-separable", "van-ginneken"] | None
-MASKINGS: tuple[Masking, ...] = ("smith", "smith-separable", "van-ginneken", None)
+Masking = str | None
+"""Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""
+
+MASKINGS: tuple[Masking, ...] = (*MASKING_MODELS, None)
+"""All that `masking` may be."""
+
+JointMasking = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+"""G2 from the Lambdas of light and view and the azimuth between them."""
 
 SlopeDensity = Callable[[jax.Array], jax.Array]
 """P22 of an isotropic surface as a function of the SQUARED slope."""
@@ -25,11 +35,19 @@ _NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
-    """Smith's Lambda of any isotropic slope density at mu = cot theta, by its integral (MODEL 6).
+    """Return Smith's Lambda of an isotropic slope density by its integral.
 
-    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)]; written over the height
-    y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22 falls. Relative
-    error below 1e-10 (tests).
+    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The integral
+    runs over the height y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22
+    falls. Its relative error is below 1e-10 (tests).
+
+    Args:
+        slope_density: P22 as a function of the squared slope.
+        scale: slope on which P22 falls, shape ().
+        cot: cot theta of the directions.
+
+    Source:
+        docs/model.md 6.
     """
     scale = jax.lax.stop_gradient(scale)  # where the integrand is looked at does not change the integral
     mu = jnp.clip(cot, _NEAREST, _FARTHEST)[..., None]
@@ -45,8 +63,11 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
 
 
 def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
-    """`smith_lambda` in directions of cosine `cos` > 0 to the normal: for a few by the integral, for more than a table
-    has nodes by a table and cubic interpolation, to 1e-9 of 1 / (1 + Lambda) for scales from 1e-4 to 1."""
+    """Return Smith's Lambda in directions of cosine `cos` > 0 to the normal.
+
+    A few directions take the integral. More directions than a table has nodes take a table and cubic interpolation, to
+    1e-9 of 1 / (1 + Lambda) for scales from 1e-4 to 1.
+    """
     cot = cot_of(cos)
     if cot.size <= _NODES:
         return smith_lambda(slope_density, scale, cot)
@@ -56,8 +77,10 @@ def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Arr
 def interpolated_lambda(
     function: Callable[[jax.Array], jax.Array], scale: jax.Array, cot: jax.Array, nodes: int
 ) -> jax.Array:
-    """Lambda at cot theta > 0 from a table of `function` (Lambda of cot theta) at so many nodes; 256 give 1 / (1 + Lambda)
-    to 1e-6."""
+    """Interpolate Lambda at cot theta > 0 in a table of `function` (Lambda of cot theta).
+
+    256 nodes give 1 / (1 + Lambda) to 1e-6.
+    """
     scale = jax.lax.stop_gradient(scale)  # nor do the table's places change the function
     spacing = np.arcsinh(_REACH / _KNEE) / (nodes - 1)
     nus = np.maximum(_KNEE * np.sinh(spacing * np.arange(nodes)), 1e-11)
@@ -69,7 +92,7 @@ def interpolated_lambda(
 
 
 def _cubic(table: jax.Array, place: jax.Array) -> jax.Array:
-    """Lagrange's cubic through the four entries around `place`."""
+    """Interpolate by Lagrange's cubic through the four entries around `place`."""
     left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 1, table.size - 3))
     first = left.astype(int) - 1
     weights = lagrange_basis(np.arange(-1.0, 3.0), place - left)
@@ -77,23 +100,40 @@ def _cubic(table: jax.Array, place: jax.Array) -> jax.Array:
 
 
 def cot_of(cos: jax.Array) -> jax.Array:
-    """cot theta of directions with cos theta in (0, 1]; large but finite along the normal."""
+    """Return cot theta of directions with cos theta in (0, 1]: large but finite along the normal."""
     cos = jnp.maximum(cos, _NEAREST)
     return cos / jnp.sqrt(jnp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 
 def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Joint masking of light and view from their Lambdas; azimuth: between them about the normal, rad, in [0, pi].
+    """Return the joint masking of light and view from their Lambdas.
 
-    "smith": height-correlated 1 / (1 + L_i + L_o) (Ross et al. 2005; Heitz 2014, (99)). "smith-separable":
-    G1(i) G1(o). "van-ginneken": 1 / (1 + max + lambda(azimuth) min), lambda = 4.41 a / (4.41 a + 1) (van Ginneken et
-    al. 1998; Heitz 2014, section 5.3): no double counting where light and view share a side. None: 1.
+    Args:
+        masking: name of the model; None: 1, no masking.
+        lambda_i: Lambda of the light.
+        lambda_o: Lambda of the view.
+        azimuth: angle between them about the normal, rad, [0, pi].
     """
     if masking is None:
         return jnp.ones_like(lambda_i + lambda_o)
-    if masking == "smith":
-        return 1 / (1 + lambda_i + lambda_o)
-    if masking == "smith-separable":
-        return 1 / ((1 + lambda_i) * (1 + lambda_o))
+    return MASKING_MODELS[masking](lambda_i, lambda_o, azimuth)
+
+
+def height_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
+    """Return 1 / (1 + L_i + L_o): both directions see the same heights (Ross et al. 2005; Heitz 2014, (99))."""
+    return 1 / (1 + lambda_i + lambda_o)
+
+
+def separable(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
+    """Return G1(i) G1(o): the two directions are independent."""
+    return 1 / ((1 + lambda_i) * (1 + lambda_o))
+
+
+def azimuth_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
+    """Return the masking of van Ginneken et al. (1998; Heitz 2014, section 5.3).
+
+    1 / (1 + max + c min) with c = 4.41 azimuth / (4.41 azimuth + 1): nothing counts twice where light and view share a
+    side.
+    """
     correlation = 4.41 * azimuth / (4.41 * azimuth + 1)
     return 1 / (1 + jnp.maximum(lambda_i, lambda_o) + correlation * jnp.minimum(lambda_i, lambda_o))

@@ -14,7 +14,13 @@ from matcam.core.errors import ArgumentError, unknown_name
 
 
 class MetalIndex(NamedTuple):
-    """Complex index n + i k of a metal, and where it comes from."""
+    """Complex refractive index n + i k of a metal, and its source.
+
+    Attributes:
+        n: real part, no unit, shape of the wavelengths.
+        k: extinction coefficient, no unit, same shape.
+        source: citation of the table.
+    """
 
     n: np.ndarray
     k: np.ndarray
@@ -28,27 +34,64 @@ class _Table(NamedTuple):
     citation: str
 
 
-def metals() -> list[str]:
-    """Names of the metals that the package knows."""
-    return sorted({metal for metal, _ in _files()})
+def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
+    """List the metals that the package knows, with their tables.
 
+    Where sources disagree, so do results: chromium's reflectance at 550 nm is 0.555, 0.650 or 0.681.
 
-def metal_sources(name: str) -> list[str]:
-    """Names of the tables that the package carries for a metal. Where sources disagree, so do results: chromium's
-    reflectance at 550 nm is 0.555, 0.650 or 0.681."""
-    sources = [source for metal, source in _files() if metal == name]
-    if not sources:
-        raise unknown_name("metal", name, metals())
-    return sources
+    Args:
+        name: of one metal, such as "Cr" or "brass". None: all of them.
+
+    Returns:
+        Names of the tables by the name of the metal; `metal` takes both.
+
+    Raises:
+        ArgumentError: the metal is unknown; the message suggests the nearest name.
+
+    Source:
+        refractiveindex.info database (Polyanskiy 2024), CC0; each table cites its measurement.
+
+    Example:
+        >>> len(matcam.material.metals("Cr")["Cr"])
+        3
+    """
+    tables: dict[str, tuple[str, ...]] = {}
+    for metal, source in _files():
+        tables[metal] = (*tables.get(metal, ()), source)
+    if name is None:
+        return tables
+    if name not in tables:
+        raise unknown_name("metal", name, tables)
+    return {name: tables[name]}
 
 
 def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalIndex:
-    """Complex index of a metal at `wavelength` (m, any shape), linearly interpolated in a published table.
+    """Return the complex refractive index of a metal at some wavelengths.
 
-    source: one of `metal_sources(name)`; default the first. Raises ArgumentError for an unknown metal or source (with
-    the nearest name), and outside the table.
+    Values are interpolated linearly in a published table.
+
+    Args:
+        name: one of `metals()`, such as "Cr" or "brass".
+        wavelength: in vacuum, m, any shape.
+        source: name of the table, one of those that `metals` lists. None: the first. Compare several, because published
+            tables of one metal differ.
+
+    Returns:
+        `MetalIndex`: n and k, no unit, shape of `wavelength`; and the citation.
+
+    Raises:
+        ArgumentError: the metal or the source is unknown (the message suggests the nearest name), or a wavelength lies
+            outside the table.
+
+    Source:
+        refractiveindex.info database (Polyanskiy 2024), CC0.
+
+    Example:
+        >>> copper = matcam.metal("Cu", 650e-9)
+        >>> bool(copper.k > 3)
+        True
     """
-    sources = metal_sources(name)
+    sources = metals(name)[name]
     source = sources[0] if source is None else source
     if source not in sources:
         raise unknown_name(f"source for {name}", source, sources)
@@ -70,7 +113,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
 
 @cache
 def _files() -> list[tuple[str, str]]:
-    """(metal, source) of every table."""
+    """Return (metal, source) of every table."""
     names = [entry.name for entry in resources.files("matcam").joinpath("data/metals").iterdir()]
     return sorted(tuple(name.split(".")[:2]) for name in names if name.endswith(".csv"))  # type: ignore[misc]
 

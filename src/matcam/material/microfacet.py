@@ -17,10 +17,28 @@ from matcam.material.reflectance import Reflectance, as_reflectance, per_channel
 
 
 class Microfacet(Material):
-    """A rough surface.
+    """Model a rough surface: a lobe of facets on a Lambertian part.
 
-    ndf: distribution of its facets. fresnel: `Reflectance`, or a number per channel. diffuse: albedo of a Lambertian
-    part, a number or one per channel. masking: "smith" (height-correlated), "smith-separable", "van-ginneken", None.
+    BRDF = F D G / (4 cos_i cos_o) + diffuse / pi.
+
+    Args:
+        ndf: distribution D of the facets, such as `GGX(0.1)`.
+        fresnel: reflectance F of a facet: `Conductor`, `Schlick`, `Dielectric`, `Sampled`; or a constant in [0, 1], a
+            single one or one per channel.
+        diffuse: albedo of the Lambertian part, no unit, [0, 1], a single one or one per channel. Default: 0.
+        masking: G, by name: "smith" (height-correlated), "smith-separable", "van-ginneken"; None: no masking, G = 1.
+            Default: "smith". Renderers differ; choose theirs to compare with them.
+
+    Raises:
+        ArgumentError: a parameter is of the wrong kind, out of range or not one per channel.
+
+    Source:
+        Cook & Torrance (1982), with 4 for their pi; Walter et al. (2007), (20); docs/model.md 6.
+
+    Example:
+        >>> chrome = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(3.1, 3.3))
+        >>> float(chrome.brdf(0.0, 0.5, 0.0)) > float(chrome.brdf(0.1, 0.5, 0.0))
+        True
     """
 
     ndf: SlopeDistribution
@@ -44,7 +62,10 @@ class Microfacet(Material):
 
     @eqx.filter_jit
     def reflected(self, seen: Shading) -> jax.Array:
-        """F D G / 4 + diffuse cos_i cos_o / pi."""
+        """Return the BRDF times both cosines, 1/sr.
+
+        F D G / 4 + diffuse cos_i cos_o / pi.
+        """
         seen, above = above_horizon(seen)
         lambert = jnp.where(above, seen.cos_i * seen.cos_o / jnp.pi, 0.0)
         facets = jnp.where(above, self.ndf.density(seen.slope_along, seen.slope_across), 0.0)
@@ -58,11 +79,20 @@ class Microfacet(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """The facets' narrowest scale."""
+        """Narrowest scale of the facets' slopes, about rad."""
         return self.ndf.finest
 
     def smooth_part(self, seen: Shading) -> jax.Array:
-        """F G / (4 cos_i cos_o): what stands beside D; shape as `reflected`, 0 below the horizon."""
+        """Return the factor of D in the BRDF.
+
+        It is F G / (4 cos_i cos_o).
+
+        Args:
+            seen: light and view as the surface sees them; its arrays broadcast.
+
+        Returns:
+            Shape as of `reflected`; 0 below the horizon.
+        """
         seen, above = above_horizon(seen)
         factor = jnp.where(above, self._joint_masking(seen) / (4 * seen.cos_i * seen.cos_o), 0.0)
         reflectance = self.fresnel.at(seen.theta_d)

@@ -1,4 +1,4 @@
-"""Reflectance of a single facet: how much light a smooth interface sends back at each angle."""
+"""Reflectance of a single facet: the share of light that a smooth interface sends back at each angle."""
 
 from __future__ import annotations
 
@@ -14,8 +14,27 @@ from matcam.core.jax import is_concrete, jax, jnp
 
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
-    """Unpolarised reflectance of an interface from air to a medium of complex index n + i k (complex Snell's law;
-    Born & Wolf, 14.2). theta: angle of incidence, rad, [0, pi/2]. Arguments broadcast.
+    """Return the unpolarised reflectance of a metal's surface in air.
+
+    Arguments broadcast.
+
+    Args:
+        theta: angle of incidence, rad, [0, pi/2].
+        n: real part of the complex index n + i k, no unit, positive.
+        k: extinction coefficient, no unit, >= 0; 0 is a dielectric.
+
+    Returns:
+        Reflectance in [0, 1], shape of the broadcast arguments.
+
+    Raises:
+        ArgumentError: an argument is out of range.
+
+    Source:
+        Complex Snell's law and Fresnel's equations (Born & Wolf, 14.2).
+
+    Example:
+        >>> round(float(matcam.fresnel_conductor(0.0, 1.5, 0.0)), 6)
+        0.04
     """
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
     return _unpolarised(theta, checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True))
@@ -36,15 +55,38 @@ def _squared(z: jax.Array) -> jax.Array:
 
 
 class Reflectance(eqx.Module):
-    """A Fresnel term; its parameters are single numbers, or lists with one entry per colour channel."""
+    """Give the reflectance of a facet; its parameters are single ones or one per channel."""
 
     @abstractmethod
     def at(self, theta: jax.Array) -> jax.Array:
-        """Reflectance at angle of incidence theta, rad: shape theta.shape, and (channels,) behind it if there are any."""
+        """Return the reflectance at an angle of incidence.
+
+        Args:
+            theta: angle between light and the facet's normal (theta_d), rad, [0, pi/2].
+
+        Returns:
+            Shape of `theta`, with (channels,) behind it if the parameters are per channel.
+        """
 
 
 class Conductor(Reflectance):
-    """A metal of complex index n + i k. n > 0, k >= 0: numbers, or shape (channels,)."""
+    """Reflect like a metal of complex refractive index n + i k.
+
+    Args:
+        n: real part of the index, no unit, positive; shape () or (channels,).
+        k: extinction coefficient, no unit, >= 0; shape () or (channels,).
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not one per channel.
+
+    Source:
+        Born & Wolf, 14.2; `metal` has values.
+
+    Example:
+        >>> chromium = matcam.Conductor(3.1, 3.3)
+        >>> 0.5 < float(chromium.at(0.0)) < float(chromium.at(1.5))
+        True
+    """
 
     n: jax.Array
     k: jax.Array
@@ -54,12 +96,26 @@ class Conductor(Reflectance):
         self.n, self.k = jnp.broadcast_arrays(per_channel("n", n), per_channel("k", k))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """`fresnel_conductor`."""
+        """Return `fresnel_conductor` at theta."""
         return fresnel_conductor(_beside_channels(theta, self.n), self.n, self.k)
 
 
 class Dielectric(Reflectance):
-    """A transparent medium of relative index eta > 1, seen from outside. A number, or shape (channels,)."""
+    """Reflect like a transparent medium, seen from outside.
+
+    Args:
+        eta: refractive index over that of the outside, no unit, above 1; shape () or (channels,). Glass has 1.5.
+
+    Raises:
+        ArgumentError: eta is out of range, or not one per channel.
+
+    Source:
+        Fresnel's equations, unpolarised (Born & Wolf, 1.5.2).
+
+    Example:
+        >>> round(float(matcam.Dielectric(1.5).at(0.0)), 6)
+        0.04
+    """
 
     eta: jax.Array
 
@@ -67,12 +123,28 @@ class Dielectric(Reflectance):
         self.eta = per_channel("eta", checks.within("eta", eta, 1, np.inf, open_low=True, open_high=True))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Fresnel's equations, unpolarised: `fresnel_conductor` with k = 0."""
+        """Return the unpolarised reflectance: `fresnel_conductor` with k = 0."""
         return fresnel_conductor(_beside_channels(theta, self.eta), self.eta, 0.0)
 
 
 class Schlick(Reflectance):
-    """f0 + (1 - f0) (1 - cos theta)^5 (Schlick 1994, (15)). f0 in [0, 1]: a number, or shape (channels,)."""
+    """Approximate a Fresnel term by Schlick's polynomial.
+
+    f0 + (1 - f0) (1 - cos theta)^5.
+
+    Args:
+        f0: reflectance at normal incidence, no unit, [0, 1]; shape () or (channels,).
+
+    Raises:
+        ArgumentError: f0 is out of range, or not one per channel.
+
+    Source:
+        Schlick (1994), (15).
+
+    Example:
+        >>> float(matcam.Schlick(0.5).at(np.pi / 2)) > 0.99
+        True
+    """
 
     f0: jax.Array
 
@@ -80,12 +152,23 @@ class Schlick(Reflectance):
         self.f0 = per_channel("f0", checks.within("f0", f0, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Schlick's approximation."""
+        """Return Schlick's approximation at theta."""
         return self.f0 + (1 - self.f0) * (1 - jnp.cos(_beside_channels(theta, self.f0))) ** 5
 
 
 class Constant(Reflectance):
-    """The same reflectance at every angle, in [0, 1]: a number, or shape (channels,)."""
+    """Reflect the same share of light at every angle.
+
+    Args:
+        value: reflectance, no unit, [0, 1]; shape () or (channels,).
+
+    Raises:
+        ArgumentError: the value is out of range, or not one per channel.
+
+    Example:
+        >>> float(matcam.material.Constant(0.5).at(1.0))
+        0.5
+    """
 
     value: jax.Array
 
@@ -93,13 +176,27 @@ class Constant(Reflectance):
         self.value = per_channel("reflectance", checks.within("reflectance", value, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """The value."""
+        """Return the value, whatever theta is."""
         return self.value + 0 * _beside_channels(theta, self.value)
 
 
 class Sampled(Reflectance):
-    """A Fresnel term known at some angles: linear in between, constant beyond. theta: rad, ascending, shape (angles,);
-    values: >= 0, shape (angles,) or (angles, channels). A free estimate may exceed 1: it carries the scale of its data."""
+    """Interpolate a Fresnel term that is known at some angles.
+
+    It is linear between them and constant beyond.
+
+    Args:
+        theta: angles of incidence, rad, [0, pi/2], ascending, shape (angles,).
+        values: reflectance there, no unit, >= 0; shape (angles,) or (angles, channels). A free estimate may exceed 1,
+            because it carries the scale of its data.
+
+    Raises:
+        ArgumentError: shapes do not match, an entry is out of range, or theta does not ascend.
+
+    Example:
+        >>> float(matcam.material.Sampled([0.0, 1.0], [0.5, 1.0]).at(0.5))
+        0.75
+    """
 
     theta: jax.Array
     values: jax.Array
@@ -117,7 +214,7 @@ class Sampled(Reflectance):
             raise ArgumentError("theta must ascend")
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Linear interpolation."""
+        """Interpolate linearly at theta."""
         theta = jnp.asarray(theta)
         if self.values.ndim == 1:
             return jnp.interp(theta, self.theta, self.values)
@@ -125,12 +222,12 @@ class Sampled(Reflectance):
 
 
 def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
-    """A `Reflectance` as it is; numbers as `Constant`."""
+    """Return a `Reflectance` as it is, and anything else as `Constant`."""
     return value if isinstance(value, Reflectance) else Constant(value)
 
 
 def per_channel(name: str, value: jax.Array) -> jax.Array:
-    """`value` if it is a number or one per channel; ArgumentError with its shape otherwise."""
+    """Return `value` if it is a number or one per channel; ArgumentError with its shape otherwise."""
     if value.ndim > 1:
         raise ArgumentError(f"{name} must be a number or a list with one entry per channel, got shape {value.shape}")
     return value

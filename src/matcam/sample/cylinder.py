@@ -8,15 +8,29 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.jax import AnyArray, jax, jnp
-from matcam.sample.shape import Curved, Element, Place, checked_distance, depth_of, is_infinite, shown
+from matcam.sample.shape import Curved, Element, Place, checked_distance, constructor_call, depth_of, is_infinite
 
 
 class Cylinder(Curved):
-    """A cylinder seen across its axis, which is the y axis; it reaches beyond the picture.
+    """Describe a cylinder seen across its axis, which is the y axis.
 
-    radius: half the width of its picture, px, positive. distance: of the camera from its axis, in radii of the cylinder,
-    above 1; infinite: orthographic. v is the place along the axis, in radii. An anisotropic material's first direction
-    (`along`) runs around it.
+    It reaches beyond the picture. v is the place along the axis, in radii. An anisotropic material's first direction runs
+    around it.
+
+    Args:
+        radius: half the width of its picture, px, positive.
+        distance: of the camera from its axis, in radii of the cylinder, above 1. Default: infinite, an orthographic camera.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        docs/model.md 3.
+
+    Example:
+        >>> cylinder = matcam.Cylinder(radius=200.0)
+        >>> float(cylinder.px_per_rad(np.array(0.0))[1])
+        inf
     """
 
     radius: jax.Array
@@ -29,12 +43,12 @@ class Cylinder(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """As the sphere's equator across the axis; along it the normal stays, and a near camera looks aslant."""
+        """Return the surface: the sphere's equator across the axis, constant along it."""
         element, _ = self._element(jnp.sin(u), jnp.cos(u), v)
         return element
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Where the line of sight meets the cylinder."""
+        """Return the point at which the line of sight meets the cylinder."""
         n_z, hits = depth_of(x / self.stretch, self.nearness)
         depth = 1 - self.nearness * n_z
         element, cos_o = self._element(x / self.stretch * depth, n_z, y / self.stretch * depth)
@@ -42,12 +56,16 @@ class Cylinder(Curved):
         return element._replace(x=x, y=y, area=1 / jnp.where(seen, cos_o, 1.0)), seen
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Angle of the normal, and place along the axis in radii."""
+        """Return the normal's angle, rad, and the place along the axis, radii."""
         u = jnp.arctan2(element.normal[0], element.normal[2])
         return u, element.y / self.stretch * (1 - self.nearness * element.normal[2])
 
     def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
-        """Only normals in the plane of camera and lamp are seen at v = 0: phi_d 0 or pi, NaN elsewhere."""
+        """Return the position and the lamp that show half and difference angles.
+
+        Only normals in the plane of camera and lamp are seen at v = 0: phi_d must be 0 or pi, and the position is NaN
+        elsewhere.
+        """
         theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
         side = -jnp.cos(phi_d)
         in_plane = jnp.abs(jnp.sin(phi_d)) * jnp.sin(theta_h) < 1e-12
@@ -57,17 +75,20 @@ class Cylinder(Curved):
         return Place(x=x, y=jnp.zeros_like(x), lamp_angle=u + theta_d - side * theta_h)
 
     def section(self, v: jax.Array) -> jax.Array:
-        """1: the same all along."""
+        """Return 1: the section is the same all along."""
         return jnp.ones_like(v)
 
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Places along the axis at the scale of u; a near camera's scale varies, for which a twentieth is added."""
+        """Return the interval along the axis between two rows, in radii.
+
+        A near camera's scale varies, for which a twentieth is added.
+        """
         scale = self.stretch / (1 - self.nearness * jnp.cos(u))
         middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
         return (middle - half) / scale, (middle + half) / scale
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Places along the axis."""
+        """Return the interval along the axis close to a place."""
         return self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
 
     def _element(self, n_x: jax.Array, n_z: jax.Array, v: jax.Array) -> tuple[Element, jax.Array]:
@@ -90,4 +111,4 @@ class Cylinder(Curved):
         return half_vector
 
     def __repr__(self) -> str:
-        return shown(self)
+        return constructor_call(self)

@@ -1,9 +1,9 @@
-"""A shape that is photographed: how it lays its surface normals out on the sensor (MODEL 3).
+"""Shapes that are photographed: where a surface normal lies in the picture (docs/model.md 3).
 
 x runs on the sensor in the plane of camera and lamp, y across it; both in px from the optical axis, on which the sample's
 centre lies. The lamp is far away, in the plane of x and the axis, towards +x. Distances are in radii of the sample.
 
-The flat sample: one normal, and a texture.
+A flat sample shows one normal; a curved one (`Sphere`, `Cylinder`) shows many in one picture.
 """
 
 from __future__ import annotations
@@ -21,110 +21,219 @@ from matcam.core.shading import Vector
 
 
 class Element(NamedTuple):
-    """A piece of surface in the picture; arrays that broadcast."""
+    """Hold pieces of surface in the picture; arrays that broadcast.
+
+    Attributes:
+        normal: of the surface.
+        tangent: first tangent, in the plane of x and the axis.
+        view: direction to the camera.
+        x: place in the picture, px.
+        y: place in the picture, px.
+        area: area in the picture over the cosine of the view. That cosine cancels in what a surface sends to the camera, so
+            that nothing is singular at the limb. px^2 per du dv where the piece is given by (u, v), per px^2 where by (x, y).
+    """
 
     normal: Vector
     tangent: Vector
-    """First tangent, in the plane of x and the axis."""
     view: Vector
-    """Direction to the camera."""
     x: jax.Array
     y: jax.Array
-    """Where it lies in the picture, px."""
     area: jax.Array
-    """Its area in the picture, divided by the cosine of the view: that cosine cancels in what a surface sends to the
-    camera, so nothing is singular at the limb. px^2 per du dv where it is given by (u, v), per px^2 where by (x, y)."""
 
 
 class Place(NamedTuple):
-    """Where a picture shows a pair of half and difference angles."""
+    """Tell where a picture shows a pair of half and difference angles.
+
+    Attributes:
+        x: position, px.
+        y: position, px.
+        lamp_angle: angle between lamp and optical axis at which it does, rad.
+    """
 
     x: jax.Array
     y: jax.Array
-    """Position, px."""
     lamp_angle: jax.Array
-    """Angle between lamp and optical axis, rad, at which it does."""
 
 
 class Sample(eqx.Module):
-    """A shape that is photographed."""
+    """Describe a shape that is photographed."""
 
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """How far the picture moves when the normal turns by one radian away from the half vector, px/rad, for a
-        highlight seen at angle theta_o from the normal: towards the limb, and across. Infinite in a direction in which
-        the normal does not turn."""
+        """Return the picture's shift per turn of the normal away from the half vector, px/rad.
+
+        Args:
+            theta_o: angle between normal and view at which the highlight is seen, rad.
+
+        Returns:
+            Shift towards the limb and across; infinite in a direction in which the normal does not turn.
+        """
+
+
+class Flat(Sample):
+    """Describe a flat sample, tilted away from the camera.
+
+    Its normal is the same everywhere: the camera cannot blur its reflectance, only its texture.
+
+    Source:
+        Holzschuch & Pacanowski (2017), section 3; docs/model.md 3.
+
+    Example:
+        >>> round(float(matcam.Flat().frequency_on_sensor(0.1, np.pi / 3)), 6)
+        0.2
+    """
+
+    def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return infinity in both directions: the normal does not turn."""
+        return jnp.full_like(theta_o, jnp.inf), jnp.full_like(theta_o, jnp.inf)
+
+    def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
+        """Return the frequency at which a texture arrives on the sensor, cycles/px.
+
+        The texture varies along the tilt, which foreshortens it (paper (4)).
+
+        Args:
+            frequency: of the texture seen head-on, cycles/px.
+            theta_o: tilt, rad, [0, pi/2); broadcasts with frequency.
+
+        Raises:
+            ArgumentError: an argument is out of range.
+        """
+        return checks.number("frequency", frequency) / jnp.cos(checks.viewing_angle("theta_o", theta_o))
+
+    def __repr__(self) -> str:
+        return "Flat()"
 
 
 class Curved(Sample):
-    """A sample whose one picture shows many normals.
+    """Describe a sample whose one picture shows many normals.
 
     The surface has two coordinates: u, the angle of its normal from the optical axis in the plane of camera and lamp,
     and v, out of that plane. What is visible and lit is, at every v, one interval of u: its ends are sharp, and what lies
     between them is smooth.
 
-    radius: of the limb in the picture, px. distance: from the sample's centre to the camera, in its own radii; infinite
-    for a distant camera (orthographic).
+    Attributes:
+        radius: of the limb in the picture, px.
+        distance: from the sample's centre to the camera, in radii of the sample; infinite: orthographic.
+        distant: True if the distance is infinite. Then every piece of surface is seen from one direction.
     """
 
     radius: eqx.AbstractVar[jax.Array]
     distance: eqx.AbstractVar[jax.Array]
     distant: eqx.AbstractVar[bool]
-    """Whether the distance is infinite: then every piece of surface is seen from one direction, once and for all."""
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """The piece of surface at (u, v), which broadcast."""
+        """Return the piece of surface at (u, v), which broadcast.
+
+        Args:
+            u: angle of the normal in the plane of camera and lamp, rad.
+            v: second coordinate of the surface, out of that plane.
+        """
 
     @abstractmethod
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """The piece of surface that the picture shows at (x, y) px, and whether it shows any."""
+        """Return the surface that a picture shows, and where it shows any.
+
+        Args:
+            x: place in the picture, px; broadcasts with y.
+            y: place in the picture, px.
+        """
 
     @abstractmethod
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """(u, v) of a piece of surface."""
+        """Return (u, v) of a piece of surface.
+
+        Args:
+            element: the piece.
+        """
 
     @abstractmethod
     def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
-        """The position and the lamp that show these half and difference angles, rad; meaningless below the horizon."""
+        """Return the position and the lamp that show half and difference angles.
+
+        They mean nothing below the horizon.
+
+        Args:
+            theta_h: angle between half vector and normal, rad; the angles broadcast.
+            theta_d: angle between light and half vector, rad.
+            phi_d: azimuth of the light about the half vector, rad.
+        """
 
     @abstractmethod
     def section(self, v: jax.Array) -> jax.Array:
-        """Radius of the surface's section at v, in radii of the sample."""
+        """Return the radius of the surface's section at v, in radii of the sample.
+
+        Args:
+            v: second coordinate of the surface.
+        """
 
     @abstractmethod
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Interval of v that holds all that the picture shows between y = low and y = high px, around u."""
+        """Return the interval of v between two rows of the picture.
+
+        Args:
+            low: first row, y in px.
+            high: last row, y in px.
+            u: angle of the normal around which the interval must hold, rad.
+        """
 
     @abstractmethod
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Interval of v that holds all that the picture shows within `reach` px of (x, y) in both directions."""
+        """Return the interval of v close to a place in the picture.
+
+        Args:
+            x: place in the picture, px.
+            y: place in the picture, px.
+            reach: distance in both directions, px.
+        """
 
     @property
     def nearness(self) -> jax.Array:
-        """1 / distance; 0 for a distant camera."""
+        """Inverse of the distance; 0 for a distant camera."""
         return 1 / self.distance
 
     @property
     def stretch(self) -> jax.Array:
-        """px per radius of the sample at the depth of its centre: radius sqrt(1 - 1 / d^2) (MODEL 3)."""
+        """Scale at the depth of the centre, px per radius.
+
+        It is radius sqrt(1 - 1 / d^2) (docs/model.md 3).
+        """
         return self.radius * jnp.sqrt(1 - self.nearness**2)
 
     def visible(self, v: jax.Array) -> jax.Array:
-        """The largest |u| that the camera sees at v, rad; 0 where it sees none."""
+        """Return the largest visible |u|, rad; 0 where none is visible.
+
+        Args:
+            v: second coordinate of the surface.
+        """
         section = self.section(v)
         cosine = self.nearness / jnp.where(section > 0, section, 1.0)
         return jnp.where(cosine < 1, jnp.arccos(jnp.where(cosine < 1, cosine, 0.0)), 0.0)
 
     def lit(self, v: jax.Array, lamp_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The interval of u, rad, that is visible and lit at v; empty (low = high) where there is none."""
+        """Return the interval of u that is visible and lit, rad.
+
+        It is empty (low = high) where there is none.
+
+        Args:
+            v: second coordinate of the surface.
+            lamp_angle: angle between lamp and optical axis, rad.
+        """
         high = self.visible(v)
         low = jnp.maximum(-high, lamp_angle - jnp.pi / 2)
         high = jnp.minimum(high, lamp_angle + jnp.pi / 2)
         return jnp.minimum(low, high), high
 
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
-        """The visible u at v that lies at picture position x, rad; the nearest visible one where none does."""
+        """Return the visible u at a column of the picture, rad.
+
+        Where none does, it is the nearest visible one.
+
+        Args:
+            x: place in the picture, px.
+            v: second coordinate of the surface.
+        """
         section, q = self.section(v), self.nearness
         slope = x / (self.stretch * jnp.where(section > 0, section, 1.0))
         u = angle_on_circle(slope, slope * section * q)
@@ -132,7 +241,15 @@ class Curved(Sample):
         return jnp.clip(u, -end, end)
 
     def highlight(self, lamp_angle: jax.Array) -> jax.Array:
-        """The u, at v = 0, whose normal is the half vector: half of lamp_angle if the camera is far."""
+        """Return the highlight's u at v = 0, rad.
+
+        There the normal is the half vector.
+
+        It is half of lamp_angle if the camera is far.
+
+        Args:
+            lamp_angle: angle between lamp and optical axis, rad.
+        """
         if self.distant:
             return jnp.asarray(lamp_angle, dtype=jnp.float64) / 2
         q = self.nearness
@@ -145,16 +262,29 @@ class Curved(Sample):
         return jax.lax.fori_loop(0, 12, newton, jnp.asarray(lamp_angle, dtype=jnp.float64) / 2)
 
     def lamp_angle(self, theta_d: jax.Array) -> jax.Array:
-        """Angle between lamp and optical axis, rad, at which the highlight's normal sees both at theta_d."""
+        """Return the angle between lamp and optical axis, rad.
+
+        Args:
+            theta_d: half the angle between lamp and camera as the highlight sees it, rad.
+        """
         return 2 * theta_d - jnp.arcsin(self.nearness * jnp.sin(theta_d))
 
     def theta_d(self, lamp_angle: jax.Array) -> jax.Array:
-        """Half the angle between lamp and camera as the highlight sees it, rad: the inverse of `lamp_angle`."""
+        """Return half the angle between lamp and camera, rad.
+
+        It is the angle as the highlight sees it: the inverse of `lamp_angle`.
+
+        Args:
+            lamp_angle: angle between lamp and optical axis, rad.
+        """
         return lamp_angle - self.highlight(lamp_angle)
 
     def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """(radius cos theta_o, radius) with a distant camera: x = radius sin theta_o (paper (5)). Before a near one the
-        half vector turns too, by half of what the line of sight does."""
+        """Return the picture's shift per turn of the normal, px/rad.
+
+        With a distant camera it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). Before a near
+        one the half vector turns too, by half of what the line of sight does.
+        """
         q = self.nearness
         if self.distant:
             across = self.radius / self._turn_across(jnp.zeros(()))
@@ -167,11 +297,17 @@ class Curved(Sample):
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        """Angle between normal and half vector per radius moved along y, given the half vector's share."""
+        """Return the angle between normal and half vector per radius along y, given the half vector's share."""
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
-        """(direction to the camera, its length, depth) from a point with this normal, y radii from the plane of x and
-        the axis; length and depth (along the axis) over the camera's distance. Scalars if the camera is distant."""
+        """Return direction to the camera, its length, and the points' depth.
+
+        Length and depth (along the axis) are over the camera's distance. They are scalars if the camera is distant.
+
+        Args:
+            normal: of the surface at the points.
+            y: distance from the plane of x and the axis, in radii.
+        """
         zero, one = jnp.zeros(()), jnp.ones(())
         if self.distant:
             return (zero, zero, one), one, one
@@ -182,7 +318,10 @@ class Curved(Sample):
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
-    """The u with sin u + tilt cos u = slope, nearest to 0: where a line of sight meets a circle; +-pi/2 if it misses."""
+    """Return the u nearest to 0 with sin u + tilt cos u = slope; +-pi/2 if there is none.
+
+    There a line of sight meets a circle.
+    """
     lean = jnp.arctan(tilt)
     sine = slope * jnp.cos(lean)
     inside = jnp.abs(sine) < 1
@@ -190,7 +329,7 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
 
 
 def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """cos t of the visible point with sin t = slope (1 - q cos t), and whether the line of sight meets the shape."""
+    """Return cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit."""
     square = slope**2
     root = 1 + square * (q**2 - 1)
     hits = root > 0
@@ -198,33 +337,17 @@ def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def checked_distance(distance: ArrayLike) -> jax.Array:
-    """A distance from the sample's centre in its radii: above 1, infinity allowed."""
+    """Return a distance from the sample's centre in its radii if it is above 1; infinity is allowed."""
     what = "radii of the sample (the camera is outside it)"
     return checks.scalar("distance", checks.within("distance", distance, 1, np.inf, what, open_low=True))
 
 
 def is_infinite(distance: ArrayLike) -> bool:
-    """Whether a distance is a concrete infinity."""
+    """Return True for a concrete infinite distance."""
     return is_concrete(distance) and bool(np.isinf(np.asarray(distance, dtype=np.float64)))
 
 
-def shown(shape: Curved) -> str:
-    """Constructor call that makes the shape."""
+def constructor_call(shape: Curved) -> str:
+    """Return the constructor call that makes the shape."""
     far = "" if shape.distant else f", distance={shape.distance!s}"
     return f"{type(shape).__name__}(radius={shape.radius!s}{far})"
-
-
-class Flat(Sample):
-    """A flat sample, tilted away from the camera. Its normal is the same everywhere: the camera cannot blur its
-    reflectance, only its texture."""
-
-    def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Infinite in both directions."""
-        return jnp.full_like(theta_o, jnp.inf), jnp.full_like(theta_o, jnp.inf)
-
-    def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
-        """Cycles/px at which a texture of `frequency` cycles/px (seen head-on) arrives, varying along the tilt (paper (4))."""
-        return checks.number("frequency", frequency) / jnp.cos(checks.viewing_angle("theta_o", theta_o))
-
-    def __repr__(self) -> str:
-        return "Flat()"

@@ -8,12 +8,39 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.jax import AnyArray, jax, jnp
-from matcam.sample.shape import Curved, Element, Place, angle_on_circle, checked_distance, depth_of, is_infinite, shown
+from matcam.sample.shape import (
+    Curved,
+    Element,
+    Place,
+    angle_on_circle,
+    checked_distance,
+    constructor_call,
+    depth_of,
+    is_infinite,
+)
 
 
 class Sphere(Curved):
-    """A sphere. radius: of its limb in the picture, px, positive. distance: of the camera from its centre, in radii of
-    the sphere, above 1; infinite: orthographic. u and v are longitude and latitude of its normal about the y axis."""
+    """Describe a sphere, which shows every normal in one picture.
+
+    u and v are longitude and latitude of its normal about the y axis.
+
+    Args:
+        radius: of its limb in the picture, px, positive.
+        distance: of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an orthographic camera.
+            Give it where the camera is closer than some hundred radii: a near camera sees less than half the sphere.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        Holzschuch & Pacanowski (2017), (5); docs/model.md 3.
+
+    Example:
+        >>> sphere = matcam.Sphere(radius=256.0)
+        >>> [round(float(shift), 3) for shift in sphere.px_per_rad(np.array(np.pi / 3))]
+        [128.0, 256.0]
+    """
 
     radius: jax.Array
     distance: jax.Array
@@ -25,7 +52,10 @@ class Sphere(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (MODEL 3)."""
+        """Return the piece of surface at longitude u and latitude v.
+
+        x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (docs/model.md 3).
+        """
         cos_v, sin_u = jnp.cos(v), jnp.sin(u)
         cos_u = jnp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
         normal = cos_v * sin_u, jnp.sin(v), cos_v * cos_u
@@ -41,7 +71,7 @@ class Sphere(Curved):
         )
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Where the line of sight meets the sphere."""
+        """Return the point at which the line of sight meets the sphere."""
         q = self.nearness
         n_z, hits = depth_of(jnp.hypot(x, y) / self.stretch, q)
         depth = 1 - q * n_z
@@ -61,13 +91,16 @@ class Sphere(Curved):
         ), seen
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Longitude and latitude about the y axis."""
+        """Return longitude and latitude about the y axis, rad."""
         n_x, n_y, n_z = element.normal
         return jnp.arctan2(n_x, n_z), jnp.arcsin(jnp.clip(n_y, -1, 1))
 
     def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
-        """Half vector at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (MODEL 3); before a near
-        camera, about the line of sight that sees them."""
+        """Return the position and the lamp that show half and difference angles.
+
+        The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); before a
+        near camera, about the line of sight that sees them.
+        """
         theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
         # light, view and normal about the half vector, which is the z axis; light at +x
         normal = jnp.stack(
@@ -104,11 +137,14 @@ class Sphere(Curved):
         )
 
     def section(self, v: jax.Array) -> jax.Array:
-        """cos v."""
+        """Return cos v."""
         return jnp.cos(v)
 
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Latitudes at longitude u; a near camera's scale varies, for which a twentieth is added."""
+        """Return the latitudes between two rows at longitude u, rad.
+
+        A near camera's scale varies, for which a twentieth is added.
+        """
         middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
         end = jnp.arccos(self.nearness)
         tilt = self.nearness * jnp.cos(u)
@@ -119,7 +155,10 @@ class Sphere(Curved):
         return first, last
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Latitudes in these rows, up to that at which the limb leaves these columns."""
+        """Return the latitudes close to a place in the picture, rad.
+
+        They end where the limb leaves these columns.
+        """
         low, high = self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
         share = jnp.clip((jnp.abs(x) - reach) / self.radius, 0, 1)
         end = jnp.arcsin(jnp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
@@ -129,4 +168,4 @@ class Sphere(Curved):
         return 1 + half_vector
 
     def __repr__(self) -> str:
-        return shown(self)
+        return constructor_call(self)

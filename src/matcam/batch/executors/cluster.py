@@ -21,7 +21,8 @@ from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import ArgumentError, MatcamError
-from matcam.core.workspace import keep_rules
+from matcam.core.jax import use_compilation_cache
+from matcam.core.workspace import Workspace
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
 """Packages whose versions change results, or how jobs travel."""
@@ -185,5 +186,5 @@ def _with_absolute_paths(job: Job) -> Job:
 
 def _attempt_on_worker(job: Job) -> Outcome:
     """Do a job on a worker, which may have started after the others were asked."""
-    keep_rules()
-    return attempt(job)
+    use_compilation_cache()
+    return attempt(job, Workspace.user())

@@ -177,10 +177,11 @@ def _serve(pipe: connection.Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         from matcam.batch.job import attempt
-        from matcam.core.jax import jnp
-        from matcam.core.workspace import keep_rules
+        from matcam.core.jax import jnp, use_compilation_cache
+        from matcam.core.workspace import Workspace
 
-        keep_rules()
+        use_compilation_cache()
+        workspace = Workspace.user()
         jnp.zeros(())  # a device that is not there should fail now, and not with each job
     except Exception as error:
         pipe.send(" ".join(f"{type(error).__name__}: {error}".split()))
@@ -193,7 +194,7 @@ def _serve(pipe: connection.Connection) -> None:
             return
         if job is None:
             return
-        pipe.send(attempt(job))
+        pipe.send(attempt(job, workspace))
 
 
 def _end_with_parent() -> None:

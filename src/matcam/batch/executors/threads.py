@@ -34,7 +34,7 @@ class ThreadExecutor(Executor):
         with RecordBatch(seats) as batch:
 
             def attempt_in_batch(job: Job) -> Outcome:
-                with batch.joined():
+                with batch.serving():
                     return attempt(job)
 
             # what depends on the rig alone is computed by the first, and found by the others

@@ -47,7 +47,7 @@ class Calibration:
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
         >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
-        >>> star = matcam.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
         >>> found = matcam.calibrate([], samples=[star])
         >>> found.channel, list(found.to_dict()["channels"]["grey"]["parameters"])
         ('grey', ['optics.sigma_px'])
@@ -168,7 +168,7 @@ def calibrate(
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
         >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
-        >>> star = matcam.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
         >>> found = matcam.calibrate([], samples=[star])
         >>> round(float(found.camera.optics.sigma), 3)
         0.6

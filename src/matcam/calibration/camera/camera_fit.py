@@ -63,7 +63,9 @@ class CameraRequest:
             lens = lens_model(name, wavelength, self.pixel_pitch)
             return lambda _: lens
         if both and any(number is None for number in f_numbers):
-            raise ArgumentError("diffraction is to be taken into account, but not every picture's f-number is known")
+            raise ArgumentError(
+                "diffraction needs f-numbers, but not every picture's f-number is known: give f_numbers: give f_numbers"
+            )
         if not both:
             return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
         return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(self.pixel_pitch))
@@ -80,9 +82,8 @@ class MeanCurve:
         camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
 
     Example:
-        >>> from matcam.calibration.camera.camera_fit import MeanCurve
         >>> f = np.linspace(0, 1, 5)
-        >>> curve = MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
+        >>> curve = matcam.calibration.MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
         >>> [round(value, 3) for value in curve.misfit]
         [0.05, 0.01]
     """
@@ -123,7 +124,7 @@ class CameraFit:
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
         >>> mtf = np.exp(-2 * (np.pi * 0.6 * f) ** 2) * np.sinc(f)
-        >>> star = matcam.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
+        >>> star = matcam.targets.MTFSamples("star", (9.0, 9.0), f, np.zeros(10), mtf, 1e-6 * np.eye(10))
         >>> fit = matcam.calibrate([], samples=[star]).channels["grey"]
         >>> fit.names, fit.measurements
         (('optics.sigma_px',), {'star': 1})

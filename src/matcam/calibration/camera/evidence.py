@@ -42,14 +42,14 @@ class EdgeTable(NamedTuple):
         sigma_std: (n,) its standard deviation, px.
         mtf50: (n,) cycles/px, free of a model.
         mtf50_std: (n,) its standard deviation, cycles/px.
-        mtf: (n, 81) MTF at `free_curve.FREQUENCIES`, free of a model.
+        mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
         mtf_std: (n, 81) its standard deviation.
         source: (n,) names of pictures.
 
     Example:
-        >>> from matcam.calibration.camera.evidence import EdgeTable
         >>> one, mtf = np.ones(4), np.full((4, 81), 0.5)
-        >>> table = EdgeTable(one, one, one, 0.5 * one, 0.01 * one, one, one, mtf, mtf / 10, np.array(["a.png"] * 4))
+        >>> columns = (one, one, one, 0.5 * one, 0.01 * one, one, one, mtf, mtf / 10, np.array(["a.png"] * 4))
+        >>> table = matcam.calibration.EdgeTable(*columns)
         >>> float(table.weights[0, 0]), table.spread
         (0.25, 0.0)
     """

@@ -32,7 +32,7 @@ class Chart:
         ArgumentError: if an element's values contradict one another, or the fiducials cannot be found.
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
         >>> chart.page, len(chart.fiducials)
         ((297.0, 210.0), 8)
     """
@@ -63,7 +63,7 @@ class Square:
         level: linear level of the square, relative to the paper (no unit).
 
     Example:
-        >>> square = matcam.design_chart(["squares"], pixels_across=1500).elements[-1]
+        >>> square = matcam.targets.design_chart(["squares"], pixels_across=1500).elements[-1]
         >>> len(square.corners), square.level
         (4, 0.25)
     """
@@ -88,7 +88,7 @@ class Grating:
         duty: bright share of a period (no unit). Default: 0.5, which only lines may change.
 
     Example:
-        >>> bars = matcam.design_chart(["bars"], pixels_across=1500).elements[-1]
+        >>> bars = matcam.targets.design_chart(["bars"], pixels_across=1500).elements[-1]
         >>> bars.profile, bars.contrast, round(bars.harmonic(1), 3), round(bars.harmonic(3), 3)
         ('bars', 0.6, 0.764, -0.255)
     """
@@ -151,7 +151,7 @@ class Star:
         bright: highest linear level (no unit).
 
     Example:
-        >>> star = matcam.design_chart(["star"], pixels_across=1500).elements[-1]
+        >>> star = matcam.targets.design_chart(["star"], pixels_across=1500).elements[-1]
         >>> star.cycles, round(star.contrast, 3)
         (144, 0.583)
     """
@@ -181,7 +181,7 @@ class Dots:
         level: linear level of the dots, relative to the paper around them (no unit).
 
     Example:
-        >>> dots = matcam.design_chart(["dots"], pixels_across=1500).elements[-1]
+        >>> dots = matcam.targets.design_chart(["dots"], pixels_across=1500).elements[-1]
         >>> round(dots.radius / dots.pitch, 4)
         0.0929
     """
@@ -201,7 +201,7 @@ class Patch:
         level: linear level, relative to the paper (no unit).
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
         >>> [element.level for element in chart.elements[:3]]
         [0.05, 0.1, 0.15]
     """
@@ -223,7 +223,7 @@ class Fiducial:
         rings: 1, or 2 for the mark that tells which way is up.
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=1500)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
         >>> sorted(mark.rings for mark in chart.fiducials)
         [1, 1, 1, 1, 1, 1, 1, 2]
     """

@@ -52,8 +52,8 @@ def read_chart(path: str | Path) -> Chart:
     Example:
         >>> import tempfile, pathlib
         >>> path = pathlib.Path(tempfile.mkdtemp()) / "chart.json"
-        >>> matcam.write_chart(path, matcam.design_chart(["dots"], pixels_across=1000))
-        >>> matcam.read_chart(path).page
+        >>> matcam.targets.write_chart(path, matcam.targets.design_chart(["dots"], pixels_across=1000))
+        >>> matcam.targets.read_chart(path).page
         (297.0, 210.0)
     """
     path = Path(path)
@@ -90,7 +90,7 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
     Example:
         >>> import tempfile, pathlib
         >>> path = pathlib.Path(tempfile.mkdtemp()) / "chart.json"
-        >>> matcam.write_chart(path, matcam.design_chart(["star"], pixels_across=1500))
+        >>> matcam.targets.write_chart(path, matcam.targets.design_chart(["star"], pixels_across=1500))
         >>> path.exists()
         True
     """

@@ -61,7 +61,7 @@ def design_chart(
         docs/targets.md; ISO 12233 for slanted edges and the Siemens star.
 
     Example:
-        >>> chart = matcam.design_chart(["squares", "star"], pixels_across=2000)
+        >>> chart = matcam.targets.design_chart(["squares", "star"], pixels_across=2000)
         >>> sorted({type(element).__name__ for element in chart.elements})
         ['Patch', 'Square', 'Star']
     """

@@ -50,8 +50,8 @@ class Registration:
         found: number of fiducials found.
 
     Example:
-        >>> from matcam.calibration.chart.registration import Registration
-        >>> where = Registration(np.diag([2.0, 2.0, 1.0]), (0.0, 0.0), (101, 101), 0.0, 8)  # 2 px per mm, squarely
+        >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, squarely
+        >>> where = matcam.targets.Registration(homography, (0.0, 0.0), (101, 101), 0.0, 8)
         >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
         (array([[70., 60.]]), 2.0)
     """
@@ -107,14 +107,14 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         docs/targets.md; R. Hartley and A. Zisserman, Multiple View Geometry, 2nd ed., section 4.1 (direct linear transform).
 
     Example:
-        >>> chart = matcam.design_chart(["star"], pixels_across=400)
+        >>> chart = matcam.targets.design_chart(["star"], pixels_across=400)
         >>> y, x = np.mgrid[:300, :420]
         >>> page = np.ones((300, 420))
         >>> for mark in chart.fiducials:
         ...     column, row = 1.35 * np.array(mark.centre) + 8
         ...     radius = np.hypot(x - column, y - row) / (1.35 * mark.radius)
         ...     page[(radius < 1) | ((radius > 2) & (radius < 3)) | ((mark.rings == 2) & (radius > 4) & (radius < 5))] = 0.1
-        >>> where = matcam.register_chart(page, chart)
+        >>> where = matcam.targets.register_chart(page, chart)
         >>> where.found, [round(float(v)) for v in where(np.array([[100.0, 50.0]]))[0]]
         (8, [143, 75])
     """

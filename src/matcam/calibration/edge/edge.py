@@ -62,14 +62,15 @@ def edge_mtf(
     read_noise: float | None = None,
     accept_sharpened: bool = False,
 ) -> EdgeMTF:
-    """Measure the MTF of lens and pixel along the normal of one slanted edge.
+    """Measure the MTF of lens and pixel across one slanted edge.
 
+    It is measured along the edge's normal, free of a model and as a lens model.
     The edge may be bowed by a few px and lit unevenly. It may lie at any angle whose pixels see it in different phases: not
     along the grid, nor at 45 degrees. Method, accuracy and their tests stand in `docs/edge.md`.
 
     Args:
         image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN where there are no
-            data. Default of none: it must be given.
+            data.
         roi: region (x, y, width, height) that holds one edge, px. At least 16 x 16 px; better 80 across the edge and 160 along
             it. Default: None, all of the image.
         model: lens of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus", diffraction and defocus; or
@@ -180,9 +181,9 @@ def edge_mtf_stack(
 
 
 def edge_stack(regions: Iterable[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings) -> EdgeStack:
-    """Return the results of edges in regions of one shape, at most `AT_ONCE` each.
+    """Return the results of edges in regions of one shape.
 
-    Each comes with what is known beforehand to be wrong with each of its pictures.
+    Each item holds at most `AT_ONCE` regions, and what is known beforehand to be wrong with each of them.
     """
     half = np.float64(settings.half_width)
     chunks: list[EdgeFits] = []
@@ -211,7 +212,10 @@ def edge_stack(regions: Iterable[tuple[EdgeRegions, list[Remark | None]]], setti
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Return regions (n, height, width), and the places (n, 2) of their first pixels in their photographs."""
+    """Return regions (n, height, width) and their places.
+
+    A place (n, 2) is that of the first pixel in the photograph.
+    """
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):

@@ -34,7 +34,9 @@ _SHARPENED = 0.02  # overshoot of the step from which it is remarked on
 
 
 class EdgeSamples(NamedTuple):
-    """Hold the picture as an edge response: means over cells of pixels at nearly one distance from the edge.
+    """Hold the picture as an edge response.
+
+    Values are means over cells of pixels at nearly one distance from the edge.
 
     Attributes:
         distance: px, negative on the dark side.
@@ -81,9 +83,10 @@ class _EdgeNumbers(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class EdgeMTF(_EdgeNumbers[float]):
-    """Hold the MTF of lens and pixel along an edge's normal, twice: free of a model, and as a lens model.
+    """Hold the MTF of lens and pixel across one edge.
 
-    Standard deviations are those that repeated pictures with this noise would show.
+    It stands here twice: free of a model, and as a lens model (`parametric`). Standard
+    deviations are those that repeated pictures with this noise would show.
 
     Attributes:
         frequency: frequencies (81,) along the normal, 0 to 1.25 cycles/px.
@@ -244,8 +247,9 @@ class EdgeMTF(_EdgeNumbers[float]):
 
 @dataclass(frozen=True, eq=False)
 class EdgeStack(_EdgeNumbers[np.ndarray]):
-    """Hold the results of n edges: the attributes of `EdgeMTF` with a leading axis of n.
+    """Hold the results of n edges.
 
+    Attributes are those of `EdgeMTF` with a leading axis of n.
     `stack[i]` is the `EdgeMTF` of one of them. Numbers of an edge that cannot be measured are NaN.
 
     Attributes:
@@ -309,7 +313,10 @@ _EDGE, _LINE = jax.jit(free_curve.edge_response), jax.jit(free_curve.line_respon
 def stack_result(
     fits: EdgeFits, frame: RegionFrame, lens: LensModel, half_width: float, problems: tuple[Remark | None, ...]
 ) -> EdgeStack:
-    """Return the fits of a stack (as NumPy arrays) as a result in the picture's own coordinates."""
+    """Return the fits of a stack in the picture's own coordinates.
+
+    All arrays of `fits` are NumPy's.
+    """
     free = fits.free
     glare = free.even[..., GLARE]
     offset, slope, bend = np.moveaxis(np.asarray(fits.curve), -1, 0)

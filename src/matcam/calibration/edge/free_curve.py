@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.camera import pixel as tilted_square
+from matcam.camera.kernel import edge_and_slopes
 from matcam.core.jax import AnyArray, jax, jnp
 
 PAIRS = 7
@@ -56,7 +56,7 @@ class CoreShape(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """Hold P (n,), the even B_k (EVEN, n) and the odd O_k (ODD, n)."""
+    """Hold the basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
 
     pilot: jax.Array
     even: jax.Array
@@ -89,15 +89,21 @@ class SampledCurve(NamedTuple):
 
 
 def line_width(shape: CoreShape) -> jax.Array:
-    """Return s, px: a square's variance along any direction is that along its side."""
+    """Return s, px.
+
+    A square's variance along any direction is that along its side.
+    """
     return jnp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
 
 def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basis:
-    """Return the basis as edge responses at `distance` px, over cells of a given spread (px^2)."""
+    """Return the basis as edge responses at `distance` px.
+
+    spread: px^2, of the distances in each cell.
+    """
     places, width = _bumps(shape)
     blurred = jnp.sqrt(shape.sigma**2 + spread)
-    pilot, line, _ = tilted_square.edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
+    pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
     wide = jnp.sqrt(width**2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
@@ -120,7 +126,7 @@ def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
     normal = jax.scipy.stats.norm.pdf
 
     def line(x: jax.Array) -> jax.Array:
-        return tilted_square.edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
+        return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
 
     pilot, moved = jax.jvp(line, (distance,), (jnp.broadcast_to(line_width(shape), distance.shape),))
     right, left = (normal(distance, sign * places[:, None], width) for sign in (1, -1))
@@ -131,7 +137,10 @@ def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
 
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
-    """Return Fourier transforms at f cycles/px: the real part of P and B_k, the imaginary part of O_k."""
+    """Return the Fourier transforms of the basis at f cycles/px.
+
+    They are the real part of P and B_k, and the imaginary part of O_k.
+    """
     places, width = _bumps(shape)
     gauss = lambda std: jnp.exp(-2 * (jnp.pi * std * f) ** 2)  # noqa: E731
     box = 2 * shape.half_width * f
@@ -144,7 +153,10 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
 
 
 def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
-    """Return the ESF at px from the edge: 0 on the dark side, 1 on the bright one."""
+    """Return the ESF at px from the edge.
+
+    It goes from 0 on the dark side to 1 on the bright one.
+    """
     basis = edge_basis(curve.shape, distance, jnp.zeros(()))
     return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
 
@@ -156,9 +168,9 @@ def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 
 
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
-    """Return the total MTF at f cycles/px along the normal, and that of the core alone, without glare.
+    """Return the MTF along the normal, with and without glare.
 
-    The modulus of a noisy number is too large by its noise: the noise's power is subtracted.
+    f: cycles/px. The modulus of a noisy number is too large by its noise: the noise's power is subtracted.
     """
     basis = transfer_basis(curve.shape, f)
     towards = basis.even - basis.pilot
@@ -173,10 +185,11 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
 
 
 def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
-    """Return the lowest frequency, cycles/px, at which an MTF is one half; NaN where there is none.
+    """Return the lowest frequency at which an MTF is one half.
 
-    value: the MTF at `FREQUENCIES`. response: value and standard deviation at any frequencies. The interval in which the MTF
-    falls through one half is divided once more, so finely that a straight line does for the rest.
+    It is in cycles/px, and NaN where there is none. value: the MTF at `FREQUENCIES`. response: value and standard deviation
+    at any frequencies. The interval in which the MTF falls through one half is divided once more, so finely that a straight
+    line does for the rest.
     """
     below = jnp.asarray(value < 0.5).at[0].set(False)
     i, coarse = jnp.argmax(below), jnp.asarray(FREQUENCIES)
@@ -196,19 +209,23 @@ def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
 
 
 def _step(t: jax.Array) -> jax.Array:
+    """Return the integral of a normal density."""
     return (1 + jax.scipy.special.erf(t / jnp.sqrt(2.0))) / 2
 
 
 def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
+    """Return a curve from its columns, with its standard deviation."""
     columns = jnp.concatenate([even, odd, jnp.zeros((1, pilot.size))])
     return SampledCurve(pilot + curve.even @ even + curve.odd @ odd, _std(curve, columns))
 
 
 def _std(curve: FreeCurve, columns: jax.Array) -> jax.Array:
+    """Return the standard deviation of a sum of columns."""
     return jnp.sqrt(jnp.maximum(jnp.sum(columns * (curve.covariance @ columns), 0), 0.0))
 
 
 def _modulus(even: SampledCurve, odd: SampledCurve) -> SampledCurve:
+    """Return the modulus of a noisy complex number, without its noise."""
     power = even.value**2 - even.std**2 + odd.value**2 - odd.std**2
     size = jnp.sqrt(jnp.maximum(power, 0.0))
     safe = jnp.where(size > 0, size, 1.0)

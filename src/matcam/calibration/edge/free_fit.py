@@ -47,7 +47,7 @@ _CANDIDATES, _REFINEMENTS = 9, 3
 
 
 class LinearFit(NamedTuple):
-    """Hold the solution without glare, and all that is needed to ask what glare would change: n cells, p columns.
+    """Hold the solution without glare: n cells, p columns.
 
     Attributes:
         shape: of the basis.
@@ -83,7 +83,7 @@ class LinearFit(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Hold what the free curve finds in the residuals of another fit: is that fit's model wrong?
+    """Hold what the free curve finds in another fit's residuals.
 
     Attributes:
         found: rise of 2 ln likelihood.
@@ -113,7 +113,10 @@ class GlareCandidate(NamedTuple):
 def linear_fit(
     cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape, tested: EdgeModel
 ) -> tuple[LinearFit, Structure]:
-    """Fit the free curve around the Gaussian one (`at`), and judge the model `tested` by it."""
+    """Fit the free curve, and judge another model by it.
+
+    at: Gaussian model about which the curve is fitted. tested: the model that is judged.
+    """
     state = at.state
     cells = cells._replace(distance=cells.distance + state.linear[4])
     basis = edge_basis(shape, cells.distance, cells.spread)
@@ -174,7 +177,10 @@ def glare_candidate(fit: LinearFit) -> GlareCandidate:
 
 
 def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
-    """Return the curve with glare near a candidate; its radius is one more parameter."""
+    """Return the curve with glare near a candidate.
+
+    The radius of the glare is one more parameter.
+    """
 
     def refine(_: int, at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle, width = at
@@ -198,7 +204,10 @@ def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:
-    """Return the curve relative to the fitted step, whose error is included. covariance: (p + 1,) squared, ln radius last."""
+    """Return the curve relative to the fitted step.
+
+    The step's own error is included. covariance: (p + 1,) squared, ln radius last.
+    """
     before = fit.levels[1] - fit.levels[0]
     now = before + strength[1] - strength[0]
     relative = strength[_LEVELS:] * before / now
@@ -215,7 +224,10 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
 def _structure(
     columns: jax.Array, weight: jax.Array, inverse: jax.Array, normal: jax.Array, residual: jax.Array, design: jax.Array
 ) -> Structure:
-    """Return the scores' quadratic form s' A^-1 s; under noise their covariance is F less what the tested fit has taken up."""
+    """Return the scores' quadratic form s' A^-1 s and its moments.
+
+    Under noise the covariance of the scores is the information less what the tested fit has absorbed.
+    """
     score = columns @ (weight * residual)
     shared = (columns * weight) @ design.T
     absorbed = shared @ scaled_inverse((design * weight) @ design.T) @ shared.T
@@ -224,7 +236,10 @@ def _structure(
 
 
 def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
-    """Return the rise of 2 ln likelihood by glare of each radius, all else refitted; negative glare does not exist."""
+    """Return the rise of 2 ln likelihood by glare of each radius.
+
+    All else is refitted. There is no glare of negative strength.
+    """
     columns = jax.vmap(lambda r: _column(fit, r))(log_radii)
     weighted = columns * fit.weight
     cross = weighted @ fit.columns.T
@@ -233,15 +248,20 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
 
 def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
+    """Return what glare of full strength would change."""
     return (glare_edge(jnp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 
 def _narrowest(fit: LinearFit) -> jax.Array:
+    """Return ln of the smallest radius that is tried, px."""
     return jnp.log(jnp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(fit.shape)))
 
 
 def _precisions() -> np.ndarray:
-    """Return the priors' precisions on levels and light (none), even and odd strengths, and the edge's place (none)."""
+    """Return the priors' precisions (p,).
+
+    Levels, light and the edge's place have none.
+    """
     core = _PRIOR * np.exp(-((PLACES / _REACH) ** 2) / 2)
     odd = np.minimum(core, _PRIOR_ODD)
     return np.concatenate([np.zeros(_LEVELS), core**-2, [_PRIOR_TAIL**-2, _PRIOR_GLARE**-2], odd**-2, [0.0]])

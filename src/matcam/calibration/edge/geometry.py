@@ -25,7 +25,7 @@ _NEAR = 7  # px to both sides of the edge in which columns are split by phase
 
 
 class Rows(NamedTuple):
-    """Hold a region as rows of samples: pixels, or the sites of one colour of a mosaic.
+    """Hold a region as rows of samples.
 
     Attributes:
         value: (rows, columns); NaN where there is none.
@@ -41,7 +41,7 @@ class Rows(NamedTuple):
 
 
 class AlignedRows(NamedTuple):
-    """Hold rows shifted by whole samples so that the edge stands in their middle column.
+    """Hold rows whose middle sample is the nearest to the edge.
 
     Attributes:
         value: (rows, columns); 0 where there is none.
@@ -65,7 +65,9 @@ class AlignedRows(NamedTuple):
 
 
 class PhasedRows(NamedTuple):
-    """Hold aligned rows, every pixel's distance to a curve, and every row's phase: where between two samples the edge crosses.
+    """Hold aligned rows with distances to a curve, and phases.
+
+    A row's phase says where between two samples the edge crosses it.
 
     Attributes:
         rows: the aligned rows.
@@ -108,10 +110,11 @@ def edge_place(curve: jax.Array, y: AnyArray) -> jax.Array:
 
 
 def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
-    """Return the distance to the curve, px, positive on the bright side, exact to second order.
+    """Return the distance to the curve, px, to second order.
 
-    For a parabola of second derivative k and local slope t, with e the distance along the row: the straight edge's
-    e c, c = 1 / sqrt(1 + t^2), less what the curve bends away below the foot of the normal, k e^2 t^2 c^5 / 2.
+    It is positive on the bright side. For a parabola of second derivative k and local slope t, with e the distance along
+    the row, it is the straight edge's e c, c = 1 / sqrt(1 + t^2), less what the curve bends away below the foot of the
+    normal, k e^2 t^2 c^5 / 2.
     """
     slope = curve[1] + 2 * curve[2] * y
     c = 1 / jnp.sqrt(1 + slope**2)
@@ -120,7 +123,7 @@ def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
 
 
 def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
-    """Shift rows so that the sample nearest to the edge stands in the middle."""
+    """Shift rows so that the edge stands in the middle column."""
     width = rows.value.shape[1]
     half = width // 2
     first = jnp.round((edge_place(curve, rows.y) - rows.start) / rows.step).astype(int) - half
@@ -134,10 +137,11 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
 
 
 def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return the curve to a few hundredths of a px, without a model of the blur, and how many rows it crosses.
+    """Return a first curve, and how many rows it crosses.
 
-    A row's edge stands where a sharp one would have to stand to let in the same light: unlike the centroid of the
-    derivative, this does not amplify noise. First over whole rows and a straight line, then near the edge and a parabola.
+    The curve is right to a few hundredths of a px, without a model of the blur. A row's edge stands where a sharp one would
+    have to stand to let in the same light: unlike the centroid of the derivative, this does not amplify noise. It is found
+    first over whole rows as a straight line, then near the edge as a parabola.
     """
     low, high = _two_levels(rows.value[:: _SOME[0], :: _SOME[1]])
     there = jnp.isfinite(rows.value)
@@ -167,7 +171,10 @@ def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
 
 
 def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
-    """Return both levels (rows,) a few px from the edge, as lines in y: light changes little there, and the blur is over."""
+    """Return both levels (rows,) a few px from the edge.
+
+    They are lines in y. Light changes little at this distance, and the blur is over.
+    """
     middle, reach = aligned.value.shape[1] // 2, _REACH // aligned.step
     outer = 2 * reach
 

@@ -41,7 +41,7 @@ class Noise(NamedTuple):
     read: AnyArray | np.float64
 
     def variance(self, value: AnyArray) -> jax.Array:
-        """Return the variance gain * value + read^2 of a pixel that is expected to read `value`."""
+        """Return the variance of a pixel expected to read `value`."""
         return jnp.asarray(self.gain * jnp.maximum(value, 0.0) + self.read**2)
 
 
@@ -90,7 +90,10 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
 
 
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: jax.Array) -> State:
-    """Return the parameters after a step of Fisher scoring. longest: (k,) largest change of the profile's."""
+    """Return the parameters after a step of Fisher scoring.
+
+    longest: (k,) largest change of the profile's parameters.
+    """
     at = edge_model(cells, state, profile)
     weight = cells.pixels / noise.variance(at.value)
     inverse = scaled_inverse((at.design * weight) @ at.design.T)

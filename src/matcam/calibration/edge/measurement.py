@@ -60,7 +60,9 @@ class LensFit(NamedTuple):
 
 
 class EdgeFits(NamedTuple):
-    """Hold both estimates of one edge, in px from the region's centre and the picture's units.
+    """Hold both estimates of one edge.
+
+    Lengths are px from the region's centre, values the picture's units.
 
     Attributes:
         curve: (3,) where the edge runs.
@@ -134,9 +136,10 @@ def edge_fits(
     step: int,
     turns: int,
 ) -> EdgeFits:
-    """Return both estimates for the edge in one `Rows`, the parametric one Gaussian.
+    """Return both estimates for the edge in one region.
 
-    noise: NaN where it is to be estimated. turns: of profile and curve, each fitted while the other stays.
+    value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
+    estimated. turns: of profile and curve, each fitted while the other stays.
     """
     stage = _stage(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
     found = stage.glare.rise > free_fit.FOUND
@@ -156,7 +159,10 @@ def edge_fits_of_stack(
     step: int,
     turns: int,
 ) -> EdgeFits:
-    """Return `edge_fits` of a stack of regions, side by side: values (n, rows, columns), y and start (n, rows)."""
+    """Return `edge_fits` of many regions, side by side.
+
+    value: (n, rows, columns). y and start: (n, rows).
+    """
     half_width = jnp.asarray(half_width)
 
     def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Stage:
@@ -179,7 +185,7 @@ def edge_fits_of_stack(
 
 @jax.jit
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
-    """Return the parametric estimate by another family of lenses, for an edge that has been fitted."""
+    """Return the parametric estimate by another family of lenses."""
     seen = LensAtEdge(lens, found.angle, jnp.asarray(half_width))
     start = State(found.state.linear, lens.start(found.state.profile[0]))
     fitted = _climb(found.cells, start, seen, found.noise, _MODEL_STEPS)
@@ -254,7 +260,10 @@ def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps
 
 
 def _or_estimated(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
-    """Return the noise; what is not known of it from the differences of neighbours but one, on both sides of the edge."""
+    """Return the noise; estimate what is not known of it.
+
+    The differences of neighbours but one, on both sides of the edge, tell it.
+    """
     difference = aligned.value[:, 2:] - aligned.value[:, :-2]
     both = aligned.valid[:, 2:] * aligned.valid[:, :-2]
     away = distance[:, 1:-1]
@@ -313,4 +322,5 @@ def _lens_fit(
 
 
 def _with_slopes(function, at: jax.Array):  # type: ignore[no-untyped-def]
+    """Return a function's value and its derivatives."""
     return function(at), jax.jacfwd(function)(at)

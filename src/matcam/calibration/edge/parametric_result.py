@@ -22,7 +22,7 @@ Number = TypeVar("Number", float, np.ndarray)
 
 @dataclass(frozen=True, eq=False)
 class _LensNumbers(Generic[Number]):
-    """Hold the parametric estimate of one edge, or of a stack, with leading axes."""
+    """Hold the parametric estimate of one edge, or of a stack."""
 
     model: str
     names: tuple[str, ...]
@@ -42,7 +42,7 @@ class _LensNumbers(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class ParametricEdge(_LensNumbers[float]):
-    """Hold the maximum likelihood fit of a family of lenses behind the exact box of a pixel.
+    """Hold the maximum likelihood fit of a family of lenses.
 
     Attributes:
         model: name of the family (no unit).
@@ -94,7 +94,9 @@ class ParametricEdge(_LensNumbers[float]):
 
 @dataclass(frozen=True, eq=False)
 class ParametricStack(_LensNumbers[np.ndarray]):
-    """Hold the parametric estimates of a stack; attributes are those of `ParametricEdge`, with a leading axis of n.
+    """Hold the parametric estimates of a stack.
+
+    Attributes are those of `ParametricEdge`, with a leading axis of n.
 
     Attributes:
         model: name of the family (no unit).
@@ -108,7 +110,10 @@ class ParametricStack(_LensNumbers[np.ndarray]):
 
 
 def parametric_stack(fit: LensFit, bad: np.ndarray, lens: LensModel, half_width: float) -> ParametricStack:
-    """Return the fits of a stack (as NumPy arrays) as a result; NaN where an edge is bad (n,)."""
+    """Return the fits of a stack as a result.
+
+    All arrays are NumPy's. Numbers of bad edges (n,) become NaN.
+    """
     return ParametricStack(
         model=lens.name,
         names=lens.names,
@@ -133,7 +138,10 @@ def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
 
 
 def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return how often a quadratic form of normal numbers exceeds `found`, as a scaled chi-square (Satterthwaite 1946)."""
+    """Return how often a quadratic form exceeds `found`.
+
+    It is a form of normal numbers with this mean and variance, taken for a scaled chi-square (Satterthwaite 1946).
+    """
     from scipy.special import chdtrc  # needed here only
 
     known = (variance > 0) & (mean > 0)  # not where there was nothing to be fitted

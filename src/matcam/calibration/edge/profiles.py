@@ -19,8 +19,8 @@ import equinox as eqx
 
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
-from matcam.camera import pixel as tilted_square
 from matcam.camera.camera import Camera
+from matcam.camera.kernel import edge_and_slopes
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
@@ -37,7 +37,10 @@ KURTOSIS = 0.02
 
 
 class LensModel(eqx.Module):
-    """Stand for a family of lenses, whose fitted parameters have forms that need no bounds."""
+    """Stand for a family of lenses.
+
+    Its fitted parameters have forms that need no bounds.
+    """
 
     @property
     @abstractmethod
@@ -129,7 +132,10 @@ class Gaussian(LensModel):
         return GaussianOptics(jnp.exp(parameters[0]))
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return a closed form; the spread of a cell is one more Gaussian blur, exactly."""
+        """Return a closed form.
+
+        The spread of a cell is one more Gaussian blur, exactly.
+        """
 
         def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             edge, line, by_log = _gaussian_edge(cells, angle, half_width, parameters[0])
@@ -139,7 +145,10 @@ class Gaussian(LensModel):
 
 
 class GaussianWithHalo(LensModel):
-    """Stand for a Gaussian core and veiling glare. Parameters: ln sigma, fraction, ln radius."""
+    """Stand for a Gaussian core and veiling glare.
+
+    Parameters: ln sigma, fraction, ln radius.
+    """
 
     @property
     def name(self) -> str:
@@ -204,7 +213,10 @@ class Diffraction(LensModel):
         return (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return the Airy pattern whose core is as wide: sigma = 0.45 wavelength f_number."""
+        """Return the Airy pattern whose core is as wide.
+
+        Its sigma is 0.45 wavelength f_number.
+        """
         return (log_sigma - jnp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
@@ -238,7 +250,10 @@ class Defocus(LensModel):
         return (0.3, 0.5)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return half of the blur's variance to each: a disc of diameter c has that of a Gaussian of c / 4."""
+        """Return half of the blur's variance for each.
+
+        A disc of diameter c has that of a Gaussian of c / 4.
+        """
         sigma = jnp.exp(log_sigma) / jnp.sqrt(2.0)
         return jnp.stack([jnp.log(sigma) - jnp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
 
@@ -253,7 +268,7 @@ class Defocus(LensModel):
 
 
 class Separable(LensModel):
-    """Stand for diffraction x Gaussian core x square pixel, whose size is fitted, too.
+    """Stand for diffraction x Gaussian core x square pixel.
 
     Parameters: ln of the standard deviation of core and pixel together (px), which every edge knows well; half width of the
     pixel (px); excess kurtosis of the core.
@@ -293,11 +308,14 @@ class Separable(LensModel):
         return parameters.at[0].set(jnp.sqrt(_variance(parameters)))
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return the core alone, as the Gaussian that it is but for its kurtosis."""
+        """Return the core alone, as a Gaussian."""
         return GaussianOptics(jnp.sqrt(_variance(parameters)))
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
-        """Return the total MTF at f cycles/px, signed; the half width is the fitted one."""
+        """Return the total MTF at f cycles/px, signed.
+
+        The half width is the fitted one, not the argument.
+        """
         s2 = (2 * jnp.pi * f) ** 2 * _variance(parameters)
         # Gram and Charlier's first term; a fourth cumulant in the exponent would grow without bound
         core = jnp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
@@ -325,14 +343,17 @@ def _gaussian_edge(
     """Return E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
     sigma = jnp.exp(log_sigma)
     wide = jnp.sqrt(sigma**2 + cells.spread)
-    edge, line, by_wide = tilted_square.edge_and_slopes(cells.distance, angle, half_width, wide)
+    edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
     return edge, line, by_wide * sigma**2 / wide
 
 
 def _tabulated(
     lens: LensModel, angle: jax.Array, half_width: jax.Array, cells: EdgeCells, parameters: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return E, dE/dd and dE/dparameters of any lens, from one table over a period."""
+    """Return E, dE/dd and dE/dparameters of any lens.
+
+    They come from one table over a period.
+    """
     count = _PERIOD * _PER_PX
     f = jnp.arange(count // 2 + 1) / _PERIOD
 
@@ -365,5 +386,8 @@ def _tabulated(
 
 
 def _variance(parameters: jax.Array) -> jax.Array:
-    """Return the core's variance, px^2: a square's along any direction is a third of its half width's square."""
+    """Return the core's variance, px^2.
+
+    A square's along any direction is a third of its half width's square.
+    """
     return jnp.maximum(jnp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

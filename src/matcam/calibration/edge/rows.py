@@ -47,7 +47,9 @@ class RegionFrame(NamedTuple):
 
 
 class EdgeRegions(NamedTuple):
-    """Hold rows of samples of n regions, turned so that edges are near to vertical and bright on the right.
+    """Hold rows of samples of n regions.
+
+    They are turned so that edges are near to vertical, and bright on the right.
 
     Attributes:
         value: (n, rows, columns) linear; NaN where there is none.
@@ -67,9 +69,10 @@ class EdgeRegions(NamedTuple):
 
 
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
-    """Return regions (n, height, width) whose edges lie alike, all nearer to vertical or all nearer to horizontal, as rows.
+    """Return regions (n, height, width) as rows.
 
-    mosaic: most values are NaN because the colour has no site there; n is then 1.
+    Their edges lie alike: all nearer to vertical, or all nearer to horizontal. mosaic: most values are NaN because the
+    colour has no site there; n is then 1.
     """
     across, along = (_difference(values, axis) for axis in (2, 1))
     height, width = values.shape[1:]
@@ -96,12 +99,18 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
 
 
 def turns_for(cycles: float) -> int:
-    """Return how many turns profile and place take: more where the rows see every phase less than a few times."""
+    """Return how many turns profile and place take.
+
+    cycles: how often the rows see every phase. Where that is less than a few times, profile and place come apart slowly.
+    """
     return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
 
 
 def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) -> list[Remark | None]:
-    """Return for each edge of a stack why it cannot be measured, None if it can."""
+    """Return why edges of a stack cannot be measured.
+
+    None stands for an edge that can.
+    """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
     blur = np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3))
@@ -139,7 +148,10 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
 
 
 def _largest_gap(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
-    """Return the widest interval of distances to each edge without a sample, px (n,). curves: (n, 3)."""
+    """Return the widest gap between the distances of samples, px (n,).
+
+    curves: (n, 3), of each edge.
+    """
     place = curves[:, :1] + region.y * (curves[:, 1:2] + region.y * curves[:, 2:])
     offset = (place - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
@@ -154,7 +166,7 @@ def _largest_gap(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return by how much the borders at both ends of an axis differ (n,)."""
+    """Return the difference (n,) of the borders at both ends."""
     last, first = (np.take(values, places, axis).reshape(len(values), -1) for places in ((-1, -2), (0, 1)))
     if np.isfinite(values).all():
         return last.mean(1) - first.mean(1)

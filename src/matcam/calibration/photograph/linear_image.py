@@ -29,7 +29,7 @@ _SATURATED = 0.02  # share of full pixels beyond which a region is refused
 
 @dataclass(frozen=True, eq=False)
 class LinearImage:
-    """Hold one colour plane of a photograph, linear, with where it came from.
+    """Hold one colour plane of a photograph, linear.
 
     Every estimator takes a `LinearImage`, or an array that it turns into one with `LinearImage.of`. Make one yourself where
     several estimators look at the same picture, or to keep aperture and file with it.
@@ -98,9 +98,9 @@ class LinearImage:
         f_number: float | None = None,
         source: str = "",
     ) -> LinearImage:
-        """Return one colour plane of an array or a photograph, its tone curve undone.
+        """Return one colour plane of an array or a photograph.
 
-        A `LinearImage` is returned as it is, or cut to `roi`.
+        Its tone curve is undone. A `LinearImage` is returned as it is, or cut to `roi`.
 
         Args:
             image: array (height, width), or (height, width, 3) for R, G, B, of codes; NaN where there are no data. Or a
@@ -173,7 +173,10 @@ class LinearImage:
 
     @property
     def sites(self) -> np.ndarray:
-        """Return where this colour stands in the first 2 x 2 px, (2, 2) bool; everywhere without a mosaic."""
+        """Return where this colour stands in the first 2 x 2 px.
+
+        It is (2, 2) bool, and everywhere without a mosaic.
+        """
         return np.ones((2, 2), bool) if self.cfa is None else sites_of(self.cfa, self.channel)
 
     def cut(self, roi: Sequence[int] | None) -> LinearImage:
@@ -233,7 +236,7 @@ def planes_of(
     photograph: Photograph, channels: Sequence[str] | None = None, tone: Tone = "auto", f_number: float | None = None,
     source: str = "",
 ) -> Iterator[LinearImage]:  # fmt: skip
-    """Return a photograph's planes one after the other, of the channels asked for, or of all there are.
+    """Return a photograph's planes one after the other.
 
     Raises:
         ArgumentError: the photograph has not one of the channels, or camera raw, which is linear, is given a tone curve.
@@ -253,7 +256,10 @@ def planes_of(
 def as_photograph(
     image: ArrayLike, what: str = "a picture must be numbers", colours: tuple[int, ...] = (3,)
 ) -> Photograph:
-    """Return an array of linear values as a photograph without a file; ArgumentError where it is no picture."""
+    """Return an array of linear values as a photograph without a file.
+
+    ArgumentError where it is no picture. what, colours: for its message, and how many colours there may be.
+    """
     values = np.asarray(image)
     if (
         values.dtype.kind not in "uif"
@@ -266,7 +272,10 @@ def as_photograph(
 
 
 def sites_of(cfa: str, channel: str | None) -> np.ndarray:
-    """Return where a mosaic has a colour in its first 2 x 2 px, (2, 2) bool; ArgumentError for what is no mosaic."""
+    """Return a colour's sites in a mosaic's first 2 x 2 px.
+
+    ArgumentError for what is no mosaic.
+    """
     if cfa not in MOSAICS:
         raise ArgumentError(f"cfa must be one of {', '.join(map(repr, MOSAICS))}, got {cfa!r}")
     if channel not in ("R", "G", "B"):
@@ -275,7 +284,10 @@ def sites_of(cfa: str, channel: str | None) -> np.ndarray:
 
 
 def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return linear values of one channel, and which pixels are full (None: nobody knows when a pixel is)."""
+    """Return linear values of one channel, and the full pixels.
+
+    None stands for full pixels if nobody knows when a pixel is full.
+    """
     known = np.isfinite(saturation)
     if channel == "Y":
         light = linear_values(codes, tone) @ np.array(_LUMINANCE)
@@ -297,7 +309,7 @@ def _shifted(cfa: str, x: int, y: int) -> str:
 
 
 def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return a region as whole numbers (x, y, width, height) inside a picture of this shape."""
+    """Return a region as whole numbers inside a picture."""
     height, width = shape[:2]
     if roi is None:
         return 0, 0, width, height

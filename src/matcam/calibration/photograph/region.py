@@ -14,7 +14,10 @@ _ALONE = 1e-6  # of the Gaussian's weight: a pixel with fewer data around it is 
 
 
 def flaws(values: np.ndarray) -> list[Remark | None]:
-    """Return the `flaw` of every region of a stack (n, height, width); quickly where there is none."""
+    """Return the `flaw` of every region of a stack.
+
+    It is quick where there is none.
+    """
     low, high = values.min((1, 2)), values.max((1, 2))
     share = (values == high[:, None, None]).mean((1, 2))
     doubtful = ~((low < high) & (share <= _FLAT_TOP))  # NaN is doubtful
@@ -22,7 +25,10 @@ def flaws(values: np.ndarray) -> list[Remark | None]:
 
 
 def flaw(values: np.ndarray) -> Remark | None:
-    """Return why nothing can be measured in a region (height, width), None if something might be."""
+    """Return why nothing can be measured in a region.
+
+    None if something might be. values: (height, width).
+    """
     used = values[np.isfinite(values)]
     if used.size < SMALLEST**2 / 4:
         return Remark("too-few-samples", f"region holds {used.size} usable samples: too few")
@@ -41,7 +47,10 @@ def flaw(values: np.ndarray) -> Remark | None:
 
 
 def local_mean(values: FloatArray, width: float) -> FloatArray:
-    """Return means about every pixel (height, width), weighted by a Gaussian of `width` px; NaN are filled from around."""
+    """Return the local means of a picture (height, width).
+
+    They are weighted by a Gaussian of `width` px. NaN are filled from around.
+    """
     known = np.isfinite(values)
     if known.all():
         return np.asarray(ndimage.gaussian_filter(values, width))
@@ -50,7 +59,10 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
 
 
 def program_size(size: int) -> int:
-    """Return the next of 8, 10, 12 or 14 times a power of two, so that nearly equal sizes share one compiled program."""
+    """Return the next size for which a program is compiled.
+
+    It is 8, 10, 12 or 14 times a power of two, so that nearly equal sizes share one program.
+    """
     power = 1
     while True:
         for eighths in (8, 10, 12, 14):

@@ -27,7 +27,10 @@ def is_linear(tone: Tone) -> bool:
 
 
 def assumed_tone(photograph: Photograph) -> tuple[str, tuple[Remark, ...]]:
-    """Return the tone curve of a photograph for which none is stated ("auto"), and what had to be assumed."""
+    """Return the tone curve that "auto" stands for.
+
+    It comes with a remark on what had to be assumed.
+    """
     if photograph.linear:
         return "linear", ()
     bits = 8 * photograph.values.dtype.itemsize
@@ -36,9 +39,10 @@ def assumed_tone(photograph: Photograph) -> tuple[str, tuple[Remark, ...]]:
 
 
 def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
-    """Return linear float64 values of codes, (..., 3) or one plane; ArgumentError for a tone curve that does not fit.
+    """Return linear values of codes, (..., 3) or one plane.
 
-    Full scale is the largest whole number of the codes' type, or 1. channel: which column of a table of three is this plane's.
+    Full scale is the largest whole number of the codes' type, or 1. channel: which column of a table of three is this
+    plane's. ArgumentError for a tone curve that does not fit.
     """
     if is_linear(tone):
         return codes.astype(np.float64)
@@ -57,18 +61,21 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     if codes.dtype.kind not in "ui":
         raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
     if codes.size and codes.max() >= len(table):
-        raise ArgumentError(f"tone has {len(table)} entries, the image has the code {codes.max()}")
+        raise ArgumentError(f"tone has {len(table)} entries, the image needs one for its code {codes.max()}")
     if table.ndim == 1:
         return table[codes]
     if channel is not None:
         return table[codes, channel]
     if codes.ndim < 3 or codes.shape[-1] != 3:
-        raise ArgumentError("tone has three columns, the image one channel")
+        raise ArgumentError("tone has three columns, the image needs one: it has one channel")
     return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
 
 
 def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return a curve of the share of full scale; large pictures of whole numbers through a table."""
+    """Return a curve of the share of full scale.
+
+    Large pictures of whole numbers go through a table.
+    """
     if codes.dtype.kind not in "ui":
         return curve(codes / 1.0)
     full = np.iinfo(codes.dtype).max
@@ -80,12 +87,13 @@ def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np
 def tone_from_patches(
     image: ArrayLike, patches: Sequence[Sequence[int]], light: ArrayLike, channel: int | None = None
 ) -> np.ndarray:
-    """Linear values by code, (codes,), measured from patches of known light (an OECF, ISO 14524).
+    """Measure a tone curve from patches of known light (ISO 14524).
 
-    image: whole numbers, (height, width) or (height, width, 3); of three channels the one asked for, or their mean. patches:
-    (x, y, width, height) px each, at least 3. light: (n,) linear, any unit. The curve passes through the patches' mean codes
-    without overshoot; above the brightest patch it goes on straight. Raises ArgumentError, also where brighter patches have
-    smaller codes: the curve is then not monotone.
+    Returns linear values by code, (codes,). image: whole numbers, (height, width) or (height, width, 3); of three channels
+    the one asked for, or their mean. patches: (x, y, width, height) px each, at least 3. light: (n,) linear, any unit.
+
+    The curve passes through the patches' mean codes without overshoot; above the brightest patch it goes on straight.
+    ArgumentError where brighter patches have smaller codes, too: the curve is then not monotone.
     """
     codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
     if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):
@@ -102,7 +110,7 @@ def tone_from_patches(
     for x, y, width, height in patches:
         if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
             raise ArgumentError(
-                f"patch {(x, y, width, height)} does not lie inside {codes.shape[1]} x {codes.shape[0]} px"
+                f"patch {(x, y, width, height)} must lie inside the picture of {codes.shape[1]} x {codes.shape[0]} px"
             )
         part = codes[y : y + height, x : x + width]
         means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())
@@ -119,8 +127,11 @@ def tone_from_patches(
 
 
 def measured_tone(picture: str | Path, patches: str | Path) -> np.ndarray:
-    """`tone_from_patches` of a file, for each of its channels. patches: a file of lines "x y width height light"; "#" begins a
-    comment. FileFormatError naming the file and the line, or why there is no curve."""
+    """Measure the tone curve of a file, channel by channel.
+
+    patches: a file of lines "x y width height light"; "#" begins a comment. FileFormatError naming the file and the line,
+    or why there is no curve.
+    """
     rows = read_numbers(patches, 5)
     image = read_photograph(picture)
     if not np.isfinite(rows).all() or (rows[:, :4] % 1 != 0).any():

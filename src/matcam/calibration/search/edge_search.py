@@ -27,23 +27,30 @@ _ENOUGH = 4  # edges that make a finer search unnecessary
 
 
 class FoundEdges(NamedTuple):
-    """n edges: px of the picture, pixel centres on whole numbers, x right, y down. The longest and strongest come first."""
+    """Hold n edges, the longest and strongest first.
+
+    Lengths are px of the picture, pixel centres on whole numbers, x right, y down.
+
+    Attributes:
+        x: (n,) px, of the middle.
+        y: (n,) px, of the middle.
+        angle: (n,) rad, of the normal towards the bright side, from x to y.
+        length: (n,) px that are free of corners.
+        clear: (n,) px to both sides that are free of anything else.
+    """
 
     x: np.ndarray
     y: np.ndarray
-    """(n,) their middles."""
     angle: np.ndarray
-    """(n,) rad, of the normal towards the bright side, from x to y."""
     length: np.ndarray
-    """(n,) px that are free of corners."""
     clear: np.ndarray
-    """(n,) px to both sides that are free of anything else."""
 
 
 def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> FoundEdges:
-    """Edges in a picture of any monotone codes, (height, width) or (height, width, 3).
+    """Find straight edges in a picture of any monotone codes.
 
-    mosaic: of colour filters, whose pixels can only be compared in cells of 2 x 2.
+    picture: (height, width) or (height, width, 3). mosaic: of colour filters, whose pixels can only be compared in cells of
+    2 x 2.
     """
     least = 2 if mosaic else 1
     factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / _PIXELS) / least)) * least, least)
@@ -56,6 +63,7 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> FoundEdges:
 
 
 def _at_scale(picture: np.ndarray, factor: int) -> FoundEdges:
+    """Find edges in the picture reduced by a factor."""
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T
@@ -68,7 +76,10 @@ def _at_scale(picture: np.ndarray, factor: int) -> FoundEdges:
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Sums over squares of `factor` px, and over colours: only ratios matter."""
+    """Return sums over squares of `factor` px, and over colours.
+
+    Only ratios matter.
+    """
     height, width = (size // factor * factor for size in picture.shape[:2])
     total = np.zeros((height // factor, width), np.float32)
     for row in range(factor):
@@ -78,7 +89,10 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _ribbons(small: np.ndarray) -> np.ndarray:
-    """(n, 4): x, y, angle of the normal, length, of connected pixels with like gradients."""
+    """Return connected pixels with like gradients.
+
+    (n, 4): x, y, angle of the normal, length.
+    """
     gx, gy = (ndimage.gaussian_filter(small, _SMOOTH, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
     floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
@@ -105,7 +119,10 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
 def _moments(
     one: np.ndarray, count: int, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(count, 5) x, y, normal's angle, length, width of components, and their mean directions. one: each pixel's component."""
+    """Return the moments of components, and their mean directions.
+
+    The moments (count, 5) are x, y, normal's angle, length, width. one: each pixel's component.
+    """
     total = lambda values: np.bincount(one, values, count)  # noqa: E731
     weight = np.maximum(total(size), 1e-30)
     mx, my = total(size * x) / weight, total(size * y) / weight
@@ -123,7 +140,10 @@ def _moments(
 def _clear(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far both sides keep their levels, px (0: not even beside the edge), and the step between them."""
+    """Return how far both sides keep their levels, and the step.
+
+    The distance is in px, and 0 where a side is not even beside the edge.
+    """
     if not x.size:
         return np.zeros(0), np.zeros(0)
     away = np.arange(-_PROFILE, _PROFILE + 1)

@@ -24,9 +24,10 @@ _FEW = 6  # edges, below which nothing is said of directions
 def found_edge_stack(
     plane: LinearImage, edges: FoundEdges, half_width: float = 0.5, *, accept_sharpened: bool = False
 ) -> EdgeStack:
-    """Return the results of the edges of one plane; long ones are measured in pieces.
+    """Measure the edges that were found, in one plane.
 
-    half_width: px, of the pixel. FitError where no edge can be measured, with the commonest reason.
+    Long ones are measured in pieces. half_width: px, of the pixel. FitError where no edge can be measured, with the
+    commonest reason.
     """
     strips = strips_along(edges, plane.shape)
     if not strips.u.size:
@@ -53,7 +54,7 @@ def found_edge_stack(
 
 
 def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
-    """Return what a photographer should know of a picture, from its edges in one channel."""
+    """Return what the edges of one channel say of their picture."""
     good = result.good
     codes = Counter(problem.code for problem in result.problems if problem)
     remarks = []
@@ -62,7 +63,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
         ("sharpened", "overshoot as sharpened ones do, and are left out"),
     ):
         if codes[code]:
-            remarks.append(Remark(code, f"{channel}: {codes[code]} of {len(result)} edges {text}"))
+            remarks.append(Remark(f"{code}-edges", f"{channel}: {codes[code]} of {len(result)} edges {text}"))
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
     if contrast < _CONTRAST:
@@ -74,7 +75,10 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
 
 
 def _directional_blur(result: EdgeStack) -> str:
-    """Return how the blur depends on direction all over the picture, as motion makes it; empty if it does not."""
+    """Return how the blur depends on direction, as motion makes it.
+
+    Empty if it does not.
+    """
     good = result.good
     if good.size < _FEW:
         return ""

@@ -31,7 +31,9 @@ _RANGE = 20.0  # no chart is lit so unevenly
 
 
 class Strips(NamedTuple):
-    """Hold n strips in a turned picture: u along its rows, v across them. All are whole px but u, v and tilt.
+    """Hold n strips in a turned picture.
+
+    u runs along its rows, v across them. All are whole px but u, v and tilt.
 
     Attributes:
         transposed: (n,) u is the picture's y, and v its x.
@@ -57,7 +59,10 @@ class Strips(NamedTuple):
 
 
 def strips_along(edges: FoundEdges, shape: tuple[int, int]) -> Strips:
-    """Return strips along the edges of a picture (height, width), long edges in pieces; some edges have no room for one."""
+    """Return strips along the edges of a picture (height, width).
+
+    Long edges get several, one after the other. Edges without room for a strip are left out.
+    """
     c, s = np.cos(edges.angle), np.sin(edges.angle)
     transposed = np.abs(s) > np.abs(c)
     across, along = np.where(transposed, s, c), np.where(transposed, c, s)
@@ -81,7 +86,10 @@ def strips_along(edges: FoundEdges, shape: tuple[int, int]) -> Strips:
 
 
 def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[tuple[EdgeRegions, np.ndarray]]:
-    """Return regions of at most `at_once` strips each, all of one shape, and the share of each strip that is saturated."""
+    """Return the regions of strips, all of one shape.
+
+    Each item holds at most `at_once` of them, and the share of each that is saturated.
+    """
     sites = plane.sites
     step = 1 if sites.all() else 2
     rows = next((n for n in _ROWS if n >= strips.rows.max(initial=0)), _ROWS[-1])
@@ -92,7 +100,10 @@ def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[
 
 
 def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
-    """Divide out the light, whose logarithm is a quadratic over the field; return regions as they are if it is not known."""
+    """Return regions with their light made even.
+
+    The logarithm of the light is a quadratic over the field. Regions stay as they are where it is not known.
+    """
     x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
     bright = np.concatenate([_bright(r.value) for r in regions])
     good = np.isfinite(bright) & (bright > 0)
@@ -183,4 +194,5 @@ def _bright(value: np.ndarray) -> np.ndarray:
 
 
 def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the terms of a quadratic of x and y."""
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)

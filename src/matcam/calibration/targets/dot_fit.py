@@ -185,7 +185,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
             break
     if fit is None or not np.isfinite(fit.parameters).all():
-        raise FitError("the dots' pixels do not determine their blur")
+        raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
     return _without_outliers(fit)
 
 
@@ -230,7 +230,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     across = np.abs(steps @ np.array([-first[1], first[0]])) / (np.hypot(*steps.T) * np.hypot(*first))
     second = steps[int(np.argmax(across))]
     if np.abs(across).max() < 0.7 or not 0.5 < np.hypot(*second) / np.hypot(*first) < 2:
-        raise FitError("the spots in the region do not form a square grid")
+        raise FitError("the spots in the region do not form a square grid: give a region of dots alone")
     place: dict[int, tuple[int, int]] = {central: (0, 0)}
     basis: dict[int, FloatArray] = {central: np.stack([first, second])}
     queue = [central]

@@ -49,7 +49,7 @@ class GratingMTF:
 
     Example:
         >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
-        >>> result = matcam.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
+        >>> result = matcam.targets.grating_mtf(1000 * (1 + 0.25 * np.cos(x)), profile="sine", contrast=0.5)
         >>> round(result.contrast, 3)
         0.25
     """
@@ -141,7 +141,7 @@ def grating_mtf(
     Example:
         >>> x = np.arange(120) + 0.1 * np.arange(100)[:, None]
         >>> sine = 1000 * (1 + 0.25 * np.cos(2 * np.pi * 0.16 * x))
-        >>> result = matcam.grating_mtf(sine, profile="sine", contrast=0.5)
+        >>> result = matcam.targets.grating_mtf(sine, profile="sine", contrast=0.5)
         >>> np.round(result.samples.frequency, 3), np.round(result.samples.mtf, 3)
         (array([0.161]), array([0.5]))
     """
@@ -192,7 +192,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
     Example:
         >>> f = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
-        >>> np.round(matcam.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
+        >>> np.round(matcam.targets.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
         array([0.851, 0.55 , 0.314, 0.118, 0.   ])
     """
     f, c = (np.asarray(a, dtype=np.float64) for a in (frequency, contrast))
@@ -248,10 +248,12 @@ def _expected_grating(
     corners = projection(grating.corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
-        raise FitError("the grating lies outside the picture, or covers less than 16 x 16 px of it")
+        raise FitError(
+            "the grating lies outside the picture, or covers less than 16 x 16 px of it: photograph it larger"
+        )
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the picture")
+        raise FitError("the grating covers too few pixels of the picture: photograph it larger")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))

@@ -47,8 +47,7 @@ class BlurField:
         half: half the grid's extent, px.
 
     Example:
-        >>> from matcam.calibration.targets.grid import BlurField
-        >>> field = BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
+        >>> field = matcam.targets.BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
         >>> np.round(field.sigma_at([100, 150], [80, 80])[0], 3)
         array([0.5, 0.6])
     """
@@ -121,7 +120,7 @@ class DotGrid:
         >>> page = np.full((90, 90), 1000.0)
         >>> for place in np.ndindex(7, 7):
         ...     page -= 900 * np.exp(-((x - 9 - 12 * place[0]) ** 2 + (y - 9 - 12 * place[1]) ** 2) / 2)
-        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
         >>> sigma, std = grid.sigma_at(45, 45)
         >>> round(float(sigma), 1), grid.to_dict()["field"]["place_px"][0]
         (0.9, [45.0, 45.0])
@@ -225,7 +224,7 @@ def dot_grid(
         >>> for column in range(9, 90, 12):
         ...     for row in range(9, 90, 12):
         ...         page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2)
-        >>> grid = matcam.dot_grid(page, radius=0.05)
+        >>> grid = matcam.targets.dot_grid(page, radius=0.05)
         >>> grid.sigma.size, bool(np.abs(grid.sigma / 0.9 - 1).max() < 0.1)
         (49, True)
     """
@@ -255,7 +254,7 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
-        raise FitError("the grid of dots lies outside the picture")
+        raise FitError("the grid of dots lies outside the picture: give a picture that shows it whole")
     box = pixel_box(seen[inside], whole.shape, _REACH)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)

@@ -38,7 +38,7 @@ class MTFSamples:
         docs/targets.md.
 
     Example:
-        >>> samples = matcam.MTFSamples("star", (320.0, 240.0), [0.1, 0.2], [0, 0], [0.93, 0.75], np.diag([1e-4, 4e-4]))
+        >>> samples = matcam.targets.MTFSamples("star", (320.0, 240.0), [0.1, 0.2], [0, 0], [0.93, 0.75], np.diag([1e-4, 4e-4]))
         >>> samples.mtf_std
         array([0.01, 0.02])
     """

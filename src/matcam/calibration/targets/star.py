@@ -59,7 +59,7 @@ class StarMTF:
     Example:
         >>> y, x = np.mgrid[:110, :110] - 54.5
         >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)
-        >>> result = matcam.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
         >>> [round(place, 2) for place in result.centre], result.to_dict()["cycles"]
         ([54.5, 54.5], 20)
     """
@@ -141,7 +141,7 @@ def star_mtf(
     Example:
         >>> y, x = np.mgrid[:110, :110] - 54.5
         >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)  # pixels without size: the MTF is 1
-        >>> result = matcam.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
+        >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
         >>> result.cycles, bool(np.abs(result.samples.mtf - 1).max() < 1e-6)
         (20, True)
     """
@@ -171,7 +171,7 @@ def _expected_star(
     outer = projection(np.array(star.centre) + star.outer * rim)
     box = pixel_box(outer, shape, 2)
     if min(box[2:]) < SMALLEST or (outer.min(0) < -0.5).any() or (outer.max(0) > np.array(shape[::-1]) - 0.5).any():
-        raise FitError("the star lies outside the picture")
+        raise FitError("the star lies outside the picture: give a picture that shows it whole")
     low = np.array(box[:2])
     centre = projection(np.array([star.centre]))[0] - low
     radii = np.linspace(max(star.inner, 0.2 * star.outer), star.outer, 6)

@@ -31,8 +31,9 @@ class Targets:
         registration: where the chart lies.
 
     Example:
-        >>> chart = matcam.design_chart(["dots"], pixels_across=300)
-        >>> found = matcam.measure_targets(np.random.default_rng(0).normal(9, 1, (213, 300)), chart, registration=lambda mm: mm)
+        >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
+        >>> noise = np.random.default_rng(0).normal(9, 1, (213, 300))
+        >>> found = matcam.targets.measure_targets(noise, chart, registration=lambda mm: mm)
         >>> print(found.problems[0])
         dots 11: ...
     """
@@ -94,12 +95,12 @@ def measure_targets(
         docs/targets.md.
 
     Example:
-        >>> chart = matcam.design_chart(["dots"], pixels_across=300)
+        >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
         >>> y, x = np.mgrid[:213, :300]
         >>> page = np.full(y.shape, 1000.0)
         >>> for column, row in chart.elements[-1].centres:
         ...     page -= 900 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2.5)
-        >>> found = matcam.measure_targets(page, chart, registration=lambda mm: mm, source="a.png")  # 1 px is 1 mm
+        >>> found = matcam.targets.measure_targets(page, chart, registration=lambda mm: mm, source="a.png")  # 1 px is 1 mm
         >>> found.samples[0].source, found.problems
         ('a.png: dots 11', ())
     """

@@ -282,7 +282,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region holds no grating")
+        raise FitError("region holds no grating: nothing varies in it")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1

@@ -1,4 +1,4 @@
-"""Inverse Fourier transforms of a transfer function that ends at a known frequency, by Gauss-Legendre on panels.
+"""Inverse Fourier transforms of transfer functions that end at a known frequency, by Gauss-Legendre on panels.
 
 Used where an effective kernel has no closed form. All transforms are of even functions (zero phase), so cosines and
 the positive half of the frequencies are enough. The error is that of Gauss-Legendre with 16 nodes to at most one
@@ -28,19 +28,19 @@ Wave = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Rule(NamedTuple):
-    """Nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
+    """Hold nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
 
     frequency: AnyArray
     weight: AnyArray
 
 
 def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
-    """Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
+    """Return Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
     return Rule(*nodes_in_panels(edges, order))
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
-    """`piecewise_rule` on panels that are split at knots besides; a piece gets nodes for its share of the panel."""
+    """Return `piecewise_rule` on panels that are split at knots; a piece gets nodes for its share of the panel."""
     edges = np.union1d(borders, knots)
     left, right, widths = edges[:-1], edges[1:], np.diff(edges)
     panel = np.clip(np.searchsorted(borders, left, side="right") - 1, 0, borders.size - 2)
@@ -50,30 +50,32 @@ def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
 
 
 def panels_for(reach: float, band: float) -> int:
-    """Panels over [0, band] cycles/px that resolve positions out to `reach` px."""
+    """Return the number of panels over [0, band] cycles/px that resolve positions out to `reach` px."""
     return 6 + int(np.ceil(reach * band))
 
 
 def reach_of(*positions: jax.Array) -> float:
-    """Largest distance (px) among positions, or a default for traced ones."""
+    """Return the largest distance (px) among positions, or a default for traced ones."""
     if not all(is_concrete(p) for p in positions):
         return _DEFAULT_REACH
     return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
 
 
 def line_kernel(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Kernel on a line: integral of transfer(f, angle) exp(2 pi i f x) df. x px and angle rad broadcast."""
+    """Integrate transfer(f, angle) exp(2 pi i f x) df: the kernel on a line. x px and angle rad broadcast."""
     return _over_frequencies(_line_wave, rule, transfer, x, angle)
 
 
 def step_response(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Integral of the line kernel from -infinity to x."""
+    """Integrate the line kernel from -infinity to x."""
     return 0.5 + _over_frequencies(_step_wave, rule, transfer, x, angle)
 
 
 def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
-    """Kernel in the plane of a transfer(f, angle) that is even in fx and fy: polar nodes, `turns` angles to a quarter
-    turn."""
+    """Integrate a transfer(f, angle) that is even in fx and fy: the kernel in the plane.
+
+    The nodes are polar, with `turns` angles to a quarter turn.
+    """
     # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
     angle = jnp.linspace(0, jnp.pi / 2, turns + 1)
     ends = jnp.ones(turns + 1).at[jnp.array([0, -1])].set(0.5)
@@ -84,7 +86,10 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
 
 
 def turns_for(reach: float, band: float) -> int:
-    """Angles to a quarter turn that resolve positions out to `reach` px (Jacobi-Anger: the order must pass 2 pi f r)."""
+    """Return the number of angles to a quarter turn that resolve positions out to `reach` px.
+
+    By the Jacobi-Anger expansion the order must pass 2 pi f r.
+    """
     return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
 
 

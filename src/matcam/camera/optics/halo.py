@@ -1,6 +1,9 @@
-"""Veiling glare: the light that a lens scatters far away from where it belongs (MODEL 2)."""
+"""Veiling glare: the light that a lens scatters far from its image (docs/model.md 2)."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -16,18 +19,36 @@ _TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px under a band of 
 
 
 class HaloOptics(Optics):
-    """A lens of which part of the light is spread into a wide Gaussian: PSF = (1 - fraction) core + fraction halo.
+    """Spread part of a lens's light into a wide Gaussian: veiling glare.
 
-    core: any `Optics`. fraction: share of the light in the halo, [0, 1). radius: standard deviation of the halo, px,
-    positive. Highlights are 1e3 to 1e6 times brighter than their surroundings: a fraction of 1e-3 reads as haze.
+    PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings: a fraction
+    of 1e-3 reads as haze.
 
-    The core may itself have a halo: stray light of several ranges is a sum of Gaussians. The outer halo's share is then
-    taken from the inner lens as a whole.
+    The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The outer halo's share is
+    then taken from the inner lens as a whole.
+
+    Args:
+        core: the lens without its glare.
+        fraction: share of the light in the halo, no unit, [0, 1).
+        radius: standard deviation of the halo, px, positive.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or the core is no lens.
+
+    Source:
+        ISO 9358 (veiling glare); docs/model.md 2.
+
+    Example:
+        >>> lens = matcam.HaloOptics(matcam.GaussianOptics(0.5), fraction=0.01, radius=30.0)
+        >>> round(float(lens.mtf(0.1) / lens.core.mtf(0.1)), 4)
+        0.99
     """
 
     core: Optics
     fraction: jax.Array
     halo: GaussianOptics
+
+    profile_fields: ClassVar[Mapping[str, str]] = {"core": "core", "fraction": "fraction", "radius_px": "halo.sigma"}
 
     def __init__(self, core: Optics, fraction: ArrayLike, radius: ArrayLike):
         if not isinstance(core, Optics):
@@ -42,23 +63,29 @@ class HaloOptics(Optics):
         return self.halo.sigma
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """(1 - fraction) core + fraction halo, 1/px^2."""
+        """Return (1 - fraction) core + fraction halo, 1/px^2; optics only."""
         return (1 - self.fraction) * self.core.psf(x, y) + self.fraction * self.halo.psf(x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """(1 - fraction) core + fraction halo, 1/px."""
+        """Return (1 - fraction) core + fraction halo, 1/px; optics only."""
         return (1 - self.fraction) * self.core.lsf(x) + self.fraction * self.halo.lsf(x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """(1 - fraction) core + fraction halo; the halo is a spike of standard deviation 1 / (2 pi radius) at 0."""
+        """Return (1 - fraction) core + fraction halo; optics only.
+
+        The halo is a spike of standard deviation 1 / (2 pi radius) at frequency 0.
+        """
         return (1 - self.fraction) * self.core.mtf(f) + self.fraction * self.halo.mtf(f)
 
     def band(self) -> float:
-        """The core's, or the halo's where that is narrower than its core."""
+        """Return the core's band, or the halo's where that is wider, cycles/px."""
         return max(self.core.band(), self.halo.band())
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """The core's rule on panels that halve towards 0 until they resolve the spike, whatever its width."""
+        """Return the core's rule on panels that halve towards 0.
+
+        They resolve the halo's spike.
+        """
         known = all(map(is_concrete, jax.tree.leaves(self)))
         octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES
         rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
@@ -74,7 +101,7 @@ class HaloOptics(Optics):
         )
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """The core's parts and the halo."""
+        """Return the core's parts and the halo, with their weights."""
         core = tuple(((1 - self.fraction) * weight, part) for weight, part in self.core.components())
         return (*core, (self.fraction, self.halo))
 

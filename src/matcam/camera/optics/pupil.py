@@ -1,11 +1,13 @@
-"""A perfect lens: diffraction at a circular aperture, the limit of what any lens can do.
+"""A lens limited by its pupil: diffraction at a circular aperture, in focus and out of focus.
 
-A perfect lens out of focus: diffraction at a circular pupil that carries a quadratic error of phase.
+In focus it is the limit of what any lens can do. Out of focus the pupil carries a quadratic error of phase.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -16,18 +18,42 @@ from matcam.core import checks
 from matcam.core.jax import is_concrete, jax, jnp
 
 _TRACED_BAND = 8.0
+_WIDEST = 1000.0  # px
+_TRACED_CIRCLE = 256.0  # blur_diameter * cutoff that is resolved where the numbers are not known yet
+_FREQUENCIES_AT_ONCE = 1024
 
 
 class DiffractionOptics(Optics):
-    """Incoherent, diffraction-limited circular pupil (Goodman, Introduction to Fourier Optics, 6.3.2).
+    """Blur by diffraction alone: a perfect lens with a circular pupil.
 
-    f_number: working f-number, positive. wavelength, pixel_pitch: m, positive. The MTF ends at
-    pixel_pitch / (wavelength f_number) cycles/px.
+    The MTF ends at pixel_pitch / (wavelength f_number) cycles/px.
+
+    Args:
+        f_number: working f-number, no unit, positive.
+        wavelength: of the light, m, 1e-9 to 1e-3 (550 nm is 550e-9).
+        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2 (5 um is 5e-6).
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        Goodman, Introduction to Fourier Optics, 6.3.2.
+
+    Example:
+        >>> lens = matcam.DiffractionOptics(f_number=8.0, wavelength=550e-9, pixel_pitch=5e-6)
+        >>> round(float(lens.cutoff), 4)
+        1.1364
     """
 
     f_number: jax.Array
     wavelength: jax.Array
     pixel_pitch: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {
+        "f_number": "f_number",
+        "wavelength_m": "wavelength",
+        "pixel_pitch_m": "pixel_pitch",
+    }
 
     def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike):
         self.f_number = checks.scalar("f_number", checks.positive("f_number", f_number))
@@ -44,33 +70,45 @@ class DiffractionOptics(Optics):
         return self.pixel_pitch / (self.wavelength * self.f_number)
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Airy pattern (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r, 1/px^2."""
+        """Return the Airy pattern, 1/px^2; optics only.
+
+        (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
+        """
         r = jnp.hypot(checks.number("x", x), checks.number("y", y))
         return jnp.pi / 4 * self.cutoff**2 * _jinc(jnp.pi * self.cutoff * r, reach_of(r) * self.band()) ** 2
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Line spread function, 1/px, by quadrature over the MTF (it falls as 1/x^2)."""
+        """Return the line spread function, 1/px, by quadrature; optics only.
+
+        It falls as 1/x^2.
+        """
         return lsf_by_quadrature(self, x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """(2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31); 0 beyond the cutoff."""
+        """Return the transfer function; optics only.
+
+        (2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31); 0 beyond the cutoff.
+        """
         nu = jnp.abs(checks.number("f", f)) / self.cutoff
         inside = nu < 1
         nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
         return jnp.where(inside, 2 / jnp.pi * (jnp.arccos(nu) - nu * jnp.sqrt(1 - nu**2)), 0.0)
 
     def band(self) -> float:
-        """The cutoff as a plain number, cycles/px."""
+        """Return the cutoff, cycles/px."""
         return float(self.cutoff) if is_concrete(self.cutoff) else _TRACED_BAND
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Panels in t with f = cutoff t (2 - t), which makes the end (1 - nu)^(3/2) a polynomial."""
+        """Return panels in t with f = cutoff t (2 - t).
+
+        In t the end of the MTF, (1 - nu)^(3/2), is a polynomial.
+        """
         unit = piecewise_rule(1 - np.sqrt(1 - borders))
         t = unit.frequency
         return Rule(self.cutoff * t * (2 - t), self.cutoff * unit.weight * 2 * (1 - t))
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Itself."""
+        """Return this lens, with weight 1."""
         return ((jnp.ones(()), self),)
 
     def __repr__(self) -> str:
@@ -81,7 +119,10 @@ class DiffractionOptics(Optics):
 
 
 def _jinc(v: jax.Array, turns: float) -> jax.Array:
-    """2 J1(v) / v as the mean over the pupil's chords, 2 cos^2 t cos(v sin t): exact once the nodes outnumber v."""
+    """Return 2 J1(v) / v, the mean over the pupil's chords of 2 cos^2 t cos(v sin t).
+
+    It is exact once the nodes outnumber v.
+    """
     return _over_chords(
         24 + int(np.ceil(np.pi * turns)), v
     )  # v = pi turns; the trapezoid rule sees the quarter turn only
@@ -98,24 +139,42 @@ def _over_chords(nodes: int, v: jax.Array) -> jax.Array:
     return jax.lax.map(at, v.ravel(), batch_size=256).reshape(v.shape)
 
 
-_WIDEST = 1000.0  # px
-_TRACED_CIRCLE = 256.0  # blur_diameter * cutoff that is resolved where the numbers are not known yet
-_FREQUENCIES_AT_ONCE = 1024
-
-
 class DefocusOptics(Optics):
-    """Incoherent circular pupil, free of aberrations but for defocus (Hopkins 1955, Proc. R. Soc. A 231, 91).
+    """Blur by diffraction and defocus: a circular pupil without other aberrations.
 
-    f_number, wavelength, pixel_pitch: as `DiffractionOptics`. blur_diameter: of the geometric circle of confusion, px,
-    [0, 1000]; 0 is `DiffractionOptics`. A sensor that is dz m from the focus sees a circle of
-    blur_diameter = dz / (f_number pixel_pitch), the wavefront's error at the pupil's edge is
-    W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number), m.
+    A sensor that is dz m from the focus sees a circle of blur_diameter = dz / (f_number pixel_pitch). The wavefront's error
+    at the pupil's edge is then W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number), m.
 
     The MTF is signed: where it is negative, bright and dark have changed places (spurious resolution).
+
+    Args:
+        f_number: working f-number, no unit, positive.
+        wavelength: of the light, m, 1e-9 to 1e-3.
+        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
+        blur_diameter: of the geometric circle of confusion, px, [0, 1000]; 0 is `DiffractionOptics`.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        Hopkins (1955), Proc. R. Soc. A 231, 91.
+
+    Example:
+        >>> sharp = matcam.DiffractionOptics(8.0, 550e-9, 5e-6)
+        >>> soft = matcam.DefocusOptics(8.0, 550e-9, 5e-6, blur_diameter=3.0)
+        >>> float(soft.mtf(0.2)) < float(sharp.mtf(0.2))
+        True
     """
 
     focused: DiffractionOptics
     blur_diameter: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {
+        "f_number": "focused.f_number",
+        "wavelength_m": "focused.wavelength",
+        "pixel_pitch_m": "focused.pixel_pitch",
+        "blur_diameter_px": "blur_diameter",
+    }
 
     def __init__(self, f_number: ArrayLike, wavelength: ArrayLike, pixel_pitch: ArrayLike, blur_diameter: ArrayLike):
         self.focused = DiffractionOptics(f_number, wavelength, pixel_pitch)
@@ -123,26 +182,23 @@ class DefocusOptics(Optics):
             "blur_diameter", checks.within("blur_diameter", blur_diameter, 0, _WIDEST, "px")
         )
 
-    @property
-    def wavefront_error(self) -> jax.Array:
-        """W020, the defocus at the pupil's edge, m."""
-        lens = self.focused
-        return self.blur_diameter * lens.pixel_pitch / (8 * lens.f_number)
-
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Point spread function, 1/px^2, by quadrature over the MTF."""
+        """Return the point spread function, 1/px^2, by quadrature; optics only."""
         return psf_by_quadrature(self, x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Line spread function, 1/px, by quadrature over the MTF."""
+        """Return the line spread function, 1/px, by quadrature; optics only."""
         return lsf_by_quadrature(self, x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """(4 / pi) integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c = blur_diameter.
+        """Return the transfer function, signed; optics only.
 
-        That is the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, keeps of the
-        quadratic phase the linear term 8 pi W020 nu u / wavelength = pi c f u. NaN for traced numbers whose
-        c * cutoff exceeds 256, because the quadrature's size is fixed before they are known.
+        (4 / pi) integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c = blur_diameter. That is
+        the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, retains of the quadratic phase
+        the linear term 8 pi W020 nu u / wavelength = pi c f u.
+
+        It is NaN for traced parameters whose c * cutoff exceeds 256, because the quadrature's size is fixed before they are
+        known.
         """
         f = jnp.abs(checks.number("f", f))
         cutoff = self.focused.cutoff
@@ -154,17 +210,20 @@ class DefocusOptics(Optics):
         return values if known else jnp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, jnp.nan, values)
 
     def band(self) -> float:
-        """The diffraction cutoff, cycles/px."""
+        """Return the diffraction cutoff, cycles/px."""
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """That of the focused lens, with panels that resolve the circle's oscillations, exp(i pi c f), too."""
+        """Return the focused lens's rule on finer panels.
+
+        They resolve the circle's oscillations exp(i pi c f).
+        """
         known = is_concrete(self.blur_diameter)
         circle = float(self.blur_diameter) * self.band() if known else _TRACED_CIRCLE
         return self.focused.rule_on(np.union1d(borders, np.linspace(0, 1, 2 + int(np.ceil(circle / 2)))))
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Itself."""
+        """Return this lens, with weight 1."""
         return ((jnp.ones(()), self),)
 
     def __repr__(self) -> str:

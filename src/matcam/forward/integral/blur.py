@@ -13,7 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from matcam.camera.optics.gaussian_sum import gaussian_sum
+from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -50,7 +50,10 @@ class Blur(eqx.Module):
     varies: bool = eqx.field(static=True)
 
     def spread(self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the variances, px^2, that focus and lamp add along x and y where the normal has this z."""
+        """Return the variances, px^2, that focus and lamp add along x and y.
+
+        They depend on the normal's z and on the lamp.
+        """
         if not self.varies:
             return jnp.zeros(()), jnp.zeros(())
         circle = sample.radius * self.aperture * (normal_z - jnp.cos(self.focus))
@@ -67,10 +70,10 @@ class Blur(eqx.Module):
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
     def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the five-node Gauss rule whose weight function is the term's kernel along one axis.
+        """Return the five-node Gauss rule of a term along one axis.
 
-        It is exact for polynomials of degree 9, and so for all that is smooth on the kernel's scale. Offsets (px) and
-        weights stand on a trailing axis.
+        Its weight function is the term's kernel. It is exact for polynomials of degree 9, and so for all that is smooth
+        on the kernel's scale. Offsets (px) and weights stand on a trailing axis.
         """
         m2, m4, m6, m8 = self._moments(self._std(term, variance))
         a = (m2 * m8 - m4 * m6) / (m2 * m6 - m4**2)
@@ -134,7 +137,10 @@ def blur_of(rig: Rig) -> Blur:
 
 
 def kernel_error(rig: Rig) -> float:
-    """Return the largest error of the lens's transfer function that its sum of Gaussians makes; 0 for Gaussians."""
+    """Return the largest error of the lens's transfer function.
+
+    Its sum of Gaussians makes it; 0 for Gaussian lenses.
+    """
     return float(gaussian_sum(rig.camera.optics).total_error)
 
 

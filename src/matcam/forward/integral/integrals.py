@@ -49,8 +49,8 @@ class WindowPanels(NamedTuple):
         reach: distance to which the kernel is followed, px.
         cuts: offsets, px, at which the kernel must be cut to be smooth in between; none where it is smooth.
         along_v: count of panels along v.
-        ridge: True where a squeezed lobe runs through the window. Towards the limb the surface turns within a pixel, and
-            a lobe is a narrow ridge along the half vector's u even far from its peak.
+        ridge: True where a squeezed lobe runs through the window. Towards the limb the surface turns within a pixel.
+            Even far from its peak a lobe is a narrow ridge there, along the half vector's u.
     """
 
     reach: jax.Array
@@ -62,7 +62,7 @@ class WindowPanels(NamedTuple):
 def record_around(
     scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, reach: ArrayLike, panels: HighlightPanels
 ) -> jax.Array:
-    """Record a rectangle of pixels that holds the highlight or lies next to it, under one lamp.
+    """Record a rectangle of pixels at or beside the highlight.
 
     Args:
         scene: the light; its lamp_angle has shape ().
@@ -174,7 +174,10 @@ class _SurfaceNodes(NamedTuple):
 
 
 def _cuts_along_u(scene, x, v, ends, panels: WindowPanels) -> list[jax.Array]:  # type: ignore[no-untyped-def]
-    """Return the places in u, on a trailing axis, at which panels must end for the integrand to be smooth in each."""
+    """Return the places in u at which panels must end.
+
+    Between them, on a trailing axis, the integrand is smooth.
+    """
     sample, finest = scene.sample, scene.material.finest
     cuts = panels.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if panels.ridge else jnp.zeros(1)
     if panels.cuts.size:
@@ -193,7 +196,10 @@ def _cuts_along_u(scene, x, v, ends, panels: WindowPanels) -> list[jax.Array]:  
 def _through_kernel(
     scene: Scene, blur: BlurTerms, pixels: tuple[jax.Array, jax.Array], nodes: _SurfaceNodes
 ) -> jax.Array:
-    """Sum the light at the nodes, and a flat field's, weighted by the kernel of each pixel (x, y)."""
+    """Sum the light at the nodes, weighted by each pixel's kernel.
+
+    A flat field's light follows as the last channel.
+    """
     x, y = (a[:, None, None] for a in pixels)
     element = scene.sample.surface(nodes.u, nodes.v)
     lit = Scene(scene.material, scene.sample, _beside_nodes(scene.lamp_angle, 2))
@@ -210,5 +216,8 @@ def _through_kernel(
 
 
 def _beside_nodes(lamp_angle: jax.Array, axes: int) -> jax.Array:
-    """Reshape one lamp per pixel to broadcast against `axes` further axes of nodes; leave a single lamp as it is."""
+    """Reshape lamps to broadcast against `axes` further axes of nodes.
+
+    A single lamp stays as it is.
+    """
     return lamp_angle.reshape(*lamp_angle.shape, *([1] * axes)) if jnp.ndim(lamp_angle) else lamp_angle

@@ -113,7 +113,10 @@ def integration_plan(imaging: Imaging, lamp_angles: np.ndarray, places: RecordPl
 
 
 def pad_indices(index: np.ndarray) -> np.ndarray:
-    """Repeat the last index up to the next of 8 to 15 times a power of two: few lengths, few compilations."""
+    """Repeat the last index up to one of few lengths.
+
+    The lengths are 8 to 15 times a power of two: few lengths make few compilations.
+    """
     if not index.size:
         return index
     unit = max(1, 2 ** (int(index.size - 1).bit_length() - 4))
@@ -162,14 +165,18 @@ def _part(sample: Curved, group: BlurGroup, lamp_angles: np.ndarray, places: Rec
 
 
 def _even_panels(scale: BlurScale) -> int:
-    """Count the panels around a highlight, none wider than 2.2 standard deviations of the narrowest term."""
+    """Count the panels of one length around a highlight.
+
+    None is wider than 2.2 standard deviations of the narrowest term.
+    """
     return max(8, _round_up(int(np.ceil((scale.near + scale.reach) / (2.2 * scale.finest))), 2))
 
 
 def _lamps_around(lamp_angles: np.ndarray, places: RecordPlaces, near: np.ndarray) -> np.ndarray:
-    """Return the lamps whose highlights are recorded: one per picture, or three that span those of its places.
+    """Return the lamps whose highlights are recorded.
 
-    Before a near camera a slice of a table is taken from pictures of many lamps.
+    That is one per picture, or three that span the lamps of its places. Before a near camera a slice of a table is
+    taken from pictures of many lamps.
     """
     offset = np.abs(places.lamp_angle[near] - lamp_angles[places.picture[near]])
     if not near.any() or offset.max() < _ONE_LAMP:
@@ -185,7 +192,10 @@ def _round_up(number: int, unit: int) -> int:
 
 @jax.jit
 def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, margin: float) -> jax.Array:
-    """Tell where all within `margin` px of (x, y), to the corners of the octagon about that circle, is visible and lit."""
+    """Tell where all within `margin` px of (x, y) is visible and lit.
+
+    The circle is taken as the octagon about it.
+    """
     equator = sample.across(x, jnp.zeros_like(x))
     inside = jnp.ones(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
     for up, aside in ((-1.0, _OCTAGON), (-_OCTAGON, 1.0), (0.0, 1.0), (_OCTAGON, 1.0), (1.0, _OCTAGON)):
@@ -199,7 +209,10 @@ def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.
 
 @jax.jit
 def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
-    """Tell where the surface under a kernel at (x, y) turns by more than its own angle from the half vector."""
+    """Tell where foreshortening squeezes a lobe into the kernel at (x, y).
+
+    There the surface under the kernel turns by more than its own angle from the half vector.
+    """
     v, _ = sample.window(y, y, sample.across(x, jnp.zeros_like(x)))
     low, high = sample.lit(v, lamp_angle)
     first, last = (jnp.clip(sample.across(x + side * reach, v), low, high) for side in (-1, 1))
@@ -209,14 +222,20 @@ def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, 
 
 @jax.jit
 def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> jax.Array:
-    """Return the length in v, px along the surface, under a kernel at (x, y): twice its reach, more where seen aslant."""
+    """Return the length in v, px, under a kernel at (x, y).
+
+    Along the surface it is twice the kernel's reach, and more where it is seen aslant.
+    """
     first, last = sample.rows(x, y, reach)
     return (last - first) * sample.stretch
 
 
 @jax.jit
 def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
-    """Tell where light may come from within `reach` px of (x, y). It errs seldom, and never towards darkness."""
+    """Tell where light may come from within `reach` px of (x, y).
+
+    It errs seldom, and never towards darkness.
+    """
     first, last = sample.rows(x, y, reach)
     # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
     left, right = jnp.full(first.shape, jnp.inf), jnp.full(first.shape, -jnp.inf)

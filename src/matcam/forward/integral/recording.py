@@ -25,9 +25,10 @@ from matcam.forward.integral.integrals import (
 from matcam.forward.integral.plan import IntegrationPlan, PlanPart, RecordPlaces
 from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.material.material import Material
-from matcam.numerics.interpolate import POINTS, interpolated
+from matcam.numerics.interpolate import POINTS, interpolated, lagrange_basis
 
 _GRADED, _ORDER = 6, 6
+_THREE_LAMPS = np.array([-1.0, 0.0, 1.0])
 # Places at a time: as many nodes as fit into a processor's cache
 _INSIDE, _NODES, _READ = 4096, 128, 8192
 
@@ -131,15 +132,18 @@ def _read_highlights(subject: _Subject, grid: _HighlightGrid, lamps: jax.Array, 
         if len(values) == 1:
             value = values[0]
         else:  # a parabola through the three lamps
-            t = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
-            value = values[0] * t * (t - 1) / 2 + values[1] * (1 - t) * (1 + t) + values[2] * t * (t + 1) / 2
+            between = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
+            value = sum(basis * one for basis, one in zip(lagrange_basis(_THREE_LAMPS, between), values, strict=True))
         return _over_flat_field(value, whole, blur)
 
     return _in_batches(read, tuple(jnp.asarray(a) for a in arrays), _READ)
 
 
 def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> jax.Array:
-    """Drop the last channel, a flat field's; where the kernel is whole, divide by its error."""
+    """Divide records by the error of a flat field's, the last channel.
+
+    That is done where the kernel is whole; the last channel is dropped.
+    """
     values, flat = values[:, :-1], values[:, -1]
     if blur.blur.varies:
         return values  # each piece of surface is spread by its own kernel: a flat field need not read its radiance
@@ -147,7 +151,10 @@ def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> ja
 
 
 def _in_batches(function: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], size: int) -> jax.Array:
-    """Map over the leading axis in batches of one shape, so that memory stays small; the last batch is padded."""
+    """Map over the leading axis in batches of one shape.
+
+    So memory stays small. The last batch is padded.
+    """
     count = arrays[0].shape[0]
     size = min(size, count)
     batches = -(-count // size)

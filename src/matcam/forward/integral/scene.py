@@ -36,7 +36,10 @@ class Scene(eqx.Module):
         return shading(element.normal, element.tangent, light, element.view)
 
     def sent(self, element: Element) -> jax.Array:
-        """Return rho cos_i cos_o area: the light of a piece of surface per unit of its coordinates, channels last."""
+        """Return rho cos_i cos_o area, channels last.
+
+        It is the light of a piece of surface per unit of its coordinates.
+        """
         seen = self.seen(element)
         light = self.material.reflected(seen)
         if light.ndim == (seen.cos_i * seen.cos_o).ndim:
@@ -44,7 +47,10 @@ class Scene(eqx.Module):
         return light * (element.area[..., None] if jnp.ndim(element.area) else element.area)
 
     def flat_field(self, element: Element) -> jax.Array:
-        """Return the same, without channels, for a surface of radiance 1 all over, lit or not."""
+        """Return the same for a surface of radiance 1 all over.
+
+        It has no channels, and light need not reach it.
+        """
         return self.seen(element).cos_o * element.area
 
     def channels(self) -> int:

@@ -40,7 +40,7 @@ class TableAxes(NamedTuple):
     shape: tuple[int, ...]
 
     def panels(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the knots of the spline, and the values of ln size that it is fitted to."""
+        """Return the spline's knots, and the ln sizes that it is fitted to."""
         (low, high), count = self.limits[0], self.shape[0]
         knots = low + (high - low) / count * np.arange(-3, count + 4)
         return knots, np.linspace(low, high, _OVERSAMPLING * count + 1)

@@ -67,7 +67,7 @@ def peak_response(
     Example:
         >>> response = matcam.peak_response(matcam.rigs.merl(), matcam.GaussianNDF(0.002), np.radians([0, 75]))
         >>> print(np.round(response, 3))
-        [0.437 0.151]
+        [0.437 0.146]
     """
     theta = checks.viewing_angle("theta", theta)
     checks.choice("dims", dims, (1, 2))
@@ -107,7 +107,9 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
     if isinstance(rig.sample, Flat):
         return jnp.ones_like(theta)
     if not isinstance(rig.sample, Curved):
-        raise ArgumentError(f"no exact peak is known for a {type(rig.sample).__name__}")
+        raise ArgumentError(
+            f"an exact peak needs a Sphere, a Cylinder or a Flat sample, not a {type(rig.sample).__name__}"
+        )
     imaging = imaging_of(rig)
     material = Microfacet(ndf, 1.0, masking=masking)
     groups = groups_of(imaging.blur, imaging.sample)

@@ -79,7 +79,10 @@ class EPDOnSensor(NamedTuple):
 
     @property
     def narrow_plane(self) -> jax.Array:
-        """Return ln of the response of a point of light: the lobe's integral times the kernel's peak."""
+        """Return ln of the response of a point of light.
+
+        It is the lobe's integral times the kernel's peak.
+        """
         ln_integral = jnp.log(jnp.pi * self.along * self.across) + jax.scipy.special.gammaln(1 + 1 / self.power)
         return ln_integral + 2 * jnp.log(self.peak)
 
@@ -90,7 +93,9 @@ class EPDOnSensor(NamedTuple):
 
 
 def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Array:
-    """Return the response at the peak of an EPD lobe in the tangent plane, within 1e-4.
+    """Return the response at an EPD lobe's peak in the tangent plane.
+
+    Its error is below 1e-4.
 
     Args:
         rig: a rig with Gaussian optics, box pixel and point lamp.
@@ -107,7 +112,7 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
     optics, pixel = rig.camera.optics, rig.camera.pixel
     if not (isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel)):
         raise ArgumentError(
-            "the peak of an EPD lobe is tabulated for GaussianOptics and BoxPixel, this camera has "
+            "the peak of an EPD lobe is tabulated only for GaussianOptics and BoxPixel, this camera has "
             f"{type(optics).__name__} and {type(pixel).__name__}"
         )
     lamp = _in_range("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
@@ -165,7 +170,10 @@ class PeakTable(NamedTuple):
 
 
 def chebyshev(x: jax.Array, count: int) -> jax.Array:
-    """Return T_0 to T_(count - 1) at x, on a last axis, by the recurrence: its derivative is finite at the ends."""
+    """Return T_0 to T_(count - 1) at x, on a last axis.
+
+    The recurrence has a finite derivative at the ends.
+    """
     basis = [jnp.ones_like(x), x]
     while len(basis) < count:
         basis.append(2 * x * basis[-1] - basis[-2])
@@ -173,7 +181,10 @@ def chebyshev(x: jax.Array, count: int) -> jax.Array:
 
 
 def _in_range(name: str, value: jax.Array, allowed: tuple[float, float]) -> jax.Array:
-    """Check a value: outside `allowed` it is an error or, if traced, NaN. Beyond an end by rounding, it is the end."""
+    """Refuse a value outside `allowed`; a traced one is NaN there.
+
+    Beyond an end by rounding, it is the end.
+    """
     low, high = allowed
     value = jnp.where((value < low) & (value > low - _ROUNDING), low, value)
     value = checks.within(name, jnp.where((value > high) & (value < high + _ROUNDING), high, value), low, high)

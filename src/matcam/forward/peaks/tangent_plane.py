@@ -63,7 +63,10 @@ def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: An
 
 @eqx.filter_jit
 def line_record(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array) -> jax.Array:
-    """Return the response at the peak in one dimension, towards the limb (the paper's), (slices,)."""
+    """Return the response at the peak in one dimension, (slices,).
+
+    It is the paper's, towards the limb.
+    """
     weights, widths = ndf.mixture()
     scale, lamp = rig.sample.px_per_rad(theta_o)[0], rig.lamp_spread(theta_o)[0]
     std, lamp = scale[:, None] * widths, _finite(scale * lamp)[:, None]
@@ -103,7 +106,10 @@ def _product_of_closed_forms(camera: Camera, weights: jax.Array, lobe: _SensorLo
 
 
 def _gaussian_record(camera: Camera, u: jax.Array, std: jax.Array, lamp: jax.Array) -> jax.Array:
-    """Return b(u; s), the record of a line with a Gaussian profile of unit peak; 1 where s is infinite."""
+    """Return b(u; s), 1 where s is infinite.
+
+    It is the record of a line with a Gaussian profile of unit peak.
+    """
     uniform = jnp.isinf(std)
     std = jnp.where(uniform, 1.0, std)
     total = jnp.sqrt(std**2 + camera.optics.sigma**2 + lamp**2)  # type: ignore[attr-defined]
@@ -111,7 +117,10 @@ def _gaussian_record(camera: Camera, u: jax.Array, std: jax.Array, lamp: jax.Arr
 
 
 def _by_frequencies(rule: Rule, transfer: jax.Array, weights: jax.Array, lobe: _SensorLobe) -> jax.Array:
-    """Return the same by a tensor rule over (fx, fy): spectrum of the mixture times the camera's transfer function."""
+    """Return the same by a tensor rule over (fx, fy).
+
+    The spectrum of the mixture is multiplied by the camera's transfer function.
+    """
 
     def wave(u: jax.Array) -> jax.Array:
         return jnp.asarray(2 * rule.weight * jnp.cos(2 * jnp.pi * rule.frequency * u[:, None]))
@@ -123,7 +132,10 @@ def _by_frequencies(rule: Rule, transfer: jax.Array, weights: jax.Array, lobe: _
 
 
 def _gaussian_spectrum(rule: Rule, std: jax.Array, lamp: jax.Array) -> jax.Array:
-    """Return the Fourier transform of a unit-peak Gaussian line of `std` px, spread further by the lamp."""
+    """Return the Fourier transform of a unit-peak Gaussian line.
+
+    Its width is `std` px, spread further by the lamp.
+    """
     blur = jnp.exp(-2 * (jnp.pi * rule.frequency) ** 2 * (std**2 + lamp**2))
     return jnp.sqrt(2 * jnp.pi) * std * blur
 

@@ -1,20 +1,22 @@
-"""The numbers that a fit frees, as one vector: where each lobe, camera number and Fresnel term lies in it.
+"""The parameters that a fit frees: their names, bounds and coordinates.
 
-How wide a lobe is to the eye, whatever its family's numbers are.
+A fit works in coordinates in which a step means the same everywhere: the logarithms of a lobe's parameters, of n, of k and of
+eta - 1. `Layout` says where each lobe, each parameter of the rig and each Fresnel term lies in the one vector of all of them.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
-from matcam.material.ndf.families import FAMILIES, WITH_POWER
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, ShadowedNDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
+from matcam.material.registry import FAMILIES, WITH_POWER
 
 FresnelModel = Literal["conductor", "schlick", "dielectric", "free"]
 FRESNEL_MODELS: tuple[FresnelModel, ...] = ("conductor", "schlick", "dielectric", "free")
@@ -23,49 +25,128 @@ NARROWEST_PX = 0.02
 """Lobes narrower than this on the sensor are the same point to any camera."""
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
+_SPLINE_BOUNDS = (-25.0, 25.0)
 _FRESNEL_NAMES: dict[str, tuple[str, ...]] = {
     "conductor": ("n", "k"), "schlick": ("f0",), "dielectric": ("eta",), "free": (),
 }  # fmt: skip
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 
 
-def lobe_names(family: str, bends: int = 0, shadows: int = 0) -> tuple[str, ...]:
-    """What the family's numbers are called: its constructor's arguments; then those of its bend and of a free masking."""
-    own = (field.name for field in dataclasses.fields(FAMILIES[family]))
-    return (*own, *(f"bend{k}" for k in range(bends)), *(f"shadow{k}" for k in range(shadows)))
+class LobeKind(NamedTuple):
+    """Say what the parameters of a lobe mean: its family and masking, and the splines that bend them.
+
+    Attributes:
+        family: key of `FAMILIES`.
+        masking: the lobe's G.
+        bends: number of parameters that bend the lobe away from its family; 0 or KNOTS.
+        shadows: number of parameters of its masking where that is free; 0 or SHADOWS.
+    """
+
+    family: str
+    masking: Masking
+    bends: int = 0
+    shadows: int = 0
+
+    @property
+    def family_names(self) -> tuple[str, ...]:
+        """Name the family's own parameters as its constructor does."""
+        return tuple(field.name for field in dataclasses.fields(FAMILIES[self.family]))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name all parameters: the family's, those of the bend, those of a free masking."""
+        bends = (f"bend{k}" for k in range(self.bends))
+        return (*self.family_names, *bends, *(f"shadow{k}" for k in range(self.shadows)))
+
+    @property
+    def size(self) -> int:
+        """Count the parameters."""
+        return len(self.names)
+
+    def ndf(self, q: jax.Array) -> NDF:
+        """Return the NDF at coordinates: logarithms of the family's parameters, then the splines' own."""
+        own = len(self.family_names)
+        ndf = FAMILIES[self.family](*(jnp.exp(one) for one in q[:own]))
+        bends, shadows = q[own : own + KNOTS], q[own + KNOTS : self.size]
+        if self.bends:
+            ndf = BentNDF(ndf, bends)
+        return ShadowedNDF(ndf, shadows) if self.shadows else ndf
+
+    def bounds(self, radius: float) -> list[tuple[float, float]]:
+        """Bound the coordinates for a lobe on a sphere of `radius` px."""
+        bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * FAMILIES[self.family].largest)))]
+        if self.family in WITH_POWER:
+            low, high = _POWER_BOUNDS[self.family]
+            bounds.append((float(np.log(low)), float(np.log(high))))
+        return bounds + [_SPLINE_BOUNDS] * (self.bends + self.shadows)
 
 
-def ndf_at(family: str, logs: jax.Array) -> NDF:
-    """The NDF whose numbers have these logarithms; what comes behind them bends it, and sets its masking free."""
-    own = len(lobe_names(family))
-    ndf = FAMILIES[family](*(jnp.exp(q) for q in logs[:own]))
-    bends, shadows = logs[own : own + KNOTS], logs[own + KNOTS :]
-    if len(bends):
-        ndf = BentNDF(ndf, bends)
-    return ShadowedNDF(ndf, shadows) if len(shadows) else ndf
+class Layout(NamedTuple):
+    """Order a fit's vector: lobes, then the rig, then each unit's Fresnel term and diffuse part.
 
+    Attributes:
+        kind: what the parameters of each lobe mean.
+        fresnel: model of F.
+        diffuse: whether each unit has a Lambertian part.
+        lobe_of: index of the lobe of each unit (a channel of a table).
+        axes: number of the rig's parameters that are free.
+    """
 
-def lobe_bounds(family: str, radius: float, smooth: int = 0) -> list[tuple[float, float]]:
-    """Bounds of the logarithms, and of `smooth` numbers behind them."""
-    bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * FAMILIES[family].largest)))]
-    if family in WITH_POWER:
-        low, high = _POWER_BOUNDS[family]
-        bounds.append((float(np.log(low)), float(np.log(high))))
-    return bounds + [(-25.0, 25.0)] * smooth
+    kind: LobeKind
+    fresnel: FresnelModel
+    diffuse: bool
+    lobe_of: tuple[int, ...]
+    axes: int
 
+    @property
+    def lobes(self) -> int:
+        """Count the different lobes."""
+        return max(self.lobe_of) + 1
 
-def fresnel_names(model: FresnelModel) -> tuple[str, ...]:
-    """Numbers of a Fresnel model, per channel."""
-    return _FRESNEL_NAMES[model]
+    @property
+    def units(self) -> int:
+        """Count the units."""
+        return len(self.lobe_of)
 
+    @property
+    def fresnel_size(self) -> int:
+        """Count the parameters of a unit's Fresnel term."""
+        return len(_FRESNEL_NAMES[self.fresnel])
 
-def fresnel_bounds(model: FresnelModel) -> list[tuple[float, float]]:
-    """Bounds of its coordinates in the vector."""
-    return [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[model]]
+    @property
+    def unit_names(self) -> tuple[str, ...]:
+        """Name the parameters of a unit."""
+        return (*_FRESNEL_NAMES[self.fresnel], *(["diffuse"] if self.diffuse else []))
+
+    @property
+    def size(self) -> int:
+        """Count all parameters."""
+        return self.rig.stop + self.units * len(self.unit_names)
+
+    def lobe(self, index: int) -> slice:
+        """Return the place of a lobe in the vector."""
+        return slice(index * self.kind.size, (index + 1) * self.kind.size)
+
+    @property
+    def rig(self) -> slice:
+        """Return the place of the rig's parameters in the vector."""
+        first = self.lobes * self.kind.size
+        return slice(first, first + self.axes)
+
+    def unit(self, index: int) -> slice:
+        """Return the place of a unit in the vector."""
+        size = len(self.unit_names)
+        first = self.rig.stop + index * size
+        return slice(first, first + size)
+
+    def unit_bounds(self) -> list[tuple[float, float]]:
+        """Bound the coordinates of one unit."""
+        bounds = [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[self.fresnel]]
+        return bounds + ([(-0.05, 1.0)] if self.diffuse else [])
 
 
 def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
-    """The Fresnel term at coordinates (ln n, ln k), (f0,) or (ln(eta - 1),)."""
+    """Return the Fresnel term at coordinates (ln n, ln k), (f0,) or (ln(eta - 1),)."""
     if model == "conductor":
         return Conductor(jnp.exp(coordinates[0]), jnp.exp(coordinates[1]))
     if model == "schlick":
@@ -73,8 +154,8 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
     return Dielectric(1 + jnp.exp(coordinates[0]))
 
 
-def natural(name: str, coordinate: float) -> tuple[float, float]:
-    """(value, its derivative by the coordinate) of a number that users read."""
+def readable_value(name: str, coordinate: float) -> tuple[float, float]:
+    """Return the parameter that users read, and its derivative by the coordinate."""
     if name in ("f0", "diffuse") or name.startswith(("bend", "shadow")):
         return coordinate, 1.0
     value = float(np.exp(coordinate))
@@ -82,7 +163,7 @@ def natural(name: str, coordinate: float) -> tuple[float, float]:
 
 
 def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Coordinates near a curve F(theta): the best of a lattice. f, weight: (slices,)."""
+    """Return coordinates near a curve F(theta): the best of a lattice. f, weight: (slices,)."""
     lattice: dict[str, list[tuple[float, ...]]] = {
         "conductor": [
             (float(np.log(n)), float(np.log(k)))
@@ -98,21 +179,24 @@ def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight:
     return np.array(points[int(np.argmin(misfit))])
 
 
-def half_width_of(family: str, logs: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Half width at half maximum of D, rad, and its standard deviation, by bisection and by its implicit derivative."""
+def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return the half width at half maximum of D, rad, and its standard deviation.
+
+    The angle is found by bisection, its standard deviation by its implicit derivative.
+    """
 
     def ratio(log_angle: jax.Array, q: jax.Array) -> jax.Array:
-        ndf = ndf_at(family, q)
+        ndf = kind.ndf(q)
         return jnp.log(2 * ndf.d(jnp.exp(log_angle)) / ndf.d(1e-9))
 
-    q, f = jnp.asarray(logs), jax.jit(ratio)
+    at, f = jnp.asarray(q), jax.jit(ratio)
     low, high = np.log(1e-9), np.log(1.5)
-    if float(f(high, q)) > 0:
+    if float(f(high, at)) > 0:
         return float("nan"), float("nan")
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (middle, high) if float(f(middle, q)) > 0 else (low, middle)
-    slope = jax.grad(ratio, argnums=(0, 1))(jnp.asarray(low), q)
+        low, high = (middle, high) if float(f(middle, at)) > 0 else (low, middle)
+    slope = jax.grad(ratio, argnums=(0, 1))(jnp.asarray(low), at)
     by_q = -np.asarray(slope[1]) / float(slope[0])
     angle = float(np.exp(low))
     return angle, angle * float(np.sqrt(by_q @ covariance @ by_q))

@@ -1,7 +1,8 @@
-"""The least-squares problem of a fit: model, residuals and their derivatives, at any numbers (MODEL 8).
+"""The least-squares problem of a fit: its model and residuals with their derivatives (docs/model.md 8).
 
-Model of a cell of unit u (a channel of a table) in slice s:  F_u(theta_d) A(cell; lobe, camera) + diffuse_u / pi. Strengths
-that are free in every slice are solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman 1975).
+The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d) A(cell; lobe, rig) + diffuse_u / pi.  A
+strength F that is free in every slice is solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman
+1975).
 """
 
 from __future__ import annotations
@@ -9,136 +10,146 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp
-from matcam.inverse.fit import fit_parameters as parameters
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
-from matcam.inverse.fit.fit_parameters import FresnelModel
-from matcam.inverse.fit.lobe_slopes import recorded
+from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
+from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, lobe_record, record_and_slopes
+from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.material.masking import Masking
+from matcam.inverse.operator.rig_axes import Axis
+from matcam.numerics.interpolate import smoothness
 
 
-class Layout(NamedTuple):
-    """Where everything lies in the vector: lobes, then the rig, then each unit's Fresnel term and diffuse part."""
+class Prior(NamedTuple):
+    """State what is known of a fit's parameters beside the data.
 
-    family: str
-    masking: Masking
-    fresnel: FresnelModel
-    diffuse: bool
-    lobe_of: tuple[int, ...]
-    """Of each unit, the number of its lobe."""
-    axes: int
-    """Camera numbers that are free."""
-    bends: int = 0
-    """Numbers that bend each lobe away from its family."""
-    shadows: int = 0
-    """Numbers of each lobe's masking, where that is free."""
+    Attributes:
+        axes: the rig's parameters that are fitted.
+        root: (rows, axes), root of the information matrix of their coordinates; 0 where nothing is known.
+        bend: standard deviation of the second differences of a spline's coefficients.
+    """
 
-    @property
-    def lobe_size(self) -> int:
-        """Numbers of a lobe."""
-        return len(parameters.lobe_names(self.family, self.bends, self.shadows))
+    axes: tuple[Axis, ...] = ()
+    root: np.ndarray = np.zeros((0, 0))
+    bend: float = 0.0
 
-    @property
-    def lobes(self) -> int:
-        """How many different lobes there are."""
-        return max(self.lobe_of) + 1
+    def rows(self, layout: Layout) -> np.ndarray:
+        """Return (rows, parameters): combinations of the parameters that are 0 +- 1."""
+        rig = np.zeros((len(self.root), layout.size))
+        rig[:, layout.rig] = self.root
+        rows = [rig]
+        kind = layout.kind
+        first = len(kind.family_names)
+        for start, count in ((first, kind.bends), (first + kind.bends, kind.shadows)):
+            for lobe in range(layout.lobes if count else 0):
+                own = np.zeros((len(smoothness(count)), layout.size))
+                place = layout.lobe(lobe).start + start
+                own[:, place : place + count] = smoothness(count) / self.bend
+                rows.append(own)
+        return np.concatenate(rows)
 
-    @property
-    def unit_size(self) -> int:
-        """Numbers of a unit."""
-        return len(parameters.fresnel_names(self.fresnel)) + self.diffuse
-
-    @property
-    def size(self) -> int:
-        """Numbers altogether."""
-        return self.lobes * self.lobe_size + self.axes + len(self.lobe_of) * self.unit_size
-
-    def lobe(self, number: int) -> slice:
-        """A lobe's place."""
-        return slice(number * self.lobe_size, (number + 1) * self.lobe_size)
-
-    @property
-    def camera(self) -> slice:
-        """The camera's place."""
-        first = self.lobes * self.lobe_size
-        return slice(first, first + self.axes)
-
-    def unit(self, number: int) -> slice:
-        """A unit's place."""
-        first = self.camera.stop + number * self.unit_size
-        return slice(first, first + self.unit_size)
+    def rig_information(self) -> np.ndarray:
+        """Return the information matrix of the rig's coordinates; almost none where they are free."""
+        return self.root.T @ self.root if self.root.any() else np.eye(len(self.axes)) * 1e-6
 
 
-class Model(NamedTuple):
-    """Shapes: u units, s slices, n cells, p numbers."""
+class FitModel(NamedTuple):
+    """Hold the model and its derivatives. Shapes: u units, s slices, n cells, p parameters.
+
+    Attributes:
+        value: (u, s, n), 1/sr.
+        derivative: (p, u, s, n), strengths fixed.
+        lobe: (u, s, n), A of each unit.
+        strength: (u, s), F.
+        strength_std: (u, s), of free strengths, all else exact; 0 otherwise.
+    """
 
     value: np.ndarray
-    """(u, s, n)."""
     derivative: np.ndarray
-    """(p, u, s, n), strengths held."""
     lobe: np.ndarray
-    """(u, s, n): A of each unit."""
     strength: np.ndarray
-    """(u, s): F."""
     strength_std: np.ndarray
-    """(u, s): of free strengths, all else held; 0 otherwise."""
-
-
-@eqx.filter_jit
-def _lobe(operator: LobeOperator, family: str, masking: Masking, q: jax.Array, size: int) -> jax.Array:
-    return operator.record(parameters.ndf_at(family, q[:size]), masking, q[size:])
 
 
 @partial(jax.jit, static_argnums=0)
 def _reflectance(model: FresnelModel, coordinates: jax.Array, theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """F and its derivatives, for each row of coordinates."""
+    """Return F and its derivatives for each row of coordinates."""
 
     def curve(c: jax.Array) -> jax.Array:
-        return parameters.reflectance_at(model, c).at(theta)
+        return reflectance_at(model, c).at(theta)
 
     return jax.vmap(curve)(coordinates), jax.vmap(jax.jacfwd(curve))(coordinates)
 
 
-class Problem:
-    """Data, operator and layout together."""
+class FitProblem:
+    """Put data, operator, layout and prior together.
 
-    def __init__(self, data: FitData, operator: LobeOperator, theta_d: np.ndarray, layout: Layout):
-        self.data, self.operator, self.theta_d, self.layout = data, operator, theta_d, layout
-        self._last: dict[int, tuple[bytes, np.ndarray, np.ndarray]] = {}
+    Attributes:
+        data: values of the chosen cells.
+        cells: the chosen cells.
+        operator: what the rig records of a lobe in them.
+        layout: order of the parameters.
+        prior: what is known of them.
+        radius: radius of the sphere, px.
+    """
 
-    def residual(self, model: Model) -> np.ndarray:
-        """Data - model, (u, s, n); 0 where unused."""
+    def __init__(
+        self,
+        data: FitData,
+        cells: ChosenCells,
+        operator: LobeOperator,
+        layout: Layout,
+        prior: Prior,
+        radius: float,
+    ):
+        self.data, self.cells, self.operator = data, cells, operator
+        self.layout, self.prior, self.radius = layout, prior, radius
+        self._last: dict[int, tuple[bytes, RecordAndSlopes]] = {}
+
+    def with_layout(self, layout: Layout) -> FitProblem:
+        """Return the same problem with other parameters."""
+        return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
+
+    @property
+    def theta_d(self) -> np.ndarray:
+        """Return the slices' theta_d, rad."""
+        return self.cells.theta_d
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and the highest value of each coordinate."""
+        layout = self.layout
+        bounds = layout.kind.bounds(self.radius) * layout.lobes
+        bounds += [(axis.low, axis.high) for axis in self.prior.axes]
+        low, high = np.array(bounds + layout.unit_bounds() * layout.units).T
+        return low, high
+
+    def residual(self, model: FitModel) -> np.ndarray:
+        """Return data - model, (u, s, n); 0 where unused."""
         return np.where(self.data.used, self.data.values - model.value, 0.0)
 
-    def lobe_record(self, q: np.ndarray) -> np.ndarray:
-        """A of one lobe, (slices, cells); q: its logarithms and the camera's shifts."""
+    def diffuse(self, p: np.ndarray) -> np.ndarray:
+        """Return the albedo of each unit's Lambertian part, (u,)."""
         layout = self.layout
-        return np.asarray(_lobe(self.operator, layout.family, layout.masking, jnp.asarray(q), layout.lobe_size))
+        return np.array([p[layout.unit(u)][-1] if layout.diffuse else 0.0 for u in range(layout.units)])
 
-    def model(self, p: np.ndarray, weight: np.ndarray, *, slopes: bool = True) -> Model:
-        """weight: (u, s, n), 1 / V, that free strengths are solved with."""
+    def model(self, p: np.ndarray, weight: np.ndarray, *, slopes: bool = True) -> FitModel:
+        """Return the model at parameters. weight: (u, s, n), 1 / V, with which free strengths are solved."""
         layout, data = self.layout, self.data
         units, slices, cells = data.values.shape
-        camera = p[layout.camera]
         lobes, by_lobe = [], []
-        for number in range(layout.lobes):
-            q = np.concatenate([p[layout.lobe(number)], camera])
+        for index in range(layout.lobes):
+            q = np.concatenate([p[layout.lobe(index)], p[layout.rig]])
             if slopes:
-                _, value, slope = self._recorded(number, q)
-                lobes.append(value)
-                by_lobe.append(slope)
+                both = self._record_and_slopes(index, q)
+                lobes.append(both.record)
+                by_lobe.append(both.slopes)
             else:
-                lobes.append(self.lobe_record(q))
-        lobe = np.stack([lobes[number] for number in layout.lobe_of])
-        diffuse = np.zeros(units)
-        if layout.diffuse:
-            diffuse = np.array([p[layout.unit(u)][-1] for u in range(units)])
-        body = diffuse[:, None, None] / np.pi
+                lobes.append(np.asarray(lobe_record(self.operator, layout.kind, jnp.asarray(q))))
+        lobe = np.stack([lobes[index] for index in layout.lobe_of])
+        body = self.diffuse(p)[:, None, None] / np.pi
         std = np.zeros((units, slices))
         by_fresnel = np.zeros((units, slices, 0))
         if layout.fresnel == "free":
@@ -148,39 +159,39 @@ class Problem:
             strength = np.where(power > 0, (wa * (data.values - body)).sum(-1) / safe, 0.0)
             std = np.where(power > 0, 1 / np.sqrt(safe), np.inf)
         else:
-            count = len(parameters.fresnel_names(layout.fresnel))
-            rows = np.stack([p[layout.unit(u)][:count] for u in range(units)])
+            rows = np.stack([p[layout.unit(u)][: layout.fresnel_size] for u in range(units)])
             pair = _reflectance(layout.fresnel, jnp.asarray(rows), jnp.asarray(self.theta_d))
             strength, by_fresnel = (np.asarray(a) for a in pair)
         value = strength[..., None] * lobe + body
         derivative = np.zeros((layout.size if slopes else 0, units, slices, cells))
         if slopes:
-            for u, number in enumerate(layout.lobe_of):
-                slope = strength[u][None, :, None] * by_lobe[number]
-                derivative[layout.lobe(number), u] = slope[: layout.lobe_size]
-                derivative[layout.camera, u] = slope[layout.lobe_size :]
+            for u, index in enumerate(layout.lobe_of):
+                slope = strength[u][None, :, None] * by_lobe[index]
+                derivative[layout.lobe(index), u] = slope[: layout.kind.size]
+                derivative[layout.rig, u] = slope[layout.kind.size :]
                 place = layout.unit(u)
                 for n in range(by_fresnel.shape[-1]):
                     derivative[place.start + n, u] = by_fresnel[u, :, n, None] * lobe[u]
                 if layout.diffuse:
                     derivative[place.stop - 1, u] = 1 / np.pi
-        return Model(value, derivative, lobe, strength, std)
+        return FitModel(value, derivative, lobe, strength, std)
 
-    def _recorded(self, number: int, q: np.ndarray) -> tuple[bytes, np.ndarray, np.ndarray]:
-        """A of a lobe and its slopes, kept for the next call: weights change more often than lobes."""
+    def _record_and_slopes(self, index: int, q: np.ndarray) -> RecordAndSlopes:
+        """Return the record of a lobe, kept for the next call: weights change more often than lobes."""
         key = q.tobytes()
-        if number not in self._last or self._last[number][0] != key:
-            layout = self.layout
-            pair = recorded(self.operator, layout.family, layout.masking, q, layout.lobe_size)
-            self._last[number] = key, *pair
-        return self._last[number]
+        if index not in self._last or self._last[index][0] != key:
+            self._last[index] = key, record_and_slopes(self.operator, self.layout.kind, q)
+        return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
-        """Standard deviation of a picture's strength beside its model: endless where strengths are free."""
-        return np.inf if self.layout.fresnel == "free" else noise.gain
+        """Return the standard deviation of a slice's picture gain: infinite where strengths are free."""
+        return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
-    def whitening(self, model: Model, weight: np.ndarray, gain: float) -> Whitening:
-        """Free strengths drop what lies along the lobe; known gains shorten what lies along the picture."""
+    def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:
+        """Return the whitening of the residuals.
+
+        Free strengths drop what lies along the lobe; a known picture gain shortens what lies along the slice.
+        """
         if self.layout.fresnel == "free":
             return whitening(self.data, weight, model.lobe, np.inf)
         return whitening(self.data, weight, model.value, gain)

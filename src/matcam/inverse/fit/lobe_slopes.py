@@ -1,6 +1,6 @@
 """A lobe's record and its derivatives: for one fit, or for the fits of several materials in one program.
 
-A processor does one material after the other. A GPU is wider than that: there fits run in threads of one process, each as if it
+A processor does one material after the other. A GPU is wider than that. There fits run in threads of one process, each as if it
 were alone, and what they ask within a moment is computed together (`RecordBatch`).
 """
 
@@ -19,25 +19,35 @@ import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.inverse.fit import fit_parameters as parameters
+from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.material.masking import Masking
 
-_PATIENCE = 1e-3
-"""Seconds that the first who asks waits for others."""
+_WINDOW = 1e-3
+"""Batching window, seconds: the first question waits this long for others."""
 
-Pair = tuple[np.ndarray, np.ndarray]
+
+class RecordAndSlopes(NamedTuple):
+    """A lobe's record and how it changes.
+
+    Attributes:
+        record: (slices, cells), 1/sr at F = 1.
+        slopes: (parameters, slices, cells), by the lobe's coordinates and then by the rig's.
+    """
+
+    record: np.ndarray
+    slopes: np.ndarray
 
 
 @eqx.filter_jit
-def lobe_and_slope(
-    operator: LobeOperator, family: str, masking: Masking, q: jax.Array, size: int
-) -> tuple[jax.Array, jax.Array]:
-    """A of a lobe, (slices, cells), and its derivatives by q, (numbers, slices, cells). q: `size` numbers of the lobe, then the
-    coordinates along the operator's axes."""
+def lobe_record(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> jax.Array:
+    """Return the record of a lobe, (slices, cells). q: coordinates of the lobe, then of the rig."""
+    return operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
 
+
+@eqx.filter_jit
+def _record_and_slopes(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     def record(q: jax.Array) -> tuple[jax.Array, jax.Array]:
-        value = operator.record(parameters.ndf_at(family, q[:size]), masking, q[size:])
+        value = operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
         return value, value
 
     slope, value = jax.jacfwd(record, has_aux=True)(q)
@@ -45,42 +55,46 @@ def lobe_and_slope(
 
 
 @eqx.filter_jit
-def _several(
-    operator: LobeOperator, family: str, masking: Masking, q: jax.Array, size: int
-) -> tuple[jax.Array, jax.Array]:
-    return jax.vmap(lambda one: lobe_and_slope(operator, family, masking, one, size))(q)
+def _several(operator: LobeOperator, kind: LobeKind, rows: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(lambda q: _record_and_slopes(operator, kind, q))(rows)
 
 
-def recorded(operator: LobeOperator, family: str, masking: Masking, q: np.ndarray, size: int) -> Pair:
-    """`lobe_and_slope` as arrays, together with what other threads of a batch ask."""
+def record_and_slopes(operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> RecordAndSlopes:
+    """Return a lobe's record and slopes, computed together with what other threads of a batch ask.
+
+    q: coordinates of the lobe, then those along the operator's axes.
+    """
     batch = _batch.get()
     if batch is not None:
-        return batch.recorded(operator, family, masking, q, size)
-    value, slope = lobe_and_slope(operator, family, masking, jnp.asarray(q), size)
-    return np.asarray(value), np.asarray(slope)
+        return batch.record_and_slopes(operator, kind, q)
+    value, slope = _record_and_slopes(operator, kind, jnp.asarray(q))
+    return RecordAndSlopes(np.asarray(value), np.asarray(slope))
 
 
 class _Question(NamedTuple):
     operator: LobeOperator
-    family: str
-    masking: Masking
-    size: int
+    kind: LobeKind
     q: np.ndarray
-    answer: Future[Pair]
+    answer: Future[RecordAndSlopes]
 
     def is_like(self, other: _Question) -> bool:
-        """Whether one program answers both."""
-        same = (self.family, self.masking, self.size) == (other.family, other.masking, other.size)
-        return same and self.operator is other.operator and self.q.size == other.q.size
+        """Say whether one program answers both."""
+        return self.kind == other.kind and self.operator is other.operator and self.q.size == other.q.size
 
 
 class RecordBatch:
-    """Answers up to `seats` questions of different threads in one program. A context; threads join it by `joined`."""
+    """Answer up to `seats` questions of different threads in one program.
+
+    The batch is a context. A thread's questions go to it inside `batch.serving()`.
+
+    Attributes:
+        seats: most questions that one program answers.
+        sizes: how many questions each program answered.
+    """
 
     def __init__(self, seats: int):
         self.seats = seats
         self.sizes: list[int] = []
-        """How many questions each program answered."""
         self._asked: queue.SimpleQueue[_Question | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -93,17 +107,17 @@ class RecordBatch:
         self._thread.join()
 
     @contextmanager
-    def joined(self) -> Iterator[None]:
-        """The thread's questions go to the batch."""
+    def serving(self) -> Iterator[None]:
+        """Send this thread's questions to the batch."""
         token = _batch.set(self)
         try:
             yield
         finally:
             _batch.reset(token)
 
-    def recorded(self, operator: LobeOperator, family: str, masking: Masking, q: np.ndarray, size: int) -> Pair:
-        """As the module's function."""
-        question = _Question(operator, family, masking, size, q, Future())
+    def record_and_slopes(self, operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> RecordAndSlopes:
+        """Ask for a record, and wait for it."""
+        question = _Question(operator, kind, q, Future())
         self._asked.put(question)
         return question.answer.result()
 
@@ -116,7 +130,7 @@ class RecordBatch:
                 if first is None:
                     return
                 waiting.append(first)
-                time.sleep(_PATIENCE)
+                time.sleep(_WINDOW)
             while not self._asked.empty():
                 more = self._asked.get()
                 if more is None:
@@ -130,10 +144,10 @@ class RecordBatch:
 
     def _answer(self, together: list[_Question]) -> None:
         first = together[0]
-        # always as many, so that one program serves; what fills it up is thrown away
+        # always as many rows, so that one program serves; those that fill it up are thrown away
         rows = np.stack([question.q for question in together] + [first.q] * (self.seats - len(together)))
         try:
-            pair = _several(first.operator, first.family, first.masking, jnp.asarray(rows), first.size)
+            pair = _several(first.operator, first.kind, jnp.asarray(rows))
             values, slopes = (np.asarray(a) for a in pair)
         except Exception as error:
             for question in together:
@@ -141,7 +155,7 @@ class RecordBatch:
             return
         self.sizes.append(len(together))
         for question, value, slope in zip(together, values, slopes, strict=False):
-            question.answer.set_result((value, slope))
+            question.answer.set_result(RecordAndSlopes(value, slope))
 
 
 _batch: ContextVar[RecordBatch | None] = ContextVar("batch", default=None)

@@ -1,11 +1,11 @@
-"""What a pixel records of an isotropic lobe on a distant sphere, as a sum over angles from the half vector.
+"""The record of an isotropic lobe in one pixel, on a distant sphere, as a sum over angles from the half vector.
 
 In polar coordinates (theta, psi) about the half vector the lobe depends on theta alone, so the record is linear in it,
 
-    R cos_i = F r^2 / 4 integral D(theta) [ integral k(x - x(theta, psi)) G dpsi ] sin(theta) dtheta      (MODEL 3),
+    R cos_i = F r^2 / 4 integral D(theta) [ integral k(x - x(theta, psi)) G dpsi ] sin(theta) dtheta      (docs/model.md 3),
 
-and the bracket without G depends on the rig alone: it is computed once, for any material. G varies slowly; it is taken at
-two azimuths of each theta with the mean and the variance of the azimuths that the pixel sees there.
+and the bracket without G depends on the rig alone: it is computed once, for any material. G varies slowly. It is taken at two
+azimuths of each theta, chosen by the mean and the variance of the azimuths that the pixel sees there.
 
 Nodes in theta are even in asinh(theta / scale), so that a lobe a thousandth of a radian wide is met as well as a broad one.
 """
@@ -23,7 +23,7 @@ from matcam.numerics.interpolate import lagrange_basis
 
 _NODES = np.polynomial.legendre.leggauss(40)
 _BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - _NODES[0] ** 2) * _NODES[1])
-"""Of the polynomial through the nodes (Wang & Xiang 2012)."""
+"""Barycentric weights of the polynomial through the nodes (Wang & Xiang 2012)."""
 _AZIMUTHS = np.polynomial.legendre.leggauss(22)
 _FINEST = 25.0
 """Outer end of the nodes over the angle at which they become even."""
@@ -31,11 +31,27 @@ _REACH = 6.2
 """How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
 _BLOCK = 128
 """Pixels at a time: what fits into a processor's cache."""
+_SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
+"""Nodes at which G is taken: it is smooth over the nodes, and the polynomial through these gives it at all of them."""
+
+
+def _sample_polynomials() -> np.ndarray:
+    """Return Lagrange's polynomials through the samples at all nodes, (nodes, samples)."""
+    return np.stack(lagrange_basis(_NODES[0][_SAMPLED], _NODES[0]), axis=-1)
+
+
+THROUGH_SAMPLES = _sample_polynomials()
 
 
 class Pixels(NamedTuple):
-    """Places in the pictures of a sphere, arrays of one shape: px from the optical axis, theta_d rad, and the factor that
-    their record is multiplied by."""
+    """Hold places in the pictures of a sphere, arrays of one shape.
+
+    Attributes:
+        x: px from the optical axis, the lamp towards +x.
+        y: the same across.
+        theta_d: rad.
+        factor: factor of the record.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -43,35 +59,39 @@ class Pixels(NamedTuple):
     factor: np.ndarray
 
 
-_SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
-"""Nodes at which G is taken: it is smooth over the nodes, and the polynomial through these gives it at all of them."""
+class PolarRule(NamedTuple):
+    """Hold the rule of each pixel.
 
-
-def _through_samples() -> np.ndarray:
-    """(nodes, samples): Lagrange's polynomials through the samples, at all nodes."""
-    return np.stack(lagrange_basis(_NODES[0][_SAMPLED], _NODES[0]), axis=-1)
-
-
-THROUGH_SAMPLES = _through_samples()
-
-
-class Nodes(NamedTuple):
-    """Rule of each pixel, shape (pixels, nodes). cos_psi: the two azimuths, (pixels, nodes, 2), NaN where nothing is seen."""
+    Attributes:
+        theta: (pixels, nodes), rad from the half vector.
+        weight: (pixels, nodes).
+        cos_psi: (pixels, nodes, 2), cosine of the two azimuths at which G is taken; NaN where nothing is seen.
+    """
 
     theta: jax.Array
     weight: jax.Array
     cos_psi: jax.Array
 
 
-class Window(NamedTuple):
-    """What a kernel of half side `reach` px can see, as intervals of theta: arrays of shape (pixels,)."""
+class PolarWindow(NamedTuple):
+    """Hold what a kernel can see, as intervals of theta; arrays of shape (pixels,).
+
+    Attributes:
+        low: smallest angle from the half vector, rad.
+        high: largest angle, rad.
+        reach: half side of the kernel's square, px.
+    """
 
     low: np.ndarray
     high: np.ndarray
+    reach: np.ndarray
 
 
-def window(radius: float, pixels: Pixels, reach: np.ndarray) -> Window:
-    """Angles from the half vector under the kernel's square, from its border (the limb's where it leaves the picture)."""
+def polar_window(radius: float, pixels: Pixels, reach: np.ndarray) -> PolarWindow:
+    """Return the angles from the half vector under a kernel of half side `reach` px.
+
+    The extremes lie on the border of the kernel's square, or on the limb where the square leaves the sphere.
+    """
     t = np.linspace(-1, 1, 25)
     border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
     border = np.concatenate([border, border[:, ::-1]])
@@ -84,19 +104,22 @@ def window(radius: float, pixels: Pixels, reach: np.ndarray) -> Window:
     inside = (np.abs(pixels.x - radius * sin[..., 0]) < reach) & (np.abs(pixels.y) < reach)
     low, high = theta.min(-1), theta.max(-1)
     slack = 0.02 * (high - low)
-    return Window(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2))
+    return PolarWindow(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2), reach)
 
 
-def reach_of(half_width: float, stds: np.ndarray) -> np.ndarray:
-    """Half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
+def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
+    """Return the half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
     return half_width + _REACH * stds
 
 
 @partial(jax.jit, static_argnums=(3,))
-def nodes_of(radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, ...], pixels: Pixels, seen: Window,
-             reach: jax.Array) -> Nodes:  # fmt: skip
-    """Rule for the terms of a blur; differentiable in its numbers. variances: px^2, (pixels,), that lamp and focus add
-    along x and y; pixels: a multiple of the block, see `filled`."""
+def polar_rule(
+    radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, ...], pixels: Pixels, window: PolarWindow
+) -> PolarRule:
+    """Return the rule for some terms of a blur; differentiable in its parameters.
+
+    variances: px^2, (pixels,), that lamp and focus add along x and y. pixels: a multiple of the block, see `padded`.
+    """
 
     def block(arguments):  # type: ignore[no-untyped-def]
         x, y, theta_d, factor, low, high, reach, var_x, var_y = (a[:, None, None] for a in arguments)
@@ -136,24 +159,27 @@ def nodes_of(radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, 
         pair = jnp.clip(middle[..., None] + spread[..., None] * np.array([-1.0, 1.0]), -1, 1)
         pair = jnp.where((total == 0)[..., None], jnp.nan, pair)
         weight = factor[..., 0] * radius**2 / 4 * (sin * step)[..., 0] * total
-        return Nodes(theta[..., 0], weight, pair)
+        return PolarRule(theta[..., 0], weight, pair)
 
-    arguments = (*pixels, *seen, reach, *variances)
+    arguments = (*pixels, *window, *variances)
     blocks = tuple(a.reshape(-1, _BLOCK) for a in arguments)
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
 
 
 def _stretch(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """(scale, first, last): nodes are even in asinh(theta / scale) between first and last."""
+    """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last."""
     # the highlight itself is inside only where the window begins at 0
     scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
     return scale, jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
 
 
 @jax.jit
-def transferred(rule: Nodes, seen: Window) -> jax.Array:
-    """Weights, at the nodes of a wider window, of a rule: it gives the same for all that a polynomial through those nodes
-    follows. So a kernel need not be smooth on their scale; only the lobe has to be."""
+def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
+    """Return a rule's weights at the nodes of a wider window.
+
+    The result is the same for all that a polynomial through those nodes follows. So a kernel need not be smooth on their scale;
+    only the lobe has to be.
+    """
 
     def block(arguments):  # type: ignore[no-untyped-def]
         theta, weight, low, high = arguments
@@ -164,23 +190,23 @@ def transferred(rule: Nodes, seen: Window) -> jax.Array:
         share = _BARYCENTRIC / gap
         return jnp.sum(weight[..., None] * share / jnp.sum(share, -1, keepdims=True), axis=1)
 
-    arguments = (rule.theta, rule.weight, *seen)
+    arguments = (rule.theta, rule.weight, window.low, window.high)
     blocks = tuple(a.reshape(-1, _BLOCK, *a.shape[1:]) for a in arguments)
     return jax.lax.map(block, blocks).reshape(rule.weight.shape)
 
 
-def sampled(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(theta, cos psi) at the sampled nodes; azimuths that nothing shows are those of the nearest node that shows any."""
+def masking_samples(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (theta, cos psi) at the sampled nodes; where nothing is seen, the azimuths of the nearest node that sees any."""
     seen = np.isfinite(cos_psi[..., 0])
-    number = np.arange(seen.shape[1])
-    before = np.maximum.accumulate(np.where(seen, number, -1), axis=1)
-    after = np.minimum.accumulate(np.where(seen, number, number.size)[:, ::-1], axis=1)[:, ::-1]
-    nearest = np.where((before < 0) | ((after < number.size) & (after - number < number - before)), after, before)
-    nearest = np.clip(nearest, 0, number.size - 1)
-    whole = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
-    return theta[:, _SAMPLED], np.nan_to_num(whole[:, _SAMPLED])
+    index = np.arange(seen.shape[1])
+    before = np.maximum.accumulate(np.where(seen, index, -1), axis=1)
+    after = np.minimum.accumulate(np.where(seen, index, index.size)[:, ::-1], axis=1)[:, ::-1]
+    nearest = np.where((before < 0) | ((after < index.size) & (after - index < index - before)), after, before)
+    nearest = np.clip(nearest, 0, index.size - 1)
+    complete = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
+    return theta[:, _SAMPLED], np.nan_to_num(complete[:, _SAMPLED])
 
 
-def filled(array: np.ndarray) -> np.ndarray:
-    """An array of pixels, its last repeated up to a whole number of blocks."""
+def padded(array: np.ndarray) -> np.ndarray:
+    """Repeat the last of an array of pixels up to a whole number of blocks."""
     return np.concatenate([array, np.repeat(array[-1:], -array.size % _BLOCK)])

@@ -1,8 +1,8 @@
-"""The numbers of a rig that a fit may move, each along an axis of its own.
+"""The parameters of a rig that a fit may change, each along an axis of its own.
 
 A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other blurs. Its
-coordinate is half the logarithm of that whole variance: what a pixel records is smooth in it down to a width of 0. Where a
-number is known to a few per cent, and for numbers that are no widths, the coordinate is ln(value / rig's).
+coordinate is half the logarithm of that total variance: what a pixel records is smooth in it down to a width of 0. Where a
+parameter is known to a few per cent, and for parameters that are no widths, the coordinate is ln(value / rig's).
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from matcam.forward.integral.blur import blur_of
 from matcam.rigs import Rig
 
 LENS = "optics.sigma_px"
-"""The width of a Gaussian lens."""
+"""Name of the width of a Gaussian lens."""
 LAMP = "lamp_radius"
 WIDTHS = (LAMP, "jitter", "aperture")
 """Fields of `Rig` that widen a highlight."""
 
 _FREE_RANGE = 0.5
-"""Of ln(value / rig's), for a number that nothing is known of and that is no width."""
+"""Half range of ln(value / rig's), for a free parameter that is no width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
 """Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the picture."""
 _SHARPEST = 0.1
@@ -33,54 +33,63 @@ _SHARPEST = 0.1
 _NARROWEST = 1e-3
 """px; a lens of 0 is none at all, and no camera of ours."""
 _PRIOR_RANGE = 5.0
-"""In standard deviations, where something is known."""
+"""Half range in standard deviations, where something is known."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
-"""Half range -> how many values an axis runs through."""
+"""Half range of an axis -> number of its points."""
 
 
 class Axis(NamedTuple):
-    """One number. Its coordinate is s = ln((value^2 + softening^2) / (rig's^2 + softening^2)) / 2; 0 is the rig's value."""
+    """Describe one parameter. Its coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
+
+    Attributes:
+        name: name of the parameter, as in `Camera.parameters`, or a field of `Rig`.
+        base: the rig's value, at coordinate 0.
+        softening: root of the variance of the other blurs, in the parameter's unit; 0: the coordinate is ln(value / base).
+        low: smallest coordinate.
+        high: largest coordinate.
+        points: coordinates at which a rule is computed; 0 is among them.
+    """
 
     name: str
     base: float
-    """The rig's value."""
     softening: float
-    """Root of the variance of the other blurs, in the number's unit; 0: the coordinate is ln(value / rig's)."""
     low: float
     high: float
     points: tuple[float, ...]
-    """Coordinates at which a rule is computed; 0 is among them."""
 
     def value(self, coordinate: float) -> float:
-        """The number at a coordinate."""
+        """Return the parameter at a coordinate."""
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
-        """(the number's square, its standard deviation): what blurs add up in, so what is judged near 0."""
-        whole = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
-        return max(whole - self.softening**2, 0.0), 2 * whole * std
+        """Return the parameter's square and its standard deviation: blurs add up in it, so it is what to judge near 0."""
+        total = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
+        return max(total - self.softening**2, 0.0), 2 * total * std
 
     def slope(self, coordinate: float, std: float) -> float:
-        """d value / d coordinate, as a secant to one standard deviation up: at a width of 0 the derivative has no end."""
+        """Return d value / d coordinate, as a secant to one standard deviation up.
+
+        At a width of 0 the derivative is infinite.
+        """
         step = max(std, 1e-6)
         return (self.value(coordinate + step) - self.value(coordinate)) / step
 
 
-def known_axis(name: str, base: float, std: float) -> Axis:
-    """Of a number known to a relative standard deviation."""
+def prior_axis(name: str, base: float, std: float) -> Axis:
+    """Return the axis of a parameter that is known to a relative standard deviation."""
     half = round(float(np.clip(_PRIOR_RANGE * std, 0.02, _FREE_RANGE)), 6)
     return Axis(name, base, 0.0, -half, half, _points(-half, half))
 
 
 def free_axis(name: str, rig: Rig) -> Axis:
-    """Of a number that nothing is known of. ArgumentError for one that the rig has not."""
-    numbers = rig.camera.parameters()
-    if name not in numbers and name not in WIDTHS:
+    """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not."""
+    parameters = rig.camera.parameters()
+    if name not in parameters and name not in WIDTHS:
         raise ArgumentError(
-            f"free names {name!r}, which this camera has not; it has {', '.join(sorted(numbers))}; the rig has "
+            f"free names {name!r}, which this camera has not; it has {', '.join(sorted(parameters))}; the rig has "
             f"{', '.join(WIDTHS)}"
         )
-    base = float(getattr(rig, name) if name in WIDTHS else numbers[name])
+    base = float(getattr(rig, name) if name in WIDTHS else parameters[name])
     softening = _softening(name, rig)
     if not softening:
         if base <= 0:
@@ -93,32 +102,8 @@ def free_axis(name: str, rig: Rig) -> Axis:
     return Axis(name, base, softening, float(low), high, _points(min(sharpest, -1e-3) if low < 0 else 0.0, high))
 
 
-def _softening(name: str, rig: Rig) -> float:
-    """Root of the variance of all other blurs at the sphere's middle, in the number's unit; 0 for what is no width."""
-    pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
-    if name == LENS:
-        return float(np.hypot(pixel, rig.jitter))
-    if name not in WIDTHS:
-        return 0.0
-    blur = blur_of(rig)
-    lens = float(jnp.sum(blur.weights * blur.stds**2))
-    whole = float(np.sqrt(max(lens - (float(rig.jitter) ** 2 if name == "jitter" else 0.0), 0.0) + pixel**2))
-    # MODEL 3: a lamp spreads light by a quarter of its radius on the sphere, focus by a quarter of the circle of confusion
-    per_px = {"jitter": 1.0, LAMP: 4 / float(rig.sample.radius), "aperture": 8 / float(rig.sample.radius)}  # type: ignore[attr-defined]
-    return whole * per_px[name]
-
-
-def _points(low: float, high: float) -> tuple[float, ...]:
-    """Chebyshev's points, the one next to 0 moved there."""
-    half = (high - low) / 2
-    count = next(count for largest, count in _COUNTS if half <= largest)
-    points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))
-    points[np.argmin(np.abs(points))] = 0.0
-    return tuple(float(p) for p in np.round(points, 12))
-
-
-def moved(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """The rig with other numbers of these names."""
+def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
+    """Return the rig with other values of these parameters."""
     camera = rig.camera.with_parameters({name: value for name, value in values.items() if name not in WIDTHS})
     rig = eqx.tree_at(lambda r: r.camera, rig, camera)
     widths = [name for name in WIDTHS if name in values]
@@ -126,6 +111,31 @@ def moved(rig: Rig, values: Mapping[str, float]) -> Rig:
     return eqx.tree_at(lambda r: tuple(getattr(r, name) for name in widths), rig, new) if widths else rig
 
 
-def placed(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
-    """(axes, among) matrix that turns coordinates along some axes into those along more."""
+def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
+    """Return the (axes, among) matrix that turns coordinates along some axes into those along more."""
     return np.array([[axis == other for other in among] for axis in axes], dtype=float).reshape(len(axes), len(among))
+
+
+def _softening(name: str, rig: Rig) -> float:
+    """Return the root of the variance of all other blurs at the sphere's middle, in the parameter's unit; 0 for no width."""
+    pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
+    if name == LENS:
+        return float(np.hypot(pixel, rig.jitter))
+    if name not in WIDTHS:
+        return 0.0
+    blur = blur_of(rig)
+    lens = float(jnp.sum(blur.weights * blur.stds**2))
+    total = float(np.sqrt(max(lens - (float(rig.jitter) ** 2 if name == "jitter" else 0.0), 0.0) + pixel**2))
+    # docs/model.md 3: a lamp spreads light by a quarter of its radius on the sphere, focus by a quarter of the circle of
+    # confusion
+    per_px = {"jitter": 1.0, LAMP: 4 / float(rig.sample.radius), "aperture": 8 / float(rig.sample.radius)}  # type: ignore[attr-defined]
+    return total * per_px[name]
+
+
+def _points(low: float, high: float) -> tuple[float, ...]:
+    """Return Chebyshev's points, the one next to 0 moved there."""
+    half = (high - low) / 2
+    count = next(count for largest, count in _COUNTS if half <= largest)
+    points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))
+    points[np.argmin(np.abs(points))] = 0.0
+    return tuple(float(p) for p in np.round(points, 12))

@@ -1,4 +1,4 @@
-"""Beckmann & Spizzichino (1963): slopes with a Gaussian distribution."""
+"""Slopes with a Gaussian distribution, isotropic or not (Beckmann & Spizzichino 1963)."""
 
 from __future__ import annotations
 
@@ -7,13 +7,27 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import cot_of
-from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF
+from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_alphas
 
 
 class Beckmann(SlopeNDF, MixtureNDF):
-    """D = exp(-tan^2 theta_h / alpha^2) / (pi alpha^2 cos^4 theta_h) (Walter et al. 2007, (25)).
+    """Distribute slopes like a Gaussian.
 
-    alpha: roughness, a slope, (0, 1]: sqrt(2) times the standard deviation of the slope in any direction.
+    D = exp(-tan^2 theta_h / alpha^2) / (pi alpha^2 cos^4 theta_h), 1/sr.
+
+    Args:
+        alpha: roughness, a slope, no unit, (0, 1]: sqrt(2) times the standard deviation of the slope in any direction.
+
+    Raises:
+        ArgumentError: alpha is out of range, or not a single number.
+
+    Source:
+        Beckmann & Spizzichino (1963); Walter et al. (2007), (25).
+
+    Example:
+        >>> lobe = matcam.Beckmann(0.1)
+        >>> round(float(lobe.d(0.0)), 4), round(float(1 / (np.pi * 0.1**2)), 4)
+        (31.831, 31.831)
     """
 
     alpha: jax.Array
@@ -25,27 +39,70 @@ class Beckmann(SlopeNDF, MixtureNDF):
         self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, self.largest, open_low=True))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """exp(-slope^2 / alpha^2) / (pi alpha^2)."""
+        """Return exp(-slope^2 / alpha^2) / (pi alpha^2)."""
         return jnp.exp(-slope2 / self.alpha**2) / (jnp.pi * self.alpha**2)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """[exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, nu = cot theta / alpha (Smith 1967; Heitz 2014)."""
+        """Return Smith's Lambda in closed form.
+
+        [exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, nu = cot theta / alpha.
+
+        Source:
+            Smith (1967); Heitz (2014).
+        """
         return beckmann_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """One Gaussian, in the slope."""
+        """Return one Gaussian, in the slope."""
         return jnp.ones(1), self.alpha[None] / jnp.sqrt(2)
 
     @property
     def roughness(self) -> jax.Array:
-        """alpha."""
+        """First parameter, alpha."""
         return self.alpha
 
     def __repr__(self) -> str:
         return f"Beckmann(alpha={self.alpha!s})"
 
 
+class AnisotropicBeckmann(StretchedSlopes):
+    """Stretch Beckmann's slopes: one roughness along the surface's first tangent, one across.
+
+    Args:
+        alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
+        alpha_across: roughness across it, a slope, no unit, (0, 1].
+
+    Raises:
+        ArgumentError: a roughness is out of range, or not a single number.
+
+    Source:
+        Heitz (2014). Brushed and turned metal has such slopes.
+
+    Example:
+        >>> brushed = matcam.material.AnisotropicBeckmann(0.05, 0.3)
+        >>> float(brushed.density(0.1, 0.0)) < float(brushed.density(0.0, 0.1))
+        True
+    """
+
+    alpha_along: jax.Array
+    alpha_across: jax.Array
+
+    def __init__(self, alpha_along: ArrayLike, alpha_across: ArrayLike):
+        self.alpha_along, self.alpha_across = checked_alphas(alpha_along, alpha_across)
+
+    def unit_density(self, slope2: jax.Array) -> jax.Array:
+        """Return exp(-slope^2) / pi."""
+        return jnp.exp(-slope2) / jnp.pi
+
+    def unit_lambda(self, nu: jax.Array) -> jax.Array:
+        """Return Beckmann's closed form of Lambda."""
+        return beckmann_lambda(nu)
+
+    def __repr__(self) -> str:
+        return f"AnisotropicBeckmann(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
+
+
 def beckmann_lambda(nu: jax.Array) -> jax.Array:
-    """Lambda of Beckmann's slopes at nu = cot theta / alpha; 16 digits of 1 / (1 + Lambda), which is 1 beyond nu = 6."""
+    """Return Lambda of Beckmann's slopes at nu = cot theta / alpha, to 16 digits of 1 / (1 + Lambda)."""
     nu = jnp.minimum(nu, 20.0)
     return jnp.maximum(jnp.exp(-(nu**2)) / (nu * jnp.sqrt(jnp.pi)) - jax.scipy.special.erfc(nu), 0.0) / 2

@@ -1,4 +1,4 @@
-"""Normal distribution functions: how a rough surface's microfacets are tilted (MODEL 6).
+"""Normal distribution functions: the tilts of a rough surface's microfacets (docs/model.md 6).
 
 A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes, and
 D = P22 / cos^4 theta_h that of normals per solid angle, with the integral of D cos over the hemisphere 1. What a camera
@@ -6,7 +6,7 @@ does to a lobe depends on the lobe as a function of a tangent-plane coordinate r
 
     D(theta_h) = D(0) flattening(theta_h) shape(r),     r = coordinate(theta_h),
 
-and has a closed form where the shape is a mixture of Gaussians (forward/lobe.py).
+and has a closed form where the shape is a mixture of Gaussians (forward/peaks/lobe.py).
 """
 
 from __future__ import annotations
@@ -22,17 +22,28 @@ from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 
+_FLAT = 1e-30  # squared sine of a direction that is the normal itself
+
 
 class SlopeDistribution(eqx.Module):
-    """What a microfacet material needs of its facets, isotropic or not."""
+    """Describe the facets of a microfacet material, isotropic or not."""
 
     @abstractmethod
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """P22 at a slope's components along the surface's first tangent and across it; integrates to 1 over the plane."""
+        """Return P22, the density of slopes; it integrates to 1 over their plane.
+
+        Args:
+            along: slope along the surface's first tangent, no unit.
+            across: slope across it, no unit.
+        """
 
     @abstractmethod
     def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
-        """Smith's Lambda of light and view, both above the horizon."""
+        """Return Smith's Lambda of light and view.
+
+        Args:
+            seen: light and view as the surface sees them, both above the horizon.
+        """
 
     @property
     @abstractmethod
@@ -41,77 +52,184 @@ class SlopeDistribution(eqx.Module):
 
 
 class NDF(SlopeDistribution):
-    """An isotropic distribution of microfacet normals; the integral of D cos over the hemisphere is 1."""
+    """Describe an isotropic distribution of microfacet normals.
+
+    Attributes:
+        family: name of the family, as in `FAMILIES`.
+        largest: upper limit of the roughness, the constructor's first argument.
+    """
 
     family: ClassVar[str]
-    """Its name where a family of NDFs is asked for: on the command line, in `fresnel`."""
     largest: ClassVar[float]
-    """Largest value of its roughness, the constructor's first argument."""
 
     @abstractmethod
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """D, 1/sr, at angle theta_h (rad) from the surface normal."""
+        """Return D, 1/sr; the integral of D cos over the hemisphere is 1.
+
+        Args:
+            theta_h: angle between half vector and surface normal, rad.
+        """
 
     @abstractmethod
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """P22 at the squared slope `slope2` = tan^2 theta_h."""
+        """Return P22, the density of slopes.
+
+        Args:
+            slope2: squared slope, tan^2 theta_h, no unit.
+        """
 
     @abstractmethod
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """Tangent-plane coordinate r of theta_h (an angle or a slope)."""
+        """Return the tangent-plane coordinate r, an angle or a slope.
+
+        Args:
+            theta_h: angle between half vector and surface normal, rad.
+        """
 
     @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """D divided by D(0) and by the shape in r: what the tangent plane leaves out; 1 at the peak."""
+        """Return D over D(0) and the shape in r: 1 at the peak.
+
+        The tangent plane leaves this factor out.
+
+        Args:
+            theta_h: angle between half vector and surface normal, rad.
+        """
 
     @abstractmethod
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Smith's Lambda in directions of cosine `cos` > 0 to the normal."""
+        """Return Smith's Lambda.
+
+        Args:
+            cos: cosine of the direction's angle to the normal, above 0.
+        """
 
     @property
     @abstractmethod
     def roughness(self) -> jax.Array:
-        """The one number that its width goes with; also the scale of the facets' slopes."""
+        """First parameter, which the lobe's width goes with; the scale of the slopes."""
 
     def g1(self, theta: ArrayLike) -> jax.Array:
-        """Smith masking: share of the facets seen from `theta` (rad, [0, pi/2]) that others do not hide."""
+        """Return Smith's masking: the share of facets that others do not hide.
+
+        Args:
+            theta: angle of the direction to the normal, rad, [0, pi/2].
+
+        Raises:
+            ArgumentError: theta lies outside its range.
+        """
         return 1 / (1 + self.smith_lambda(jnp.cos(checks.within("theta", theta, 0, np.pi / 2, "rad"))))
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """P22: the same in every direction."""
+        """Return P22, the same in every direction."""
         return self.slope_density(along**2 + across**2)
 
     def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
-        """Each depends on its direction's angle to the normal alone."""
+        """Return Smith's Lambda of light and view, each of its angle alone."""
         return self.smith_lambda(seen.cos_i), self.smith_lambda(seen.cos_o)
 
     @property
     def finest(self) -> jax.Array:
-        """The roughness."""
+        """Narrowest scale on which P22 changes: the roughness."""
         return self.roughness
 
 
 class SlopeNDF(NDF):
-    """An NDF that is given as a density of slopes."""
+    """Derive D and its coordinate from a density of slopes."""
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """P22 / cos^4 theta_h, 1/sr."""
+        """Return D = P22 / cos^4 theta_h, 1/sr."""
         slope2 = jnp.tan(checks.number("theta_h", theta_h)) ** 2
         return self.slope_density(slope2) * (1 + slope2) ** 2
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """The slope tan theta_h."""
+        """Return the slope tan theta_h."""
         return jnp.tan(theta_h)
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """cos^-4 theta_h, from slopes to solid angle."""
+        """Return cos^-4 theta_h, from slopes to solid angle."""
         return jnp.cos(theta_h) ** -4
 
 
 class MixtureNDF(NDF):
-    """An NDF whose shape in the tangent plane is a mixture of Gaussians,
-    sum_j weight_j exp(-r^2 / (2 width_j^2))."""
+    """Describe an NDF whose shape in the tangent plane is a mixture of Gaussians.
+
+    shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)).
+    """
 
     @abstractmethod
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """(weights, widths) of the Gaussians in r, each shape (n,); weights sum to 1."""
+        """Return weights and widths of the Gaussians in r, each shape (n,); weights sum to 1."""
+
+
+class StretchedSlopes(SlopeDistribution):
+    """Stretch an isotropic distribution of slopes by alpha_along and alpha_across.
+
+    Smith's masking of a stretched surface is that of the isotropic one at the roughness projected on the direction,
+    alpha^2 = alpha_along^2 cos^2 phi + alpha_across^2 sin^2 phi (Heitz 2014).
+    """
+
+    alpha_along: eqx.AbstractVar[jax.Array]
+    alpha_across: eqx.AbstractVar[jax.Array]
+
+    @abstractmethod
+    def unit_density(self, slope2: jax.Array) -> jax.Array:
+        """Return P22 of the surface of roughness 1.
+
+        Args:
+            slope2: squared slope, no unit.
+        """
+
+    @abstractmethod
+    def unit_lambda(self, nu: jax.Array) -> jax.Array:
+        """Return Smith's Lambda of the surface of roughness 1.
+
+        Args:
+            nu: cot theta of the direction.
+        """
+
+    def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
+        """Return P22 of the slopes over their roughnesses."""
+        stretched2 = (along / self.alpha_along) ** 2 + (across / self.alpha_across) ** 2
+        return self.unit_density(stretched2) / (self.alpha_along * self.alpha_across)
+
+    def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
+        """Return Smith's Lambda at each direction's projected roughness."""
+        (x, y), (offset_x, offset_y) = _tangents(seen)
+        return tuple(  # type: ignore[return-value]
+            self._lambda(cos, offset_x + sign * x, offset_y + sign * y)
+            for cos, sign in ((seen.cos_i, 1), (seen.cos_o, -1))
+        )
+
+    def _lambda(self, cos: jax.Array, along: jax.Array, across: jax.Array) -> jax.Array:
+        alpha_tan = jnp.sqrt((self.alpha_along * along) ** 2 + (self.alpha_across * across) ** 2 + _FLAT)
+        return self.unit_lambda(jnp.maximum(cos, _FLAT) / alpha_tan)
+
+    @property
+    def finest(self) -> jax.Array:
+        """Narrowest scale on which P22 changes: the smaller roughness."""
+        return jnp.minimum(self.alpha_along, self.alpha_across)
+
+
+def checked_alphas(alpha_along: ArrayLike, alpha_across: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """Return two roughnesses in (0, 1]; ArgumentError otherwise."""
+    along = checks.scalar("alpha_along", checks.within("alpha_along", alpha_along, 0, 1, open_low=True))
+    across = checks.scalar("alpha_across", checks.within("alpha_across", alpha_across, 0, 1, open_low=True))
+    return along, across
+
+
+def _tangents(seen: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """Return (part, offset): light and view along the surface's tangents are offset + part and offset - part."""
+    slope2 = seen.slope_along**2 + seen.slope_across**2
+    mirror = slope2 == 0  # there the half vector's azimuth counts as 0
+    slope = jnp.sqrt(jnp.where(mirror, 1.0, slope2))
+    cos_phi, sin_phi = (
+        jnp.where(mirror, 1.0, seen.slope_along / slope),
+        jnp.where(mirror, 0.0, seen.slope_across / slope),
+    )
+    cos_h = jax.lax.rsqrt(1 + slope2)
+    away = jnp.sin(seen.theta_d) * jnp.cos(seen.phi_d) * cos_h
+    beside = jnp.sin(seen.theta_d) * jnp.sin(seen.phi_d)
+    offset = jnp.cos(seen.theta_d) * cos_h
+    part = away * cos_phi - beside * sin_phi, away * sin_phi + beside * cos_phi
+    return part, (offset * seen.slope_along, offset * seen.slope_across)

@@ -11,10 +11,25 @@ from matcam.material.ndf.distribution import SlopeNDF
 
 
 class EPD(SlopeNDF):
-    """D = p / (pi beta^2 Gamma(1/p)) exp(-(tan^2 theta_h / beta^2)^p) / cos^4 theta_h (MODEL 6). p = 1 is Beckmann.
+    """Distribute slopes by an exponential of their power.
 
-    beta: roughness, a slope, (0, 1]. power: p, [0.25, 4]: below 1 a sharp peak on broad flanks, whose slope at the peak
-    is infinite for p < 1/2; above 1 a flat top.
+    D = p / (pi beta^2 Gamma(1/p)) exp(-(tan^2 theta_h / beta^2)^p) / cos^4 theta_h, 1/sr. p = 1 is Beckmann.
+
+    Args:
+        beta: roughness, a slope, no unit, (0, 1].
+        power: p, no unit, [0.25, 4]. Below 1 the lobe has a sharp peak on broad flanks, and an infinite slope at the peak
+            below 1/2; above 1 it has a flat top.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        Holzschuch & Pacanowski (2017); docs/model.md 6.
+
+    Example:
+        >>> lobe = matcam.EPD(0.1, 0.5)
+        >>> round(float(lobe.d(0.0) / matcam.Beckmann(0.1).d(0.0)), 6)
+        0.5
     """
 
     beta: jax.Array
@@ -28,19 +43,19 @@ class EPD(SlopeNDF):
         self.power = checks.scalar("power", checks.within("power", power, 0.25, 4))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p)."""
+        """Return p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p)."""
         peak = self.power / (jnp.pi * self.beta**2 * jnp.exp(jax.scipy.special.gammaln(1 / self.power)))
         at_peak = slope2 == 0  # where the derivative of x^p is infinite or of the form 0 ln 0
         x = jnp.where(at_peak, 1.0, slope2 / self.beta**2)
         return peak * jnp.exp(-jnp.where(at_peak, 0.0, x**self.power))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """By the integral over slopes."""
+        """Return Smith's Lambda by its integral over slopes."""
         return tabulated_lambda(self.slope_density, self.beta, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """beta."""
+        """First parameter, beta."""
         return self.beta
 
     def __repr__(self) -> str:

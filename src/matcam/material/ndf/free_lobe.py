@@ -1,9 +1,8 @@
-"""A lobe of a known family, bent: its density of slopes times a smooth factor, so that it can follow data of any family.
+"""Lobes of a known family with freedom: a smooth factor that bends the lobe, and a masking that does not follow from it.
 
-A lobe whose masking is free: not Smith's, which follows from the lobe, but any smooth function of the angle.
-
-Bagher, Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing"; it is what a camera's loss at
-grazing angles has to be told from.
+A bend lets a lobe follow data of any family. A free masking is any smooth function of the angle instead of Smith's: Bagher,
+Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing", and a camera's loss at grazing angles has
+to be told from it.
 """
 
 from __future__ import annotations
@@ -17,16 +16,25 @@ from matcam.material.ndf.distribution import NDF, SlopeNDF
 from matcam.numerics.interpolate import combined, cubic_basis
 
 KNOTS = 12
-"""Numbers of a bend."""
-_FINEST, _LAST = 0.0015, 1.0
-"""Slopes at which the knots become even in the logarithm, and at which they end."""
+"""Parameters of a bend."""
+SHADOWS = 8
+"""Parameters of a free masking."""
+_FINEST, _LAST = 0.0015, 1.0  # slopes at which the knots become even in the logarithm, and at which they end
 _END = float(np.arcsinh(_LAST / _FINEST))
 _NODES = np.polynomial.legendre.leggauss(160)
 
 
 class BentNDF(SlopeNDF):
-    """P22 of `base` times exp(sum_k bends_k B_k), normalised again; B_k: cubic B-splines even in asinh(slope / 0.0015), the
-    first with slope 0 at the peak, constant beyond a slope of 1. bends: shape (KNOTS,); 0 leaves the base as it is."""
+    """Bend a lobe by a smooth factor of the slope.
+
+    P22 of the base times exp(sum_k bends_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
+    asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 1.
+
+    Attributes:
+        base: the lobe that is bent.
+        bends: coefficients, no unit, shape (KNOTS,); 0 leaves the base as it is.
+        norm: integral of the bent density.
+    """
 
     base: NDF
     bends: jax.Array
@@ -45,16 +53,16 @@ class BentNDF(SlopeNDF):
         self.norm = jnp.sum(area * base.slope_density(slope**2) * jnp.exp(_bend(bends, slope**2)))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Base times bend over their integral."""
+        """Return base times bend over their integral."""
         return self.base.slope_density(slope2) * jnp.exp(_bend(self.bends, slope2)) / self.norm
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """By the integral over slopes."""
+        """Return Smith's Lambda by its integral over slopes."""
         return tabulated_lambda(self.slope_density, self.base.roughness, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """The base's."""
+        """Roughness of the base."""
         return self.base.roughness
 
     def __repr__(self) -> str:
@@ -62,7 +70,7 @@ class BentNDF(SlopeNDF):
 
 
 def bend_basis(slope2: jax.Array) -> list[jax.Array]:
-    """The KNOTS functions B_k at squared slopes: cubic B-splines, local, smooth to the second derivative; mirrored at 0."""
+    """Return the KNOTS functions B_k at squared slopes: cubic B-splines, mirrored at 0."""
     small = slope2 < 1e-24  # the root's derivative at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
     place = jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
@@ -73,13 +81,15 @@ def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
     return combined(bends, bend_basis(slope2))
 
 
-SHADOWS = 8
-"""Numbers of a free masking."""
-
-
 class ShadowedNDF(NDF):
-    """D of `base`; ln G1 = -sum_k shadows_k B_k(1 - cos theta), shape (SHADOWS,), for "smith-separable" masking. G1 may
-    exceed 1: what the strength of each picture leaves to it is its shape."""
+    """Give a lobe a free masking, for "smith-separable": ln G1 = -sum_k shadows_k B_k(1 - cos theta).
+
+    G1 may exceed 1: the strength of each slice is free, so that only the shape of G1 matters.
+
+    Attributes:
+        base: the lobe, whose D stays.
+        shadows: coefficients, no unit, shape (SHADOWS,).
+    """
 
     base: NDF
     shadows: jax.Array
@@ -88,29 +98,29 @@ class ShadowedNDF(NDF):
     largest = 1.0
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """The base's."""
+        """Return D of the base."""
         return self.base.d(theta_h)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """The base's."""
+        """Return P22 of the base."""
         return self.base.slope_density(slope2)
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """The base's."""
+        """Return the coordinate of the base."""
         return self.base.coordinate(theta_h)
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """The base's."""
+        """Return the flattening of the base."""
         return self.base.flattening(theta_h)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """1 / G1 - 1."""
+        """Return 1 / G1 - 1."""
         place = (1 - jnp.clip(cos, 0.0, 1.0)) * (SHADOWS - 1)
         return jnp.expm1(combined(self.shadows, cubic_basis(place, SHADOWS)))
 
     @property
     def roughness(self) -> jax.Array:
-        """The base's."""
+        """Roughness of the base."""
         return self.base.roughness
 
     def __repr__(self) -> str:

@@ -14,7 +14,24 @@ _SMALL = 1e-6  # squared slope below which its angle comes from a series: the ro
 
 
 class GaussianNDF(MixtureNDF):
-    """D proportional to exp(-theta_h^2 / (2 width^2)): the paper's lobe. width: rad, (0, 0.5]."""
+    """Distribute normals like a Gaussian in angle: the paper's lobe.
+
+    D is proportional to exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere.
+
+    Args:
+        width: standard deviation of the lobe, rad, (0, 0.5].
+
+    Raises:
+        ArgumentError: width is out of range, or not a single number.
+
+    Source:
+        Holzschuch & Pacanowski (2017), section 3.
+
+    Example:
+        >>> lobe = matcam.GaussianNDF(0.01)
+        >>> round(float(lobe.d(0.01) / lobe.d(0.0)), 4)
+        0.6065
+    """
 
     width: jax.Array
 
@@ -25,11 +42,11 @@ class GaussianNDF(MixtureNDF):
         self.width = checks.scalar("width", checks.within("width", width, 0, self.largest, "rad", open_low=True))
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere."""
+        """Return D, 1/sr, proportional to exp(-theta_h^2 / (2 width^2))."""
         return self._of_squared_angle(checks.number("theta_h", theta_h) ** 2)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """D cos^4."""
+        """Return P22 = D cos^4 theta_h."""
         small = slope2 < _SMALL
         angle = jnp.arctan(jnp.sqrt(jnp.where(small, 1.0, slope2)))
         series = slope2 * (1 - slope2 * (2 / 3 - slope2 * 23 / 45))
@@ -47,24 +64,24 @@ class GaussianNDF(MixtureNDF):
         return jnp.pi * reach / 2 * (inside @ weights)
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
-        """theta_h itself."""
+        """Return theta_h itself."""
         return theta_h
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """1: the lobe is Gaussian in theta_h."""
+        """Return 1: the lobe is Gaussian in theta_h."""
         return jnp.ones_like(theta_h)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """One Gaussian."""
+        """Return one Gaussian, in the angle."""
         return jnp.ones(1), self.width[None]
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """By the integral over slopes."""
+        """Return Smith's Lambda by its integral over slopes."""
         return tabulated_lambda(self.slope_density, self.width, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """The width, rad."""
+        """First parameter, the width, rad."""
         return self.width
 
     def __repr__(self) -> str:

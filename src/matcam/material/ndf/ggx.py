@@ -1,4 +1,4 @@
-"""GGX: Trowbridge & Reitz (1975), Walter et al. (2007)."""
+"""GGX, isotropic or not (Trowbridge & Reitz 1975; Walter et al. 2007)."""
 
 from __future__ import annotations
 
@@ -8,16 +8,29 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import cot_of
-from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF
+from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_alphas
 
 _MIXTURE_NODES = 56
 
 
 class GGX(SlopeNDF, MixtureNDF):
-    """D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2) (Walter et al. 2007, (33)): slopes of density
-    alpha^2 / (pi (alpha^2 + slope^2)^2).
+    """Distribute slopes with the long tails of GGX (Trowbridge-Reitz).
 
-    alpha: roughness, a slope, (0, 1].
+    D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2), 1/sr: slopes of density alpha^2 / (pi (alpha^2 + slope^2)^2).
+
+    Args:
+        alpha: roughness, a slope, no unit, (0, 1].
+
+    Raises:
+        ArgumentError: alpha is out of range, or not a single number.
+
+    Source:
+        Trowbridge & Reitz (1975); Walter et al. (2007), (33).
+
+    Example:
+        >>> lobe = matcam.GGX(0.1)
+        >>> round(float(lobe.d(0.0)), 4), round(float(lobe.g1(0.0)), 4)
+        (31.831, 1.0)
     """
 
     alpha: jax.Array
@@ -29,16 +42,24 @@ class GGX(SlopeNDF, MixtureNDF):
         self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, self.largest, open_low=True))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """alpha^2 / (pi (alpha^2 + slope^2)^2)."""
+        """Return alpha^2 / (pi (alpha^2 + slope^2)^2)."""
         return (self.alpha / (self.alpha**2 + slope2)) ** 2 / jnp.pi
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """(sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Walter et al. 2007, (34))."""
+        """Return Smith's Lambda in closed form.
+
+        (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Walter et al. 2007, (34)).
+        """
         return ggx_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """(1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt, by the trapezoid rule in ln t (MODEL 4): 2e-11 of the
-        peak, to r = 1e3 alpha."""
+        """Return the Gaussians whose sum is the lobe.
+
+        The error is 2e-11 of the peak.
+
+        (1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt, by the trapezoid rule in ln t, out to r = 1e3 alpha
+        (docs/model.md 4).
+        """
         log_t = np.linspace(-14.0, 3.9, _MIXTURE_NODES)
         t = np.exp(log_t)
         weights = t**2 * np.exp(-t)
@@ -46,14 +67,51 @@ class GGX(SlopeNDF, MixtureNDF):
 
     @property
     def roughness(self) -> jax.Array:
-        """alpha."""
+        """First parameter, alpha."""
         return self.alpha
 
     def __repr__(self) -> str:
         return f"GGX(alpha={self.alpha!s})"
 
 
+class AnisotropicGGX(StretchedSlopes):
+    """Stretch GGX's slopes: one roughness along the surface's first tangent, one across.
+
+    Args:
+        alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
+        alpha_across: roughness across it, a slope, no unit, (0, 1].
+
+    Raises:
+        ArgumentError: a roughness is out of range, or not a single number.
+
+    Source:
+        Heitz (2014). Brushed and turned metal has such slopes.
+
+    Example:
+        >>> brushed = matcam.material.AnisotropicGGX(0.05, 0.3)
+        >>> float(brushed.density(0.1, 0.0)) < float(brushed.density(0.0, 0.1))
+        True
+    """
+
+    alpha_along: jax.Array
+    alpha_across: jax.Array
+
+    def __init__(self, alpha_along: ArrayLike, alpha_across: ArrayLike):
+        self.alpha_along, self.alpha_across = checked_alphas(alpha_along, alpha_across)
+
+    def unit_density(self, slope2: jax.Array) -> jax.Array:
+        """Return 1 / (pi (1 + slope^2)^2)."""
+        return 1 / (jnp.pi * (1 + slope2) ** 2)
+
+    def unit_lambda(self, nu: jax.Array) -> jax.Array:
+        """Return GGX's closed form of Lambda."""
+        return ggx_lambda(nu)
+
+    def __repr__(self) -> str:
+        return f"AnisotropicGGX(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
+
+
 def ggx_lambda(nu: jax.Array) -> jax.Array:
-    """Lambda of GGX at nu = cot theta / alpha, as t / (2 (1 + sqrt(1 + t))), t = nu^-2, which does not cancel."""
+    """Return Lambda of GGX at nu = cot theta / alpha: t / (2 (1 + sqrt(1 + t))), t = nu^-2, which does not cancel."""
     t = nu**-2
     return t / (2 * (1 + jnp.sqrt(1 + t)))

@@ -19,12 +19,28 @@ _FADED = 40.0  # exp(-40) is nothing
 
 
 class SGD(SlopeNDF, MixtureNDF):
-    """D = K exp(-x) / (pi x^p cos^4 theta_h), x = alpha + tan^2 theta_h / alpha, K = 1 / (alpha Gamma(1 - p, alpha))
-    (Bagher et al. 2012; Gamma is the upper incomplete one).
+    """Distribute slopes by the shifted gamma distribution.
 
-    alpha: (0, 1]: the core of the lobe is about this wide, as a slope, and its flanks sqrt(alpha). power: p, (0, 2].
-    Their BRDF has pi where a microfacet BRDF has 4: a `Microfacet` is `published_over_ours` times smaller than the
-    printed formula at equal F. (They also fit a masking and a Fresnel term of their own.)
+    D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha and
+    K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete one.
+
+    The authors' BRDF has pi where a microfacet BRDF has 4: a `Microfacet` is `published_over_ours` times smaller than the
+    printed formula at equal F. They also fit a masking and a Fresnel term of their own.
+
+    Args:
+        alpha: no unit, (0, 1]. The core of the lobe is about alpha wide, as a slope, and its flanks sqrt(alpha).
+        power: p, no unit, (0, 2]. A larger one makes the core sharper against its flanks.
+
+    Raises:
+        ArgumentError: a parameter is out of range, or not a single number.
+
+    Source:
+        Bagher, Soler & Holzschuch (2012).
+
+    Example:
+        >>> lobe = matcam.SGD(0.01, 0.8)
+        >>> float(lobe.d(0.0)) > float(lobe.d(0.01))
+        True
     """
 
     alpha: jax.Array
@@ -39,7 +55,7 @@ class SGD(SlopeNDF, MixtureNDF):
         self.power = checks.scalar("power", checks.within("power", power, 0, 2, open_low=True))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """K exp(-x) / (pi x^p), as its peak times what falls off from there."""
+        """Return K exp(-x) / (pi x^p), the density of slopes."""
         fall = slope2 / self.alpha
         above = fall / self.alpha  # x = alpha (1 + above)
         peak = 1 / (jnp.pi * self.alpha**2 * self._integral)
@@ -47,16 +63,23 @@ class SGD(SlopeNDF, MixtureNDF):
 
     @property
     def _integral(self) -> jax.Array:
-        """Integral of e^(alpha - x) (x / alpha)^-p dx / alpha over x > alpha, over v = ln(x / alpha): Gamma(1 - p, alpha)
-        without its powers of alpha, which overflow."""
+        """Integrate e^(alpha - x) (x / alpha)^-p dx / alpha over x > alpha, over v = ln(x / alpha).
+
+        This is Gamma(1 - p, alpha) without its powers of alpha, which overflow.
+        """
         nodes, weights = _NORM_NODES
         reach = jnp.log1p(_FADED / self.alpha)
         v = reach * (nodes + 1) / 2
         return reach / 2 * (jnp.exp((1 - self.power) * v - self.alpha * jnp.expm1(v)) @ weights)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p), by the trapezoid rule in
-        ln(u - 1); all u below the first node are one Gaussian at their mean. 1e-10 of the peak for alpha >= 1e-6."""
+        """Return the Gaussians whose sum is the lobe.
+
+        The error is 1e-10 of the peak.
+
+        x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p), by the trapezoid rule in ln(u - 1).
+        All u below the first node are one Gaussian at their mean. The error holds for alpha >= 1e-6.
+        """
         highest = jnp.log(_FADED / self.alpha)
         step = (highest - _LOWEST) / (_MIXTURE_NODES - 2)
         log_excess = _LOWEST + step * jnp.arange(_MIXTURE_NODES - 1)
@@ -69,12 +92,12 @@ class SGD(SlopeNDF, MixtureNDF):
         return weights / jnp.sum(weights), jnp.sqrt(self.alpha / (2 * u))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """By the integral over slopes."""
+        """Return Smith's Lambda by its integral over slopes."""
         return tabulated_lambda(self.slope_density, self.alpha, cos)
 
     @property
     def roughness(self) -> jax.Array:
-        """alpha."""
+        """First parameter, alpha."""
         return self.alpha
 
     def __repr__(self) -> str:

@@ -2,25 +2,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import (
-    GGX,
-    BoxPixel,
-    Camera,
-    Conductor,
-    GaussianOptics,
-    Microfacet,
-    Uncertainty,
-    albedo,
-    fresnel_conductor,
-    read_merl,
-    write_exr,
-    write_netcdf,
-)
+from matcam import GGX, BoxPixel, Camera, Conductor, GaussianOptics, Microfacet, fresnel_conductor, read_merl
+from matcam.camera import Uncertainty
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError
 from matcam.core.grid import brdf_table
-from matcam.exchange.contents import identify, read_contents
+from matcam.exchange.contents import read_contents
 from matcam.exchange.inspection import inspect_camera, inspect_contents, inspect_table
+from matcam.files.formats import identify
+from matcam.io import write_exr, write_netcdf
+from matcam.material import albedo
 from tests.oracle import merl_lobe
 
 

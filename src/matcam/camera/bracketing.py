@@ -1,0 +1,149 @@
+"""Exposure bracketing: several pictures of one scene, merged into the radiance that they all saw, with its uncertainty.
+
+Every picture's weight is the inverse variance that the sensor's law gives it at the merged radiance (docs/model.md 8), never
+that of its own noisy pixels. Close to saturation a picture's weight is faded out: a sharp limit would let pixels in by
+their own noise, and bias what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jax.typing import ArrayLike
+
+from matcam.camera.sensor import Seed, Sensor, random_key
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import AnyArray, jax, jnp
+
+_FADE = (0.85, 0.95)  # of saturation: from full weight to none
+_ROUNDS = 3
+
+
+class RadianceEstimate(NamedTuple):
+    """Hold the radiance that a bracket of exposures saw.
+
+    Attributes:
+        radiance: estimate, in the unit that the exposures are per, shape (H, W) or (H, W, channels); NaN where every picture
+            is saturated, or the data are missing.
+        std: its standard deviation, fixed patterns included, same unit and shape.
+        saturated: True where every picture is saturated, same shape.
+    """
+
+    radiance: jax.Array
+    std: jax.Array
+    saturated: jax.Array
+
+
+def expose_bracket(
+    sensor: Sensor, radiance: ArrayLike, exposures: Sequence[float], seed: Seed, times: Sequence[float] | None = None
+) -> jax.Array:
+    """Photograph one scene at several exposures.
+
+    The pictures' noise is independent; their fixed patterns are the sensor's.
+
+    Args:
+        sensor: the sensor that takes them.
+        radiance: of the pixels, any unit, shape (H, W) or (H, W, channels), as in `Sensor.expected_electrons`.
+        exposures: of the pictures, electrons per unit of radiance, positive, (pictures,).
+        seed: of the noise: a whole number, or a key of jax.random.
+        times: of the pictures, s, for the dark current, (pictures,). None: 0, no dark current.
+
+    Returns:
+        The pictures, DN, shape (pictures, H, W) or (pictures, H, W, channels).
+
+    Raises:
+        ArgumentError: an argument is out of range or has the wrong shape.
+
+    Source:
+        EMVA Standard 1288, release 4.
+
+    Example:
+        >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
+        >>> matcam.camera.expose_bracket(sensor, np.ones((2, 3)), [100.0, 1000.0], seed=1).shape
+        (2, 2, 3)
+    """
+    exposures, times = _checked(exposures, times)
+    pairs = zip(jax.random.split(random_key(seed), len(exposures)), exposures, times, strict=True)
+    return jnp.stack([sensor.expose(radiance, exposure, one, time) for one, exposure, time in pairs])
+
+
+def merge_bracket(
+    sensor: Sensor, pictures: AnyArray, exposures: Sequence[float], times: Sequence[float] | None = None
+) -> RadianceEstimate:
+    """Merge pictures of one scene into the radiance that they all saw.
+
+    The estimate is the minimum-variance weighted mean of the pictures less their mean dark electrons. Without saturation it
+    is unbiased but for the weights' faint dependence on the data.
+
+    Args:
+        sensor: the sensor that took them; its noise makes the weights.
+        pictures: DN, shape (pictures, H, W) or (pictures, H, W, channels).
+        exposures: of the pictures, electrons per unit of radiance, positive, (pictures,).
+        times: of the pictures, s, for the dark current, (pictures,). None: 0, no dark current.
+
+    Returns:
+        `.radiance` in the unit that the exposures are per, `.std` of it, and where all are `.saturated`.
+
+    Raises:
+        ArgumentError: an argument is out of range or has the wrong shape.
+
+    Source:
+        EMVA Standard 1288, release 4 (the variances); docs/model.md 8 (where to evaluate them).
+
+    Example:
+        >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
+        >>> pictures = sensor.black_level + np.array([[[500.0]], [[5000.0]]])  # without noise
+        >>> round(float(matcam.camera.merge_bracket(sensor, pictures, [500.0, 5000.0]).radiance[0, 0]), 6)
+        1.0
+    """
+    exposures, times = _checked(exposures, times)
+    pictures = jnp.asarray(pictures, dtype=jnp.float64)
+    if pictures.shape[:1] != (len(exposures),) or pictures.ndim not in (3, 4):
+        raise ArgumentError(
+            f"pictures must have shape ({len(exposures)}, H, W) or ({len(exposures)}, H, W, channels), one per exposure, "
+            f"got {pictures.shape}"
+        )
+    column = (-1,) + (1,) * (pictures.ndim - 1)
+    exposure, time = (jnp.asarray(a, dtype=jnp.float64).reshape(column) for a in (exposures, times))
+    dark = time * sensor.dark_current
+    electrons = sensor.electrons(pictures)
+    low, high = _FADE
+    share = jnp.clip((high - electrons / sensor.saturation) / (high - low), 0, 1)
+    usable = share > 0
+    saturated = ~jnp.any(usable | jnp.isnan(electrons), axis=0)
+
+    # the mean for shot noise alone needs no variance to start from
+    weight = share * exposure
+    radiance = jnp.sum(share * (electrons - dark), axis=0) / _nan_where_zero(jnp.sum(weight, axis=0))
+    for _ in range(_ROUNDS):
+        variance = _variance(sensor, radiance, exposure, dark)
+        weight = share / variance
+        weight = weight / _nan_where_zero(jnp.sum(weight, axis=0))
+        radiance = jnp.sum(weight * (electrons - dark) / exposure, axis=0)
+    # patterns are the same in all pictures: averaging does not help against them
+    common = (sensor.prnu * radiance) ** 2
+    common += (sensor.dark_nonuniformity * jnp.sum(weight * dark / exposure, axis=0)) ** 2
+    std = jnp.sqrt(jnp.sum(weight**2 * _variance(sensor, radiance, exposure, dark), axis=0) + common)
+    return RadianceEstimate(radiance, std, saturated)
+
+
+def _variance(sensor: Sensor, radiance: jax.Array, exposure: jax.Array, dark: jax.Array) -> jax.Array:
+    return sensor.variance(exposure * jnp.maximum(radiance, 0) + dark) / exposure**2
+
+
+def _nan_where_zero(total: jax.Array) -> jax.Array:
+    return jnp.where(total > 0, total, jnp.nan)
+
+
+def _checked(exposures: Sequence[float], times: Sequence[float] | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    positive = checks.positive("exposures", jnp.atleast_1d(jnp.asarray(exposures)), "e- per unit of radiance")
+    if positive.ndim != 1 or positive.size == 0:
+        raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
+    exposed = tuple(positive.tolist())
+    lasted = (0.0,) * len(exposed) if times is None else tuple(float(t) for t in times)
+    if len(lasted) != len(exposed):
+        raise ArgumentError(f"times must be as many as exposures ({len(exposed)}), got {len(lasted)}")
+    checks.within("times", jnp.asarray(lasted), 0, float("inf"), "s", open_high=True)
+    return exposed, lasted

@@ -1,0 +1,232 @@
+"""The formats that matcam reads and writes: one table, from which everything else takes its lists.
+
+A format is recognised by a file's content, and chosen by an output's suffix. Readers and writers are imported when they are
+called, so that the command line can print these lists without loading them.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import reading
+
+CONTENTS = {
+    "table": "a table on the MERL grid",
+    "fields": "a BRDF in RGL's parameterisation",
+    "samples": "scattered samples",
+    "result": "a result that is no BRDF",
+    "picture": "a picture",
+    "camera": "a camera profile",
+    "sidecar": "a picture sidecar",
+    "chart": "a chart's description",
+}
+"""What a file can hold, in words."""
+
+MEASUREMENTS = ("table", "fields", "samples", "result", "picture")
+"""The contents that `convert` moves from one format to another."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """Describe one file format.
+
+    Attributes:
+        name: short name, as in reports.
+        title: name for people.
+        holds: keys of `CONTENTS` that it can hold.
+        suffixes: endings of its files' names, lower case, the usual one first.
+        starts: bytes that its files begin with, any of them.
+        mark: text that its JSON documents hold near their beginning.
+        hint: how people can recognise a file.
+        reader: function that reads a path, as "module:function" below `matcam`; "": it stands above this package.
+        writers: functions that write (path, data, force=...), by content, named likewise.
+    """
+
+    name: str
+    title: str
+    holds: tuple[str, ...]
+    suffixes: tuple[str, ...]
+    starts: tuple[bytes, ...] = ()
+    mark: bytes = b""
+    hint: str = ""
+    reader: str = ""
+    writers: Mapping[str, str] = field(default_factory=dict)
+
+    def read(self, path: str | Path, **options: Any) -> Any:
+        """Read a file. `options` go to the reader, such as `sampling` for MERL."""
+        return _function(self.reader)(path, **options)
+
+    def writer(self, content: str) -> Callable[..., None]:
+        """Return the function that writes (path, data, force=...); ArgumentError where the format cannot hold the content."""
+        if content in self.writers:
+            return _function(self.writers[content])
+        choice, suffix = ", ".join(suffixes_for(content)), self.suffixes[0]
+        if content == "picture":
+            raise ArgumentError(f"a picture goes into {choice}, not into {suffix}")
+        if "picture" in self.holds:
+            raise ArgumentError(f"{CONTENTS[content]} is not a picture: it goes into {choice}, not into {suffix}")
+        raise ArgumentError(f"{CONTENTS[content]} has no place in {suffix}: {choice} can hold it")
+
+
+_LABELLED = ("table", "fields", "samples", "result")
+
+FORMATS = (
+    Format(
+        name="merl",
+        title="MERL",
+        holds=("table",),
+        suffixes=(".binary",),
+        starts=(struct.pack("<3i", 90, 90, 180),),
+        reader="files.merl:read_merl",
+        writers={"table": "files.merl:write_merl"},
+        hint="its first 12 bytes are 90, 90, 180",
+    ),
+    Format(
+        name="rgl",
+        title="RGL",
+        holds=("fields",),
+        suffixes=(".bsdf",),
+        starts=(b"tensor_file\0",),
+        reader="files.rgl:read_rgl",
+        writers={"fields": "files.rgl:write_rgl"},
+    ),
+    Format(
+        name="csv",
+        title="CSV",
+        holds=("table", "samples", "result"),
+        suffixes=(".csv",),
+        reader="files.samples:read_samples",
+        writers={
+            "table": "files.samples:write_samples",
+            "samples": "files.samples:write_samples",
+            "result": "core.io:write_columns",
+        },
+    ),
+    Format(
+        name="netcdf",
+        title="NetCDF-4",
+        holds=_LABELLED,
+        suffixes=(".nc",),
+        starts=(b"\x89HDF\r\n\x1a\n",),
+        reader="files.datasets:read_netcdf",
+        writers=dict.fromkeys(_LABELLED, "files.datasets:write_netcdf"),
+    ),
+    Format(
+        name="zarr",
+        title="Zarr in a zip",
+        holds=_LABELLED,
+        suffixes=(".zarr.zip",),
+        reader="files.datasets:read_zarr",
+        writers=dict.fromkeys(_LABELLED, "files.datasets:write_zarr"),
+    ),
+    Format(
+        name="exr",
+        title="OpenEXR",
+        holds=("picture",),
+        suffixes=(".exr",),
+        starts=(struct.pack("<i", 20000630),),
+        reader="files.float_pictures:read_exr",
+        writers={"picture": "files.float_pictures:write_exr"},
+    ),
+    Format(
+        name="tiff",
+        title="TIFF of floats",
+        holds=("picture",),
+        suffixes=(".tif", ".tiff"),
+        starts=(b"II*\0", b"MM\0*"),
+        reader="files.float_pictures:read_float_tiff",
+        writers={"picture": "files.float_pictures:write_float_tiff"},
+    ),
+    Format(
+        name="camera profile",
+        title="camera profile (JSON)",
+        holds=("camera",),
+        suffixes=(".json",),
+        mark=b'"matcam camera profile"',
+    ),
+    Format(
+        name="picture sidecar",
+        title="picture sidecar (JSON)",
+        holds=("sidecar",),
+        suffixes=(".json",),
+        mark=b'"matcam picture sidecar"',
+        reader="files.sidecar:read_sidecar",
+    ),
+    Format(
+        name="chart",
+        title="chart description (JSON)",
+        holds=("chart",),
+        suffixes=(".json",),
+        mark=b'"matcam chart"',
+    ),
+)
+"""All formats."""
+
+_HEAD = 4096  # bytes
+
+
+def format_named(name: str) -> Format:
+    """Return the format of this short name."""
+    return next(form for form in FORMATS if form.name == name)
+
+
+def suffixes_for(*contents: str) -> tuple[str, ...]:
+    """Return the suffixes of the formats that can hold any of these contents, in the order of `FORMATS`."""
+    return tuple(dict.fromkeys(s for form in FORMATS for s in form.suffixes if set(contents) & set(form.holds)))
+
+
+def titles_for(*contents: str) -> str:
+    """Return the titles of the formats that can hold any of these contents, for people."""
+    return ", ".join(form.title for form in FORMATS if set(contents) & set(form.holds))
+
+
+def identify(path: str | Path) -> str:
+    """Return the short name of a file's format, by its content, or by its name where the content is damaged.
+
+    Raises FileFormatError for anything that matcam does not read.
+    """
+    path = Path(path)
+    with reading(path), path.open("rb") as file:
+        head = file.read(_HEAD)
+        file.seek(max(0, path.stat().st_size - _HEAD))
+        tail = file.read(_HEAD)
+    for form in FORMATS:
+        if head.startswith(form.starts):
+            return form.name
+    if head.startswith(b"PK\3\4") and b"zarr.json" in head + tail:
+        return "zarr"
+    if head.lstrip().startswith(b"{"):
+        # a sidecar holds a camera profile: the first mark is the document's own
+        marked = [form for form in FORMATS if form.mark and form.mark in head]
+        return min(marked, key=lambda form: head.find(form.mark)).name if marked else "camera profile"
+    first = head.split(b"\n", 1)[0]
+    if b"_per_sr" in first and b"," in first:
+        return "csv"
+    for form in FORMATS:
+        if not form.mark and path.suffix in form.suffixes:
+            return form.name
+    known = (f"{form.title} ({form.hint})" if form.hint else form.title for form in FORMATS)
+    raise FileFormatError(f"{path}: none of what matcam reads: {', '.join(known)}")
+
+
+def format_for(path: str | Path, *contents: str) -> Format:
+    """Return the format that an output's name chooses, among those that can hold any of these contents.
+
+    Default: any measurement. ArgumentError where the name ends in none of their suffixes.
+    """
+    name, contents = Path(path).name.lower(), contents or MEASUREMENTS
+    for form in FORMATS:
+        if set(contents) & set(form.holds) and name.endswith(form.suffixes):
+            return form
+    raise ArgumentError(f"{path}: the name must end in one of {', '.join(suffixes_for(*contents))}")
+
+
+def _function(place: str) -> Callable[..., Any]:
+    module, name = place.split(":")
+    return getattr(import_module(f"matcam.{module}"), name)

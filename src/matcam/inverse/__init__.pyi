@@ -1,0 +1,7 @@
+from .correction.correction import Correction
+from .fit.fit_setup import FitSetup
+from .fit.material_fit import MaterialFit
+from .fresnel_term import tabulated_fresnel
+from .rival_fits import Rivals
+
+__all__ = ["Correction", "FitSetup", "MaterialFit", "Rivals", "tabulated_fresnel"]

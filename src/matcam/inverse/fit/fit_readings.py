@@ -1,0 +1,311 @@
+"""Readings of a solved fit: strengths, parameters by name, materials, the camera, and remarks."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.camera.camera import Camera
+from matcam.camera.uncertainty import Uncertainty
+from matcam.core.jax import jax, jnp
+from matcam.core.remark import Remark
+from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at
+from matcam.inverse.fit.fit_problem import FitProblem
+from matcam.inverse.fit.search import Solution
+from matcam.inverse.operator.rig_axes import WIDTHS, Axis
+from matcam.material.microfacet import Microfacet
+from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
+
+DETERMINED = 0.05
+"""Relative standard deviation of a roughness up to which it counts as determined."""
+LINEAR = 0.15
+"""Relative standard deviation of a power up to which errors are those of the linearised fit: beyond, width and power trade
+along a curve, and the width's own error says too little."""
+
+_BOUND = 0.05
+"""ln of a width over the narrowest that is tried, below which the fit has run into its bound."""
+_UNSEEN = 2.0
+"""Standard deviations of its square below which a width is compatible with 0."""
+
+
+class FitCoordinates(NamedTuple):
+    """Hold a fit's first lobe and its rig in the coordinates in which the fit is linear.
+
+    Attributes:
+        kind: what the lobe's coordinates mean.
+        lobe: (lobe coordinates,), logarithms of the family's parameters and then the splines' own.
+        axes: the rig's parameters that were fitted.
+        rig: (axes,), coordinates along them; 0 is the rig's own value.
+        covariance: of (lobe, rig).
+    """
+
+    kind: LobeKind
+    lobe: np.ndarray
+    axes: tuple[Axis, ...]
+    rig: np.ndarray
+    covariance: np.ndarray
+
+
+class Strengths(NamedTuple):
+    """Hold F of every slice as fitted, free in each. Shapes: u units, s slices; NaN or 0 where nothing was seen.
+
+    Attributes:
+        value: (u, s), F.
+        noise_covariance: (u, s, s), of pixel noise, the rig exact.
+        rig_covariance: (u, s, s), of the rig's uncertain parameters.
+    """
+
+    value: np.ndarray
+    noise_covariance: np.ndarray
+    rig_covariance: np.ndarray
+
+
+class LinearisedFit(NamedTuple):
+    """Hold a fit as the linear least-squares problem that it is at its solution.
+
+    Attributes:
+        solution: data, operator, model and derivatives at the solution.
+        coordinates: of the first lobe and the rig.
+        residual: (u, s, n), data - model; 0 where unused.
+        by_coordinates: (lobe and rig, u, s, n), derivatives by them.
+        by_units: (the others, u, s, n), derivatives by the units' parameters.
+        rig_information: (axes, axes), what is known of the rig beside the data.
+    """
+
+    solution: Solution
+    coordinates: FitCoordinates
+    residual: np.ndarray
+    by_coordinates: np.ndarray
+    by_units: np.ndarray
+    rig_information: np.ndarray
+
+
+def fit_coordinates(solution: Solution) -> FitCoordinates:
+    """Return the first lobe and the rig."""
+    layout, p = solution.problem.layout, solution.p
+    both = np.r_[layout.lobe(0), layout.rig]
+    covariance = solution.covariance[np.ix_(both, both)]
+    return FitCoordinates(layout.kind, p[layout.lobe(0)], solution.problem.prior.axes, p[layout.rig], covariance)
+
+
+def linearised_fit(solution: Solution) -> LinearisedFit:
+    """Return the linear problem at a solution."""
+    problem, layout = solution.problem, solution.problem.layout
+    derivative = solution.model.derivative
+    return LinearisedFit(
+        solution,
+        fit_coordinates(solution),
+        problem.residual(solution.model),
+        derivative[np.r_[layout.lobe(0), layout.rig]],
+        derivative[layout.rig.stop :],
+        problem.prior.rig_information(),
+    )
+
+
+def strengths_with_covariance(solution: Solution) -> Strengths:
+    """Return F of every slice and the two parts of its covariance."""
+    own, slope = _strength_errors(solution)
+    rig = solution.problem.layout.rig
+    # what the rig's own uncertainty adds, and the covariance if the rig were exact
+    cross = solution.covariance[:, rig]
+    added = cross @ np.linalg.pinv(solution.covariance[rig, rig], hermitian=True) @ cross.T
+    seen = solution.problem.data.used.any(-1)
+    diagonal = np.eye(own.shape[1]) * own[:, None, :] ** 2
+    by_noise, by_rig = (
+        np.einsum("pus,pq,qut->ust", slope, part, slope) for part in (solution.covariance - added, added)
+    )
+    return Strengths(np.where(seen, solution.model.strength, np.nan), diagonal + by_noise, by_rig)
+
+
+def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Return F of every unit and slice and its standard deviation, the picture gain's share included where F is free."""
+    problem, layout = solution.problem, solution.problem.layout
+    strength = solution.model.strength.copy()
+    if layout.fresnel != "free":
+        variance = np.zeros_like(strength)
+        for u in range(len(strength)):
+            slope, inner = fresnel_slope(solution, u, problem.theta_d)
+            variance[u] = np.einsum("sa,ab,sb->s", slope, solution.covariance[inner, inner], slope)
+        return strength, np.sqrt(variance)
+    own, slope = _strength_errors(solution)
+    variance = own**2 + np.einsum("pus,pq,qus->us", slope, solution.covariance, slope)
+    variance += (solution.noise.picture_gain * strength) ** 2
+    seen = problem.data.used.any(-1)
+    return np.where(seen, strength, np.nan), np.where(seen, np.sqrt(variance), np.nan)
+
+
+def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> tuple[np.ndarray, slice]:
+    """Return the derivatives of a unit's F at angles by its coordinates, and the coordinates' place."""
+    layout = solution.problem.layout
+    first = layout.unit(unit).start
+    inner = slice(first, first + layout.fresnel_size)
+
+    def curve(c: jax.Array) -> jax.Array:
+        return reflectance_at(layout.fresnel, c).at(jnp.asarray(theta))
+
+    return np.asarray(jax.jacfwd(curve)(jnp.asarray(solution.p[inner]))), inner
+
+
+def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Return the parts of free strengths' errors; 0 where nothing was seen.
+
+    First their standard deviations with all else exact, (units, slices). Then how they fall when the fit's parameters rise,
+    (parameters, units, slices). The covariance of a unit's strengths is diag(own^2) + slope' covariance slope.
+    """
+    data, model = solution.problem.data, solution.model
+    weighted = np.where(data.used, solution.weight, 0.0) * model.lobe
+    power = np.maximum((weighted * model.lobe).sum(-1), 1e-300)
+    slope = (weighted * model.derivative).sum(-1) / power
+    seen = data.used.any(-1)
+    return np.where(seen, model.strength_std, 0.0), np.where(seen, slope, 0.0)
+
+
+def effective_parameters(solution: Solution) -> float:
+    """Count the parameters that the data determine, free strengths included; what the prior holds does not count."""
+    prior = solution.problem.prior.rows(solution.problem.layout)
+    by_prior = float(np.einsum("rp,pq,rq->", prior, solution.covariance, prior))
+    return solution.p.size - by_prior + int(solution.problem.data.used.any(-1).sum())
+
+
+class LobeVerdict(NamedTuple):
+    """Say how well a fit knows its lobes.
+
+    Attributes:
+        determined: whether every roughness is known to 5 %.
+        resolved: whether the lobe is wider than the narrowest that the camera can tell from a point.
+    """
+
+    determined: bool
+    resolved: bool
+
+
+def lobe_verdict(solution: Solution) -> LobeVerdict:
+    """Judge how well the lobes are known."""
+    layout, std = solution.problem.layout, np.sqrt(np.diag(solution.covariance))
+    narrowest = layout.kind.bounds(solution.problem.radius)[0][0]
+    resolved = bool(float(solution.p[0]) - narrowest > _BOUND)
+    first = [layout.lobe(n).start for n in range(layout.lobes)]
+    own = len(layout.kind.family_names)
+    linear = own == 1 or bool(np.all(std[[start + own - 1 for start in first]] < LINEAR))
+    return LobeVerdict(linear and bool(np.all(std[first] < DETERMINED)) and resolved, resolved)
+
+
+def fit_remarks(
+    solution: Solution, camera: Camera | None, verdict: LobeVerdict, noise_given: bool
+) -> tuple[Remark, ...]:
+    """Say what a reader should know of a fit."""
+    remarks = []
+    prior, place, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
+    if camera is None:
+        remarks.append(Remark("no-rig", "no rig: fitted as if the camera were perfect"))
+    elif not prior.axes:
+        unstated = "" if camera.uncertainty else ": its profile states no uncertainty"
+        remarks.append(Remark("camera-exact", f"the camera is assumed exact{unstated}"))
+    stds = np.sqrt(np.diag(solution.covariance)[place])
+    for axis, coordinate, own in zip(prior.axes, solution.p[place], stds, strict=True):
+        square, std = axis.square(coordinate, own)
+        if axis.softening and square < _UNSEEN * std:
+            text = f"{axis.name} is compatible with 0: its square is {square:.2g} +- {std:.2g}"
+            remarks.append(Remark("compatible-with-zero", text))
+    if not verdict.resolved:
+        remarks.append(
+            Remark(
+                "lobe-too-narrow",
+                "the lobe is narrower than this camera can tell, or than it could have recorded: the width is a bound; "
+                "check that rig and data belong together",
+            )
+        )
+    elif not verdict.determined:
+        text = "the roughness is not determined: its standard deviation exceeds 5 %"
+        remarks.append(Remark("roughness-not-determined", text))
+    if noise_given and solution.misfit > 1 + 5 * np.sqrt(2 / max(solution.freedom, 1)):
+        text = f"the data miss the model by {np.sqrt(solution.misfit):.1f} times the stated noise"
+        remarks.append(Remark("misfit", text))
+    if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
+        text = "the data miss the model by more than any pixel's noise: the camera or the family of the lobe is wrong"
+        remarks.append(Remark("misfit", text))
+    return tuple(remarks)
+
+
+class NamedParameters(NamedTuple):
+    """Hold a fit's parameters as users read them.
+
+    Attributes:
+        names: "alpha", "n[G]", "optics.sigma_px", ...
+        values: in the parameters' own units.
+        covariance: of the values.
+    """
+
+    names: list[str]
+    values: np.ndarray
+    covariance: np.ndarray
+
+
+def named_parameters(solution: Solution) -> NamedParameters:
+    """Return all parameters by name."""
+    problem, layout, data = solution.problem, solution.problem.layout, solution.problem.data
+    several = data.tables > 1
+    unit_names = [f"{label}@{t}" if several else label for label, t in zip(data.labels, data.table_of, strict=True)]
+    names: list[str] = []
+    for lobe in range(layout.lobes):
+        suffix = ""
+        if layout.lobes > 1:
+            unit = layout.lobe_of.index(lobe)
+            suffix = f"[{data.table_of[unit]}]" if layout.lobes == data.tables else f"[{unit_names[unit]}]"
+        names += [f"{name}{suffix}" for name in layout.kind.names]
+    plain = [name.split("[")[0] for name in names]
+    names += [axis.name for axis in problem.prior.axes]
+    plain += ["rig"] * layout.axes
+    for unit_name in unit_names:
+        names += [f"{name}[{unit_name}]" for name in layout.unit_names]
+        plain += layout.unit_names
+    pairs = np.array([readable_value(name, q) for name, q in zip(plain, solution.p, strict=True)])
+    values, slopes = pairs.T if pairs.size else (np.zeros(0), np.zeros(0))
+    for place, axis in enumerate(problem.prior.axes, layout.rig.start):
+        std = float(np.sqrt(solution.covariance[place, place]))
+        values[place], slopes[place] = axis.value(solution.p[place]), axis.slope(solution.p[place], std)
+    return NamedParameters(names, values, solution.covariance * np.outer(slopes, slopes))
+
+
+def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:
+    """Return the material of each table. strength: (units, slices), as from `strength_curves`."""
+    problem = solution.problem
+    return tuple(_material(solution, problem.data.units_of(table), strength) for table in range(problem.data.tables))
+
+
+def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Microfacet:
+    problem, layout = solution.problem, solution.problem.layout
+    diffuse: Any = 0.0
+    if layout.diffuse:
+        diffuse = np.clip(problem.diffuse(solution.p)[units], 0, 1)
+    rows = [solution.p[layout.unit(u)] for u in units]
+    term: Reflectance
+    if layout.fresnel == "free":
+        seen = np.isfinite(strength[units]).all(axis=0)
+        term = Sampled(problem.theta_d[seen], np.maximum(strength[units][:, seen], 0.0).T)
+    elif layout.fresnel == "conductor":
+        term = Conductor(np.exp([r[0] for r in rows]), np.exp([r[1] for r in rows]))
+    elif layout.fresnel == "schlick":
+        term = Schlick(np.array([r[0] for r in rows]))
+    else:
+        term = Dielectric(1 + np.exp([r[0] for r in rows]))
+    ndf = layout.kind.ndf(jnp.asarray(solution.p[layout.lobe(layout.lobe_of[units[0]])]))
+    return Microfacet(ndf, term, diffuse, layout.kind.masking)
+
+
+def fitted_camera(solution: Solution, camera: Camera) -> Camera:
+    """Return a camera as fitted, with its new uncertainty."""
+    problem: FitProblem = solution.problem
+    axes, place = problem.prior.axes, problem.layout.rig
+    lens = [n for n, axis in enumerate(axes) if axis.name not in WIDTHS]
+    if not lens:
+        return camera
+    coordinates = solution.p[place]
+    values = {axes[n].name: axes[n].value(float(coordinates[n])) for n in lens}
+    covariance = solution.covariance[place, place][np.ix_(lens, lens)]
+    slopes = [axes[n].slope(float(coordinates[n]), float(np.sqrt(covariance[m, m]))) for m, n in enumerate(lens)]
+    covariance = covariance * np.outer(slopes, slopes)
+    fitted = camera.with_parameters(values)
+    uncertainty = Uncertainty(values, (covariance + covariance.T) / 2)
+    return Camera(fitted.optics, fitted.pixel, fitted.sensor, uncertainty=uncertainty, provenance=fitted.provenance)

@@ -1,0 +1,296 @@
+"""The setup of a fit in one object: data, rig, model, prior and noise (docs/model.md 8).
+
+`FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit that begins where another
+ended - in more slices, with a parameter of the rig left free, with the lobe bent - is `setup.with_(...).solve(start=found)`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+
+from matcam.camera.sensor import PixelNoise
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import checked_table, sampling_of
+from matcam.core.workspace import Workspace
+from matcam.inverse.fit.fit_data import fit_data
+from matcam.inverse.fit.fit_parameters import FRESNEL_MODELS, FresnelModel, Layout, LobeKind
+from matcam.inverse.fit.fit_problem import FitProblem, Prior
+from matcam.inverse.fit.material_fit import MaterialFit, material_fit
+from matcam.inverse.fit.search import Search, Solution
+from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
+from matcam.inverse.operator.rig_axes import LENS, free_axis, prior_axis
+from matcam.material.masking import MASKINGS, Masking
+from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
+from matcam.material.registry import FAMILIES
+from matcam.rigs import Rig
+
+CameraParameters = Literal["fixed", "prior", "free"]
+CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
+
+AUTO = "auto"
+"""Family of the lobe where the user names none: the likelier of the candidates."""
+CANDIDATES = ("ggx", "epd")
+SEARCH_EVERY = 6
+"""Spacing of the slices of theta_d in which a lobe is looked for before it is fitted to more."""
+
+
+@dataclass(frozen=True)
+class FitSetup:
+    """Hold everything that determines a fit.
+
+    Attributes:
+        tables: tables of one rig, a material each.
+        rig: the rig that recorded them; None: as if the camera were perfect.
+        ndf: family of the lobe.
+        fresnel: model of F.
+        diffuse: whether to add a Lambertian part.
+        per_channel: whether each channel has a lobe of its own.
+        masking: the lobe's G.
+        camera_parameters: how the rig's parameters are treated; None: "prior" if the camera states an uncertainty, else
+            "fixed".
+        free: names of the parameters that are fitted where `camera_parameters` is "free".
+        bend: how far ln D may leave its family; 0: not at all.
+        free_masking: whether G is any smooth function of the angle.
+        noise: noise of a pixel; None: estimated from the residuals.
+        every: spacing of the slices of theta_d.
+        radius: radius of the sphere, px, whose pixels are told apart without a rig.
+        workspace: keeps what depends on the rig alone; None: the process's own.
+    """
+
+    tables: tuple[xr.DataArray, ...]
+    rig: Rig | None
+    ndf: str = "ggx"
+    fresnel: FresnelModel = "conductor"
+    diffuse: bool = False
+    per_channel: bool = False
+    masking: Masking = "smith"
+    camera_parameters: CameraParameters | None = None
+    free: tuple[str, ...] = (LENS,)
+    bend: float = 0.0
+    free_masking: bool = False
+    noise: PixelNoise | None = None
+    every: int = 1
+    radius: float = sphere_radius(None)
+    workspace: Workspace | None = None
+
+    def __post_init__(self) -> None:
+        tables = tuple(checked_table(table) for table in self.tables)
+        if not tables:
+            raise ArgumentError("brdf must be a table or a list of at least one, got none")
+        if len({sampling_of(table) for table in tables}) > 1:
+            raise ArgumentError("tables that are fitted together must have the same attrs['sampling']")
+        checks.choice("ndf", self.ndf, tuple(FAMILIES))
+        checks.choice("fresnel", self.fresnel, FRESNEL_MODELS)
+        checks.choice("masking", self.masking, MASKINGS)
+        if type(self.every) is not int or not 1 <= self.every <= 30:
+            raise ArgumentError(f"every must be a whole number in [1, 30], got {self.every!r}")
+        checks.within("bend", self.bend, 0, 10)
+        if self.noise is not None:
+            self.noise.checked()
+
+    def with_(self, **changes: Any) -> FitSetup:
+        """Return the same setup with other fields."""
+        return dataclasses.replace(self, **changes)
+
+    def solve(self, start: MaterialFit | None = None, *, weights: Literal["data", "start"] = "data") -> MaterialFit:
+        """Find the best fit.
+
+        start: a fit of these tables by another setup, from which the search goes on; None: the search begins anew. It takes a
+        few linear steps where the start has the same parameters, as a fit of fewer slices has.
+        weights: with a start, the robust weights to begin with: "data", each value's own variance, or "start", those of a
+        start in the same cells.
+        """
+        search = Search(self.problem, self.noise)
+        if start is None:
+            return self._result(search.best())
+        before = start._solution
+        weight = before.weight if weights == "start" else None
+        same = before.problem.layout == self.layout and before.problem.prior.axes == self.prior.axes
+        go_on = search.adjust if same else search.resume
+        return self._result(go_on(self._vector(start), weight, before.noise))
+
+    def _result(self, solution: Solution) -> MaterialFit:
+        camera = self.rig.camera if self.rig is not None else None
+        return material_fit(solution, camera, noise_given=self.noise is not None)
+
+    def _vector(self, start: MaterialFit) -> np.ndarray:
+        """Return the parameters of a start in this setup's order; what the start has not is 0."""
+        layout, (problem, p, *_) = self.layout, start._solution
+        before = problem.layout
+        vector = np.zeros(layout.size)
+        for lobe in range(layout.lobes):
+            size = min(layout.kind.size, before.kind.size)
+            vector[layout.lobe(lobe)][:size] = p[before.lobe(lobe)][:size]
+        if self.prior.axes == problem.prior.axes:
+            vector[layout.rig] = p[before.rig]
+        vector[layout.rig.stop :] = p[before.rig.stop :]
+        return vector
+
+    @cached_property
+    def problem(self) -> FitProblem:
+        """Return the least-squares problem."""
+        sampling = sampling_of(self.tables[0])
+        if self.rig is None:
+            cells, operator = perfect_operator(sampling, self.every, self.radius, self.workspace)
+        else:
+            cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
+        radius = self.radius if self.rig is None else sphere_radius(self.rig)
+        return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Return the order of the parameters."""
+        channels = [table.sizes["channel"] for table in self.tables]
+        lobes = range(sum(channels)) if self.per_channel else np.repeat(np.arange(len(channels)), channels)
+        kind = LobeKind(self.ndf, self.masking, KNOTS if self.bend else 0, SHADOWS if self.free_masking else 0)
+        return Layout(kind, self.fresnel, self.diffuse, tuple(int(n) for n in lobes), len(self.prior.axes))
+
+    @cached_property
+    def prior(self) -> Prior:
+        """Return what is known of the parameters beside the data."""
+        camera_parameters = self.camera_parameters
+        if self.rig is None:
+            if camera_parameters not in (None, "fixed"):
+                raise ArgumentError(
+                    "without a rig there is no camera to fit: camera_parameters must be None or 'fixed'"
+                )
+            return Prior(bend=self.bend)
+        check_rig(self.rig)
+        uncertainty = self.rig.camera.uncertainty
+        stated = uncertainty is not None and bool(uncertainty.names)
+        if camera_parameters is None:
+            camera_parameters = "prior" if stated else "fixed"
+        checks.choice("camera_parameters", camera_parameters, CAMERA_PARAMETERS)
+        if camera_parameters == "fixed":
+            return Prior(bend=self.bend)
+        if camera_parameters == "free":
+            axes = tuple(free_axis(name, self.rig) for name in self.free)
+            return Prior(axes, np.zeros((len(axes), len(axes))), self.bend)
+        if not stated:
+            raise ArgumentError(
+                "camera_parameters='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))"
+            )
+        return _stated_prior(self.rig, self.bend)
+
+
+def _stated_prior(rig: Rig, bend: float) -> Prior:
+    """Return the camera's stated uncertainty as a prior of relative changes of its parameters."""
+    uncertainty = rig.camera.uncertainty
+    assert uncertainty is not None
+    parameters = rig.camera.parameters()
+    value = np.array([float(parameters[name]) for name in uncertainty.names])
+    covariance = np.asarray(uncertainty.covariance)
+    uncertain = (np.diag(covariance) > 0) & (value > 0)
+    names = [name for name, one in zip(uncertainty.names, uncertain, strict=True) if one]
+    relative = covariance[np.ix_(uncertain, uncertain)] / np.outer(value[uncertain], value[uncertain])
+    variances, vectors = np.linalg.eigh(relative)
+    root = (vectors / np.sqrt(np.maximum(variances, 1e-12))).T
+    stds = np.sqrt(np.diag(relative)).tolist()
+    axes = (prior_axis(*one) for one in zip(names, value[uncertain].tolist(), stds, strict=True))
+    return Prior(tuple(axes), root, bend)
+
+
+def fit(
+    brdf: xr.DataArray | Sequence[xr.DataArray],
+    rig: Rig | None,
+    ndf: str = "ggx",
+    *,
+    fresnel: FresnelModel = "conductor",
+    diffuse: bool = False,
+    per_channel: bool = False,
+    masking: Masking = "smith",
+    camera_parameters: CameraParameters | None = None,
+    free: Sequence[str] = (LENS,),
+    bend: float = 0.0,
+    noise: PixelNoise | None = None,
+    every: int = 1,
+    workspace: Workspace | None = None,
+) -> MaterialFit:
+    """Fit a microfacet material to a table through its camera.
+
+    All slices of theta_d are fitted jointly. The data are chosen cells, one of every pixel, so that their errors are
+    independent but for the picture gain. The stated covariance is the inverse of their Fisher information with the camera's
+    prior. Outliers beyond 3 standard deviations count less (Huber).
+
+    Args:
+        brdf: table as from `read_merl`, 1/sr, or several tables of one rig (one camera, a material each).
+        rig: the rig that recorded them: a sphere, a distant camera and a distant lamp. None fits as if the camera were
+            perfect.
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". It is not "auto", as in
+            `fresnel` and `correct`, because the family decides which parameters the result has.
+        fresnel: model of F: "conductor" (n and k), "schlick" or "dielectric" per channel, or "free" in every slice. Default:
+            "conductor".
+        diffuse: whether to add a Lambertian part. Default: False, as metals have none.
+        per_channel: whether each channel has a lobe of its own. Default: False, one lobe for all.
+        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        camera_parameters: how the rig's parameters are treated. "fixed": as the rig says. "prior": the camera's uncertain
+            parameters are fitted, with its covariance as their prior. "free": the parameters named in `free` are fitted with
+            nothing known. Default: None, "prior" if the camera states an uncertainty, else "fixed".
+        free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "lamp_radius", "jitter", "aperture")
+            may come down to 0. Default: the width of a Gaussian lens.
+        bend: how far D may leave its family, smoothly (no unit). It is the standard deviation of the second differences of ln D
+            between knots that are half a power of e apart. Default: 0, not at all; 1 is as good as no family.
+        noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, misfit and all.
+        every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+
+    Returns:
+        The material, its parameters with their errors, and remarks on the fit.
+
+    Raises:
+        ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
+        FitError: the data hold nothing to fit.
+
+    Source:
+        docs/model.md sections 3 and 8; variable projection: Golub & Pereyra (1973), Kaufman (1975).
+
+    Example:
+        >>> table = matcam.read_merl("chrome.binary")  # doctest: +SKIP
+        >>> found = matcam.fit(table, matcam.rigs.merl(), "epd", every=6)  # doctest: +SKIP
+        >>> found.params["beta"], found.std["beta"]  # doctest: +SKIP
+        >>> matcam.fit([], matcam.rigs.merl())
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
+    """
+    setup = FitSetup(
+        tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,
+        diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
+        free=tuple(free), bend=bend, noise=noise, every=every, workspace=workspace,
+    )  # fmt: skip
+    return setup.solve()
+
+
+def free_setup(
+    tables: Sequence[xr.DataArray],
+    rig: Rig,
+    *,
+    masking: Masking = "smith",
+    camera_parameters: CameraParameters | None = None,
+    noise: PixelNoise | None = None,
+    every: int = SEARCH_EVERY,
+    workspace: Workspace | None = None,
+) -> FitSetup:
+    """Return the setup that assumes least: F free in every slice, and a Lambertian part."""
+    return FitSetup(
+        tuple(tables), rig, fresnel="free", diffuse=True, masking=masking, camera_parameters=camera_parameters,
+        noise=noise, every=every, workspace=workspace,
+    )  # fmt: skip
+
+
+def candidate_fits(setup: FitSetup, ndf: str) -> list[MaterialFit]:
+    """Fit each candidate family, or the family `ndf` alone."""
+    return [setup.with_(ndf=family).solve() for family in (CANDIDATES if ndf == AUTO else (ndf,))]
+
+
+def likeliest(fits: Sequence[MaterialFit]) -> MaterialFit:
+    """Return the fit whose family makes the data most probable."""
+    return max(fits, key=lambda found: found.log_likelihood)

@@ -1,0 +1,143 @@
+"""Two explanations of a table: its camera, or a surface that shadows itself as no roughness would.
+
+Both fits have a lobe of any smooth shape, and F free in every slice. One sees the lobe through the camera, with Smith's
+masking, which follows from the lobe. The other sees it as it is, with masking free (Bagher, Snyder & Nowrouzezahrai 2016).
+Both use the same cells; each estimates its own noise, and parameters that the data determine are counted against it (Akaike
+1974).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import xarray as xr
+
+from matcam.core.workspace import Workspace
+from matcam.inverse.fit.fit_setup import FitSetup, free_setup
+from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.operator.lobe_operator import sphere_radius
+from matcam.rigs import Rig
+
+_BEND = 1.0
+_CLEAR = 10.0
+"""Difference of Akaike's criterion beyond which the worse of two models has no support (Burnham & Anderson 2002)."""
+
+
+class Rival(NamedTuple):
+    """Hold one explanation of a table.
+
+    Attributes:
+        fit: the fit.
+        parameters: number of parameters that the data determine (no unit); those that smoothness holds do not count.
+        akaike: 2 parameters - 2 ln likelihood (no unit).
+    """
+
+    fit: MaterialFit
+    parameters: float
+    akaike: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the comparison needs, as plain numbers.
+
+        Returns:
+            The criterion, and how well the fit explains the data.
+        """
+        return {
+            "parameters": self.parameters,
+            "akaike": self.akaike,
+            "misfit": self.fit.misfit,
+            "degrees_of_freedom": self.fit.freedom,
+            "noise": self.fit.noise._asdict(),
+        }
+
+
+class Rivals(NamedTuple):
+    """Hold both explanations of a table, as `rivals` found them.
+
+    Attributes:
+        camera: the table seen through its camera.
+        shadowing: the table seen as it is, with free masking.
+
+    Example:
+        >>> found = matcam.rivals(table, matcam.rigs.merl())  # doctest: +SKIP
+        >>> found.difference > 0  # doctest: +SKIP
+        >>> matcam.inverse.Rivals._fields
+        ('camera', 'shadowing')
+    """
+
+    camera: Rival
+    shadowing: Rival
+
+    @property
+    def difference(self) -> float:
+        """Return by how much Akaike's criterion favours the camera (no unit)."""
+        return self.shadowing.akaike - self.camera.akaike
+
+    @property
+    def verdict(self) -> str:
+        """Say which explanation is better, and what noise each would need."""
+        noise = (
+            f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
+            f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
+        )
+        if abs(self.difference) < _CLEAR:
+            return f"camera and free shadowing explain the data equally well: {noise}"
+        better = "the camera" if self.difference > 0 else "free shadowing"
+        return f"{better} explains the data better (Akaike's criterion differs by {abs(self.difference):.0f}): {noise}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the comparison as plain numbers and texts.
+
+        Returns:
+            A dictionary that `matcam fit --rival --json` prints.
+        """
+        return {"verdict": self.verdict, "camera": self.camera.to_dict(), "shadowing": self.shadowing.to_dict()}
+
+
+def rivals(
+    brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, every: int = 6, workspace: Workspace | None = None
+) -> Rivals:
+    """Fit a table through its camera, and with free shadowing instead.
+
+    Masking is not an argument: it is what the two differ in, Smith's or free.
+
+    Args:
+        brdf: table as from `read_merl`, 1/sr.
+        rig: the rig that recorded it: a sphere, a distant camera and a distant lamp.
+        ndf: family that both lobes are bent away from. Default: "ggx". It hardly matters, as a bent lobe is as good as no
+            family.
+        every: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because bent lobes are slow
+            to fit and a few slices decide.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+
+    Returns:
+        Both fits, with Akaike's criterion of each.
+
+    Raises:
+        ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
+        FitError: the table holds nothing to fit.
+
+    Source:
+        Bagher, Snyder & Nowrouzezahrai (2016), free shadowing; Akaike (1974); docs/model.md section 8.
+
+    Example:
+        >>> table = matcam.read_merl("chrome.binary")  # doctest: +SKIP
+        >>> print(matcam.rivals(table, matcam.rigs.merl()).verdict)  # doctest: +SKIP
+        >>> matcam.rivals(np.ones(3), matcam.rigs.merl())
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
+    """
+    setup = free_setup([brdf], rig, every=every, workspace=workspace).with_(ndf=ndf)
+    camera = setup.with_(bend=_BEND).solve(start=setup.solve())
+    blind = FitSetup(
+        (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
+        radius=sphere_radius(rig), workspace=workspace,
+    )  # fmt: skip
+    shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
+    return Rivals(_rival(camera), _rival(shadowing))
+
+
+def _rival(found: MaterialFit) -> Rival:
+    parameters = found.effective_parameters()
+    return Rival(found, parameters, 2 * parameters - 2 * found.log_likelihood)

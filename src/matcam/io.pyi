@@ -1,0 +1,26 @@
+from .exchange.contents import read, write
+from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
+from .files.float_pictures import read_exr, read_float_tiff, write_exr, write_float_tiff
+from .files.rgl import read_rgl, write_rgl
+from .files.samples import read_samples, write_samples
+from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
+
+__all__ = [
+    "read",
+    "read_exr",
+    "read_float_tiff",
+    "read_netcdf",
+    "read_rgl",
+    "read_samples",
+    "read_sidecar",
+    "read_zarr",
+    "sidecar_path",
+    "write",
+    "write_exr",
+    "write_float_tiff",
+    "write_netcdf",
+    "write_rgl",
+    "write_samples",
+    "write_sidecar",
+    "write_zarr",
+]

@@ -1,0 +1,81 @@
+"""Errors of the library in the words of the command line, and lists of names that are taken from registries."""
+
+import math
+import re
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from matcam import BoxPixel, DiffractionOptics
+from matcam.cli.app import app
+from matcam.cli.options import in_options
+from matcam.core.errors import ArgumentError
+
+COMMANDS = typer.main.get_command(app).commands
+
+
+@pytest.mark.parametrize(
+    ("command", "message", "expected"),
+    [
+        ("edge", "output a_b.png exists: use force=True to replace it", "output a_b.png exists: use --force to replace it"),
+        ("edge", "half_width must lie in (0, 0.5] px, got 0.7", "--half-width must lie in (0, 0.5] px, got 0.7"),
+        ("edge", "roi must be at least 16 x 16 px, got 10 x 60", "--roi must be at least 16 x 16 px, got 10 x 60"),
+        (
+            "edge",
+            "channel 'R' asks for a colour of a grey image: give cfa if it is a mosaic",
+            "--channel 'R' asks for a colour of a grey image: give --cfa if it is a mosaic",
+        ),
+        ("edge", "wavelength must be given for the defocus model, m", "--wavelength must be given for the defocus model"),
+        (
+            "edge",
+            "accept the MTF of lens and sharpening together (accept_sharpened=True, --accept-sharpened)",
+            "accept the MTF of lens and sharpening together (--accept-sharpened)",
+        ),
+        (
+            "calibrate",
+            "wavelength and pixel_pitch must be given for the defocus model, m",
+            "--wavelength and --pitch must be given for the defocus model",
+        ),
+        ("calibrate", "f_numbers must be one, or one for each", "--f-number must be one, or one for each"),
+        ("calibrate", "give the fill (half_width, --half-width), or", "give the fill (--half-width), or"),
+        ("calibrate", "half_width.tif: no such file", "half_width.tif: no such file"),
+        ("chart", "fewer kinds, or more pixels_across than 300", "fewer kinds, or more --pixels than 300"),
+        ("chart", "page must lie in [50, 5000] mm, got 1", "--size must lie in [50, 5000] mm, got 1"),
+        ("fit", "camera='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))",
+         "--lens prior needs a camera that states an uncertainty (--camera: a profile that states one)"),
+        ("predict", "exact=True is a real sample's: dims must be 2", "--exact is a real sample's: dims must be 2"),
+        ("predict", "power belongs to epd and sgd, not to ggx, got 1", "--power belongs to epd and sgd, not to ggx, got 1"),
+        ("limits", "noise.relative must lie in [0, 1), got 2", "--noise must lie in [0, 1), got 2"),
+        ("simulate", "shape must be (height, width), got 3", "--size must be (height, width), got 3"),
+        (
+            "simulate",
+            "exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))",
+            "--exposure needs a camera with a sensor: a profile with one (--camera)",
+        ),
+        ("correct", "workers must be a whole number, got 0", "--workers must be a whole number, got 0"),
+        ("correct", "instead of fit_camera=True, or tables", "instead of --fit-camera, or tables"),
+        ("inspect", "power must be given", "power must be given"),
+    ],
+)  # fmt: skip
+def test_messages_speak_of_options(command, message, expected):
+    assert in_options(message, COMMANDS[command]) == expected
+
+
+def test_ranges_are_in_the_options_units():
+    """As the library says them: rad and m; as the option takes them: degrees, nm, um."""
+    with pytest.raises(ArgumentError) as caught:
+        DiffractionOptics(8, 550.0, 5e-6)
+    assert in_options(str(caught.value), COMMANDS["calibrate"]) == "--wavelength must lie in [1, 1e+06] nm, got 5.5e+11"
+    done = CliRunner().invoke(app, ["predict", "--lamp", "80"])
+    found = re.fullmatch(r"--lamp must lie in \[0, (.*)\] degrees, got 80", str(done.exception))
+    assert 0 < float(found[1]) < 80
+    behind = f"lamp_angle must lie in [0, {math.pi:g}) rad (beyond pi the lamp is behind the sample), got {4:g}"
+    assert in_options(behind, COMMANDS["simulate"]) == (
+        "--lamp-angle must lie in [0, 180) degrees (beyond 180 degrees the lamp is behind the sample), got 229.2"
+    )
+
+
+def test_python_keeps_its_own_words():
+    with pytest.raises(ArgumentError, match=r"^half_width must lie in"):
+        BoxPixel(0.7)

@@ -1,0 +1,124 @@
+"""One reader and one writer for all formats: what goes out comes back, and what cannot go is refused."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from matcam import Camera, GaussianOptics
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.grid import brdf_table
+from matcam.exchange.contents import read, read_contents, write
+from matcam.files.formats import CONTENTS, FORMATS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
+from matcam.io import read_samples, write_sidecar
+from matcam.targets import design_chart
+
+
+def table():
+    return brdf_table(np.random.default_rng(1).random((90, 90, 180, 3)) + 0.5, "edge")
+
+
+@pytest.fixture
+def samples(tmp_path):
+    (tmp_path / "s.csv").write_text("theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr\n0.1,0.2,0.3,1\n0.2,0.2,0.3,2\n")
+    return read_samples(tmp_path / "s.csv")
+
+
+@pytest.mark.parametrize("suffix", suffixes_for("table"))
+def test_a_table_comes_back_from_every_format_that_can_hold_it(tmp_path, suffix):
+    before = table()
+    write(tmp_path / f"a{suffix}", before)
+    after = read(tmp_path / f"a{suffix}", sampling="edge")
+    np.testing.assert_allclose(after.values, before.values, rtol=1e-15)  # MERL's scale rounds
+    assert after.attrs["sampling"] == "edge"
+
+
+@pytest.mark.parametrize("suffix", [s for s in suffixes_for("samples") if s == ".csv"])
+def test_samples(tmp_path, samples, suffix):
+    write(tmp_path / f"a{suffix}", samples)
+    xr.testing.assert_equal(read(tmp_path / f"a{suffix}"), samples)
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr.zip"])
+def test_a_result(tmp_path, suffix):
+    result = xr.Dataset({"raw": ("theta_d", np.arange(3.0))}, coords={"theta_d": [0.1, 0.2, 0.3]})
+    write(tmp_path / f"a{suffix}", result)
+    xr.testing.assert_identical(read(tmp_path / f"a{suffix}"), result)
+    write(tmp_path / f"b{suffix}", result["raw"])
+    assert "raw" in read(tmp_path / f"b{suffix}")
+
+
+@pytest.mark.parametrize("suffix", suffixes_for("picture"))
+def test_a_picture(tmp_path, suffix):
+    picture = np.random.default_rng(1).random((4, 5, 3)).astype(np.float32)
+    write(tmp_path / f"a{suffix}", picture)
+    np.testing.assert_array_equal(read(tmp_path / f"a{suffix}"), picture)
+
+
+def test_a_camera_a_chart_and_a_sidecar(tmp_path):
+    camera = Camera(GaussianOptics(0.5))
+    write(tmp_path / "camera.json", camera)
+    assert repr(read(tmp_path / "camera.json")) == repr(camera)
+    chart = design_chart(["squares"])
+    write(tmp_path / "chart.json", chart)
+    assert read(tmp_path / "chart.json") == chart
+    picture = {"file": "a.exr", "shape": [2, 2], "quantity": "radiance", "axis_column_px": 0.5, "axis_row_px": 0.5}
+    sample, lamp = (
+        {"kind": "sphere", "radius_px": 9.0, "distance_radii": None},
+        {"angles_rad": [0.5], "radius_rad": 0.0},
+    )
+    blur = {"jitter_px": 0.0, "aperture": 0.0, "focus_rad": 0.0}
+    parts = {"picture": picture, "camera": camera.profile(), "sample": sample, "lamp": lamp, "blur": blur}
+    write_sidecar(tmp_path / "a.exr.json", exposure=None, material={}, **parts)
+    assert read(tmp_path / "a.exr.json")["picture"]["file"] == "a.exr"
+    for name in ("camera.json", "chart.json", "a.exr.json"):
+        with pytest.raises(FileFormatError, match="which holds no measurement"):
+            read_contents(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "thing", "words"),
+    [
+        ("a.exr", table(), "a table on the MERL grid is not a picture: it goes into .binary, .csv, .nc, .zarr.zip"),
+        ("a.bsdf", table(), "has no place in .bsdf: .binary, .csv, .nc, .zarr.zip can hold it"),
+        ("a.nc", np.ones((2, 2, 3)), "a picture goes into .exr, .tif, .tiff, not into .nc"),
+        ("a.obj", np.ones((2, 2, 3)), "the name must end in one of .binary, .bsdf, .csv"),
+        ("a.nc", Camera(GaussianOptics(0.5)), "a Camera has no place in .nc: .json can hold it"),
+        ("a.json", table(), "the name must end in one of .binary"),
+        ("a.nc", {"raw": 1}, "thing must be an xarray.DataArray or Dataset, .* got dict"),
+    ],
+)
+def test_what_cannot_go_is_refused(tmp_path, name, thing, words):
+    with pytest.raises(ArgumentError, match=words):
+        write(tmp_path / name, thing)
+    assert not any(tmp_path.iterdir())
+
+
+def test_nothing_is_replaced_unless_asked(tmp_path):
+    picture = np.ones((2, 2, 3), np.float32)
+    (tmp_path / "a.exr").write_text("precious")
+    with pytest.raises(OutputError, match="exists"):
+        write(tmp_path / "a.exr", picture)
+    write(tmp_path / "a.exr", picture, force=True)
+    assert read(tmp_path / "a.exr").shape == (2, 2, 3)
+
+
+def test_the_table_of_formats_is_whole():
+    """Each format can be read by someone, holds something known, and writes nothing that it cannot hold."""
+    assert len({form.name for form in FORMATS}) == len(FORMATS)
+    for form in FORMATS:
+        assert set(form.holds) <= set(CONTENTS)
+        assert set(form.writers) <= set(form.holds)
+        assert form.mark or set(form.writers) == set(form.holds)
+        for content in form.writers:
+            assert callable(form.writer(content))
+        assert format_named(form.name) is form
+    assert set().union(*(form.holds for form in FORMATS)) == set(CONTENTS)
+    assert set(MEASUREMENTS) < set(CONTENTS)
+    assert format_for("A.ZARR.ZIP").name == "zarr"
+
+
+def test_json_of_no_format_of_ours_is_read_as_a_camera_profile_and_refused(tmp_path):
+    (tmp_path / "a.json").write_text('{"format": "matcam lens"}')
+    assert identify(tmp_path / "a.json") == "camera profile"
+    with pytest.raises(FileFormatError, match="not a camera profile"):
+        read(tmp_path / "a.json")

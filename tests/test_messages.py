@@ -1,0 +1,157 @@
+"""Every message of the error family: one line that says what was wrong, where, and what would be right.
+
+The messages are collected from the sources, whether a test can provoke them or not. A placeholder stands for a value.
+"""
+
+import ast
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import matcam
+from matcam.cli import OPTIONS
+from matcam.core import errors
+
+SOURCES = Path(matcam.__file__).parent
+PLACE = "{}"
+
+ABOVE = ("ClusterError", "WorkerError")
+FAMILY = {
+    name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, errors.MatcamError)
+}
+
+NAMES = ("BRDF", "MERL", "Mitsuba", "RGL", "Zarr")
+"""Words that may begin a message with a capital letter."""
+
+RIGHT = re.compile(
+    r"\b(must|needs?|needed|give|use|choose|name|install|wait|see|ask|call|leave|render|append|calibrate|photograph|only"
+    r"|at least|at most|fewer|more than|instead|can|cannot|goes into|it has|are read|is for|are for|belongs|takes?|reads)\b"
+)
+"""A message that is no file's says with one of these what would be right; or it gives the reason after a colon."""
+
+
+EXCEPTIONS = {
+    "unknown {} {}; {}": "the last value names what is known, or the nearest of it",
+    "{} of shape (height, width) or (height, width, 3), got {} {}": "the first value says that it must be numbers",
+}
+"""Messages whose values say what would be right, and how."""
+
+
+class Message(NamedTuple):
+    """One message: its error, its text with placeholders, and where it stands."""
+
+    error: str
+    text: str
+    place: str
+
+    def __str__(self):
+        return f"{self.place}: {self.text}"
+
+
+def template(node):
+    """The text of an expression, with placeholders."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(part.value if isinstance(part, ast.Constant) else PLACE for part in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return template(node.left) + template(node.right)
+    return PLACE
+
+
+def collected():
+    for path in sorted(SOURCES.rglob("*.py")):
+        where = path.relative_to(SOURCES).as_posix()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+                name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
+                if name in FAMILY | set(ABOVE) and node.args:
+                    yield Message(name, template(node.args[0]), f"{where}:{node.lineno}")
+
+
+MESSAGES = list(collected())
+OWN = [m for m in MESSAGES if re.search("[a-z]", m.text)]
+"""The others pass on, behind a file's name at most, what another message of the family says."""
+
+
+def wrong(rule, messages=OWN):
+    """The messages that break a rule, for a failure that names them all."""
+    return [str(message) for message in messages if not rule(message)]
+
+
+def test_all_are_found():
+    assert len(MESSAGES) > 350
+    assert {m.error for m in MESSAGES} >= FAMILY - {"MatcamError"}
+    assert set(ABOVE) <= {m.error for m in MESSAGES}
+    raised = re.compile(r"raise (\w+Error)\(")
+    for path in SOURCES.rglob("*.py"):
+        unknown = set(raised.findall(path.read_text(encoding="utf-8"))) - FAMILY - set(ABOVE)
+        # errors of Python are raised where a program is wrong, or are caught where they are raised
+        assert unknown <= {
+            "TypeError",
+            "ValueError",
+            "ConnectionError",
+            "RemoteIOError",
+            "KeyError",
+            "NotImplementedError",
+        }, path
+
+
+def test_each_is_one_line_without_an_end():
+    assert wrong(lambda m: "\n" not in m.text, MESSAGES) == []
+    assert wrong(lambda m: not m.text.rstrip().endswith((".", "!")), MESSAGES) == []
+    assert wrong(lambda m: m.text == m.text.strip() and "  " not in m.text, MESSAGES) == []
+
+
+def test_each_begins_in_the_middle_of_a_sentence_or_with_a_name():
+    assert wrong(lambda m: re.match(r"[a-z{]|--|f/", m.text) or m.text.startswith(NAMES)) == []
+
+
+def test_those_of_a_file_begin_with_its_name():
+    """And say behind it what is wrong there, with its own reason or what is read instead."""
+    of_files = [m for m in OWN if m.error in ("FileFormatError", "DownloadError")]
+    assert wrong(lambda m: re.match(r"\{\}(: | does not)", m.text), of_files) == []
+
+
+def test_those_of_an_output_name_it():
+    of_outputs = [m for m in OWN if m.error == "OutputError"]
+    assert wrong(lambda m: re.match(r"(output|picture)( folder)? \{\}", m.text), of_outputs) == []
+
+
+def test_all_others_say_what_would_be_right():
+    others = [m for m in OWN if m.error not in ("FileFormatError", "DownloadError")]
+    assert wrong(lambda m: RIGHT.search(m.text) or ": " in m.text or m.text in EXCEPTIONS, others) == []
+    assert set(EXCEPTIONS) <= {m.text for m in others}
+
+
+def test_what_must_be_says_what_was():
+    """An argument that must be something is told with the value that it had, or cannot have had one."""
+    no_value = ("must be given", "must be finite", "must be symmetric", "got none")
+    stated = [m for m in OWN if m.error == "ArgumentError" and re.match(r"\S+ must (be|lie|have) ", m.text)]
+    assert len(stated) > 60
+    assert wrong(lambda m: PLACE in m.text or any(words in m.text for words in no_value), stated) == []
+
+
+def test_the_command_line_speaks_of_options():
+    """Its own messages name no argument of Python; those of the library are translated where they do."""
+    python = re.compile(r"\b\w+=(True|False|None|')")
+    assert wrong(lambda m: not python.search(m.text), [m for m in MESSAGES if m.place.startswith("cli/")]) == []
+    # arguments that no command passes on
+    without_option = ("exact=True", "camera=", "camera_parameters=")
+
+    def translated(message):
+        text = message.text
+        for argument in (*OPTIONS, *without_option):
+            text = text.replace(argument, "")
+        return not python.search(text)
+
+    assert wrong(translated, MESSAGES) == []
+
+
+@pytest.mark.parametrize(("argument", "option"), OPTIONS.items())
+def test_each_option_that_stands_for_an_argument_exists(argument, option):
+    options = "".join(path.read_text(encoding="utf-8") for path in (SOURCES / "cli").glob("*.py"))
+    assert f'"{option}"' in options
+    assert argument.split("=")[0] == option.removeprefix("--").replace("-", "_")
