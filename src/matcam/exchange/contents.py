@@ -79,11 +79,10 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from matcam.exchange.contents import read
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
         ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
-        ...     picture = read(path)
+        ...     picture = matcam.io.read(path)
         >>> picture.shape
         (2, 3, 3)
     """
@@ -114,11 +113,10 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from matcam.exchange.contents import read, write
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "camera.json"
-        ...     write(path, matcam.rigs.merl().camera)
-        ...     read(path)
+        ...     matcam.io.write(path, matcam.rigs.merl().camera)
+        ...     matcam.io.read(path)
         Camera(...)
     """
     if isinstance(thing, Camera | Chart):

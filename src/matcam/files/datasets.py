@@ -24,6 +24,9 @@ from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
 
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 4, 256, 1 << 16
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_DESCRIPTION = "zarr.json"
+_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
 
 
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
@@ -49,9 +52,6 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
 def one_line(error: Exception) -> str:
     """Return a library's complaint as one line, cut short."""
     return " ".join(str(error).split())[:120] or type(error).__name__
-
-
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -120,10 +120,6 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         raise
     except Exception as error:  # the library raises whatever its C code returned
         raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
-
-
-_DESCRIPTION = "zarr.json"
-_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
 
 
 def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:

@@ -37,6 +37,10 @@ LARGEST = 1 << 29
 """Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
 DEFLATE_LIMIT = 1032
 """What deflate makes of a byte at most (258 of every 2 bits): 1032."""
+_MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
+_LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
+"""Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
+_LONGEST_HEADER = 1 << 20  # bytes
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
@@ -169,12 +173,6 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(level)
-
-
-_MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
-_LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
-"""Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
-_LONGEST_HEADER = 1 << 20  # bytes
 
 
 class _Skeleton(NamedTuple):

@@ -49,8 +49,8 @@ class Registration:
         found: number of fiducials found.
 
     Example:
-        >>> from matcam.calibration.chart.registration import Registration
-        >>> where = Registration(np.diag([2.0, 2.0, 1.0]), (0.0, 0.0), (101, 101), 0.0, 8)  # 2 px per mm, squarely
+        >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, squarely
+        >>> where = matcam.targets.Registration(homography, (0.0, 0.0), (101, 101), 0.0, 8)
         >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
         (array([[70., 60.]]), 2.0)
     """

@@ -46,8 +46,7 @@ class BlurField:
         half: half the grid's extent, px.
 
     Example:
-        >>> from matcam.calibration.targets.grid import BlurField
-        >>> field = BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
+        >>> field = matcam.targets.BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
         >>> np.round(field.sigma_at([100, 150], [80, 80])[0], 3)
         array([0.5, 0.6])
     """
