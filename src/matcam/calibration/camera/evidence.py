@@ -13,8 +13,7 @@ from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.linear_image import LinearImage, planes_of
-from matcam.calibration.photograph.region import local_mean
+from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
