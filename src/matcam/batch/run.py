@@ -13,8 +13,7 @@ import equinox as eqx
 
 from matcam.batch.executors import Executor
 from matcam.batch.executors.cluster import ClusterExecutor
-from matcam.batch.executors.processes import ProcessExecutor, available_cores
-from matcam.batch.executors.threads import ThreadExecutor, has_gpu
+from matcam.batch.executors.local import ProcessExecutor, ThreadExecutor, available_cores, has_gpu
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import Corrector, Options, Recipe, correct_table, rig_description, settings_key
@@ -40,7 +39,12 @@ class Progress(NamedTuple):
         corrected: materials that the run has corrected.
         failed: materials that failed.
         total: all materials of the run.
-        last: outcome of the last material; None at the start.
+        last: outcome of the last material; None: none is done yet.
+
+    Example:
+        >>> progress = matcam.batch.Progress(kept=3, corrected=2, failed=1, total=10, last=None)
+        >>> f"{progress.kept + progress.corrected} of {progress.total}"
+        '5 of 10'
     """
 
     kept: int
@@ -59,6 +63,11 @@ class Run:
         corrected: inputs that the run corrected.
         kept: inputs that were finished before.
         failures: outcomes of the inputs that failed, each with one line that says why.
+
+    Example:
+        >>> import pathlib
+        >>> matcam.batch.Run(pathlib.Path("out"), corrected=(), kept=(), failures=()).to_dict()["failed"]
+        []
     """
 
     folder: Path

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force
+from matcam.cli.options import AsJson, Force, Lens
 
 _SOME_FAILED = 1
 
@@ -23,10 +23,7 @@ def command(
     output: Annotated[Path, typer.Option("--output", "-o", help="Camera profile to write (JSON).")] = Path(
         "camera.json"
     ),
-    model: Annotated[
-        Literal["gaussian", "halo", "diffraction", "defocus", "measured"],
-        typer.Option("--model", help="Model of the lens."),
-    ] = "gaussian",
+    model: Lens = "gaussian",
     half_width: Annotated[
         float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
@@ -142,9 +139,9 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
     if patches is not None:
         if tone != "auto":
             raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
-        from matcam.calibration.photograph.tone import measured_tone
+        from matcam.calibration.photograph.tone import patch_tone_curve
 
-        return measured_tone(files[0], patches)
+        return patch_tone_curve(files[0], patches)
     if tone in ("auto", "linear", "srgb"):
         return tone
     if tone.startswith("gamma:"):

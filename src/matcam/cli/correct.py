@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 from matcam.cli import show
 from matcam.cli.fit import print_fit
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.cli.options import AsJson, CameraProfile, FamilyOrAuto, Force, LampRadius, Masking, Radius, Sampling, rig_of
 
 SOME_FAILED, NONE_DONE = 1, 2
 
@@ -19,10 +19,7 @@ def command(
         list[Path],
         typer.Argument(metavar="PATH...", help="MERL files to read, and folders that stand for their *.binary."),
     ],
-    ndf: Annotated[
-        Literal["auto", "ggx", "epd", "sgd", "beckmann", "gaussian"],
-        typer.Option("--ndf", help="Family of the lobe; auto: ggx or epd, the likelier."),
-    ] = "auto",
+    ndf: FamilyOrAuto = "auto",
     glare: Annotated[
         float,
         typer.Option(

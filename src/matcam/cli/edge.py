@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force
+from matcam.cli.options import AsJson, EdgeLens, Force, Mosaic
 
 
 def command(
@@ -21,10 +21,7 @@ def command(
             "--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: the whole picture."
         ),
     ] = None,
-    model: Annotated[
-        Literal["gaussian", "diffraction", "defocus", "halo"],
-        typer.Option("--model", help="Lens of the parametric estimate."),
-    ] = "gaussian",
+    model: EdgeLens = "gaussian",
     wavelength: Annotated[
         float | None,
         typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
@@ -35,10 +32,7 @@ def command(
     half_width: Annotated[
         float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
-    cfa: Annotated[
-        Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None,
-        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
-    ] = None,
+    cfa: Mosaic = None,
     channel: Annotated[
         Literal["R", "G", "B", "Y"] | None,
         typer.Option("--channel", help="Colour to measure; Y is luminance. Default: Y."),
@@ -96,7 +90,7 @@ def command(
 
 def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:
     from matcam.core.io import write_columns
-    from matcam.figures.edge import edge_figure
+    from matcam.figures.calibration import edge_figure
     from matcam.figures.style import save
 
     write_columns(output.with_suffix(".csv"), result.dataset(), force=force)

@@ -8,11 +8,18 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, Force, LampRadius, Masking, Radius, Sampling, rig_of
-
-Family = Annotated[
-    Literal["ggx", "epd", "sgd", "beckmann", "gaussian"], typer.Option("--ndf", help="Family of the lobe.")
-]
+from matcam.cli.options import (
+    AsJson,
+    CameraProfile,
+    Family,
+    Force,
+    FresnelModel,
+    LampRadius,
+    Masking,
+    Radius,
+    Sampling,
+    rig_of,
+)
 
 
 def command(
@@ -20,13 +27,7 @@ def command(
         list[Path], typer.Argument(help="MERL files to read; several of one rig are fitted with one camera.")
     ],
     ndf: Family = "ggx",
-    fresnel: Annotated[
-        Literal["conductor", "schlick", "dielectric", "free"],
-        typer.Option(
-            "--fresnel",
-            help="Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free).",
-        ),
-    ] = "conductor",
+    fresnel: FresnelModel = "conductor",
     diffuse: Annotated[bool, typer.Option("--diffuse", help="Add a Lambertian part.")] = False,
     per_channel: Annotated[bool, typer.Option("--per-channel", help="Fit a lobe for each channel.")] = False,
     lens: Annotated[

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
+from matcam.camera.registry import CFAS, LENSES, PARAMETRIC_LENSES
 from matcam.core.errors import MatcamError
+from matcam.material.registry import FAMILIES, FRESNEL_MODELS, MASKING_MODELS
 
 if TYPE_CHECKING:
     from matcam.rigs import Rig
@@ -68,10 +70,36 @@ LampRadius = Annotated[
         "--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc as seen from the sample, degrees."
     ),
 ]
-Masking = Annotated[
-    Literal["smith", "smith-separable", "van-ginneken", "none"],
-    typer.Option("--masking", help="Masking function G of the material."),
-]
+if TYPE_CHECKING:
+    Family = str
+    FamilyOrAuto = str
+    Masking = str
+    FresnelModel = str
+    Lens = str
+    EdgeLens = str
+    Mosaic = str | None
+else:  # Literal types, as typer wants them, of the registries' names
+
+    def _one_of(names: Iterable[str | None]) -> Any:
+        return Literal[tuple(name or "none" for name in names)]
+
+    _AUTO = "Family of the lobe; auto: ggx or epd, the likelier."
+    _FRESNEL = (
+        "Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free)."
+    )
+    Family = Annotated[_one_of(FAMILIES), typer.Option("--ndf", help="Family of the lobe.")]
+    FamilyOrAuto = Annotated[_one_of(["auto", *FAMILIES]), typer.Option("--ndf", help=_AUTO)]
+    Masking = Annotated[
+        _one_of([*MASKING_MODELS, None]), typer.Option("--masking", help="Masking function G of the material.")
+    ]
+    FresnelModel = Annotated[_one_of(FRESNEL_MODELS), typer.Option("--fresnel", help=_FRESNEL)]
+    Lens = Annotated[_one_of(LENSES), typer.Option("--model", help="Model of the lens.")]
+    EdgeLens = Annotated[_one_of(PARAMETRIC_LENSES), typer.Option("--model", help="Lens of the parametric estimate.")]
+    Mosaic = Annotated[
+        _one_of(CFAS) | None,
+        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
+    ]
+
 Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
@@ -105,6 +133,7 @@ def rig_of(
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
+    from matcam.core import checks
     from matcam.sample.cylinder import Cylinder
     from matcam.sample.shape import Flat, Sample
     from matcam.sample.sphere import Sphere
@@ -112,6 +141,8 @@ def rig_of(
     merl = rigs.merl()
     chosen = merl.camera if camera is None else Camera.load(camera)
     if glare:
+        checks.within("--glare", glare, 0, 1, open_high=True)
+        checks.positive("--glare-radius", glare_radius, "px")
         optics = HaloOptics(chosen.optics, glare, glare_radius)
         chosen = Camera(optics, chosen.pixel, chosen.sensor, provenance=chosen.provenance)
     size = 256.0 if radius is None else radius
@@ -181,15 +212,3 @@ def _in_unit(message: str) -> str:
     number = r"[-+\d.einf]+"
     pattern = rf"must lie in ([\[(])({number}), ({number})([\])]) (?:rad|m)\b(?: \(([^)]*)\))?, got ({number})"
     return re.sub(pattern, converted, message)
-
-
-def one_of(names: Iterable[str], *more: str) -> dict[str, Any]:
-    """Return the arguments of `typer.Option` for one of a registry's names."""
-    known = (*more, *names)
-
-    def parse(text: str) -> str:
-        if text not in known:
-            raise typer.BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
-        return text
-
-    return {"parser": parse, "metavar": "|".join(known)}

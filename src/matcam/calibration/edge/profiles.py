@@ -31,7 +31,6 @@ from matcam.core.jax import jax, jnp
 _PERIOD = 512  # px: the table repeats after it; a 1/d^2 tail then adds 1e-6 of the step
 _PER_PX = 16
 _NARROWEST = 0.05  # px: least standard deviation of a separable core
-MODELS = ("gaussian", "diffraction", "defocus", "halo")
 KURTOSIS = 0.02
 """Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
 
@@ -328,7 +327,7 @@ class Separable(LensModel):
 
 @lru_cache
 def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
-    """Return the family of one of these `MODELS`."""
+    """Return the family of one of `PARAMETRIC_LENSES`."""
     if name == "gaussian":
         return Gaussian()
     if name == "halo":

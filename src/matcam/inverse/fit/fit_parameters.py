@@ -7,7 +7,7 @@ eta - 1. `Layout` says where each lobe, each parameter of the rig and each Fresn
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, ShadowedNDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
-from matcam.material.registry import FAMILIES, WITH_POWER
+from matcam.material.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 
-FresnelModel = Literal["conductor", "schlick", "dielectric", "free"]
-FRESNEL_MODELS: tuple[FresnelModel, ...] = ("conductor", "schlick", "dielectric", "free")
+FresnelModel = str
+"""Name of a Fresnel term, one of `FRESNEL_MODELS`."""
 
 NARROWEST_PX = 0.02
 """Lobes narrower than this on the sensor are the same point to any camera."""
@@ -27,8 +27,9 @@ NARROWEST_PX = 0.02
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
 _FRESNEL_NAMES: dict[str, tuple[str, ...]] = {
-    "conductor": ("n", "k"), "schlick": ("f0",), "dielectric": ("eta",), "free": (),
-}  # fmt: skip
+    name: () if name == "free" else tuple(field.name for field in dataclasses.fields(term))
+    for name, term in FRESNEL_MODELS.items()
+}
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 
 
