@@ -157,7 +157,10 @@ def half_and_difference(
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:
-    """Return which cells of a table have a direction at or below the horizon by their sampling points, (90, 90, 180)."""
+    """Return where a table has no reflection: light or view at or below the horizon, (90, 90, 180).
+
+    A cell's directions are those of its sampling point.
+    """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
     half_difference = np.sin(theta_h)[:, None] * np.sin(theta_d)

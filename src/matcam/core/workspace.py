@@ -157,7 +157,10 @@ class Workspace:
 
 @cache
 def default_workspace() -> Workspace:
-    """Return the workspace of a process that names none: in memory, nothing on disk. It is made here and nowhere else."""
+    """Return the workspace of a process that names none.
+
+    It keeps results in memory and nothing on disk. It is made here and nowhere else.
+    """
     return Workspace()
 
 

@@ -292,7 +292,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
-    """The header's attributes by name, and the byte behind them."""
+    """Return the header's attributes by name, and the byte behind them."""
     found, at = {}, 8
     while head[at]:
         name, at = _text(head, at)
