@@ -60,7 +60,7 @@ class EdgeSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _EdgeNumbers(Generic[Number]):
-    """Hold the numbers of one edge, or of a stack, with leading axes."""
+    """Hold the numbers of one edge, or of a stack."""
 
     frequency: np.ndarray
     mtf: np.ndarray

@@ -162,7 +162,7 @@ def parametric_stack(fit: LensFit, bad: np.ndarray, lens: LensModel, half_width:
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
-    """Return the values of a stack (n, ...), NaN for bad edges (n,)."""
+    """Return the values of a stack, NaN for bad edges (n,)."""
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
 
 

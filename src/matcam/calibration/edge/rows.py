@@ -40,7 +40,7 @@ class RegionFrame(NamedTuple):
     length: np.ndarray | float
 
     def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a vector of the turned region as it lies in the picture."""
+        """Return a vector of the region as it lies in the picture."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 

@@ -190,7 +190,10 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
 def _region(
     strips: Strips, plane: LinearImage, step: int, by_row: int, shape: tuple[int, int]
 ) -> tuple[EdgeRegions, np.ndarray]:
-    """Read strips of one shape (rows, columns): every `by_row`-th row, every `step`-th sample."""
+    """Read strips of one shape (rows, columns).
+
+    by_row, step: distances of rows and of samples, px.
+    """
     (rows, columns), sites = shape, plane.sites
     first = np.ceil(strips.v - strips.rows / 2).astype(int)
     v = first[:, None] + by_row * np.arange(rows)
