@@ -61,7 +61,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         >>> bool(abs(noisy / table - 1).mean() < 0.01)
         True
     """
-    noise.checked()
+    noise.check()
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)

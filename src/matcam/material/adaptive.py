@@ -43,8 +43,8 @@ class Blend(NamedTuple):
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
         """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the grid's axes that are left."""
-        picked = grids[(self.slices, *(a[:, None] for a in at))]
-        return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (picked.ndim - 2)) * picked, axis=1)
+        values = grids[(self.slices, *(a[:, None] for a in at))]
+        return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 
 
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
@@ -102,7 +102,7 @@ class Warp(eqx.Module):
         self.conditional = jnp.asarray(along / total[:, None, None])
         self.marginal = jnp.asarray(down / total[:, None])
 
-    def flattened(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def flatten(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Map (x, y), shape (points,) each, to the flattened square.
 
         A point without any density around it goes to its cell's start.
@@ -128,22 +128,22 @@ class Warp(eqx.Module):
         """
         density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
         slices, rows, columns = density.shape
-        found_x, found_y, found = (np.empty((slices, y.size, x.size)) for _ in range(3))
+        at_x, at_y, density_there = (np.empty((slices, y.size, x.size)) for _ in range(3))
         for s in range(slices):
             whole = conditional[s, :, -1]
             i = np.clip(np.searchsorted(marginal[s], y, side="right") - 1, 0, rows - 2)
             t = _within(whole[i], whole[i + 1], y - marginal[s, i])
-            found_y[s] = ((i + t) / (rows - 1))[:, None]
+            at_y[s] = ((i + t) / (rows - 1))[:, None]
             t = t[:, None]
             row = (1 - t) * conditional[s, i] + t * conditional[s, i + 1]
             values = (1 - t) * density[s, i] + t * density[s, i + 1]
             for k in range(y.size):
-                wanted = x * row[k, -1]
-                j = np.clip(np.searchsorted(row[k], wanted, side="right") - 1, 0, columns - 2)
-                share = _within(values[k, j], values[k, j + 1], wanted - row[k, j])
-                found_x[s, k] = (j + share) / (columns - 1)
-                found[s, k] = (1 - share) * values[k, j] + share * values[k, j + 1]
-        return found_x, found_y, found
+                area = x * row[k, -1]
+                j = np.clip(np.searchsorted(row[k], area, side="right") - 1, 0, columns - 2)
+                share = _within(values[k, j], values[k, j + 1], area - row[k, j])
+                at_x[s, k] = (j + share) / (columns - 1)
+                density_there[s, k] = (1 - share) * values[k, j] + share * values[k, j + 1]
+        return at_x, at_y, density_there
 
 
 def _running(values: np.ndarray) -> np.ndarray:
@@ -204,12 +204,12 @@ class Adaptive(Material):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
             raise ArgumentError(f"fields must be a Dataset such as read_rgl's, got {type(fields).__name__}")
 
-        def numbers(name: str) -> np.ndarray:
+        def array(name: str) -> np.ndarray:
             return fields[name].values.astype(np.float64)
 
-        self.azimuths, self.angles = jnp.asarray(numbers("phi_i")), jnp.asarray(numbers("theta_i"))
-        self.ndf, self.sigma = jnp.asarray(numbers("ndf")), jnp.asarray(numbers("sigma"))
-        vndf, values = numbers("vndf"), numbers("spectra" if "spectra" in fields else "rgb")
+        self.azimuths, self.angles = jnp.asarray(array("phi_i")), jnp.asarray(array("theta_i"))
+        self.ndf, self.sigma = jnp.asarray(array("ndf")), jnp.asarray(array("sigma"))
+        vndf, values = array("vndf"), array("spectra" if "spectra" in fields else "rgb")
         self.warp = Warp(vndf.reshape(-1, *vndf.shape[2:]))
         self.values = jnp.moveaxis(jnp.asarray(values.reshape(-1, *values.shape[2:])), 1, -1)
         self.jacobian = bool(fields["jacobian"].values[0])
@@ -221,17 +221,17 @@ class Adaptive(Material):
             )
 
     @eqx.filter_jit
-    def reflected(self, seen: Shading) -> jax.Array:
+    def reflected(self, shading: Shading) -> jax.Array:
         """Return the interpolated BRDF times both cosines, 1/sr."""
-        seen, above = above_horizon(seen)
+        shading, above = above_horizon(shading)
         shape = above.shape
-        flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in seen))
+        flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in shading))
         theta_i, phi_i, theta_m, phi_m = self._directions(flat)
-        turned = phi_m if self.mirrored else phi_m - phi_i
-        place = (turned + np.pi) / (2 * np.pi)
+        azimuth = phi_m if self.mirrored else phi_m - phi_i
+        place = (azimuth + np.pi) / (2 * np.pi)
         u, v = jnp.sqrt(theta_m / _HALF_PI), place - jnp.floor(place)
         light = blend((self.azimuths, self.angles), phi_i, theta_i)
-        outgoing = bilinear(self.values, light, *self.warp.flattened(light, u, v))
+        outgoing = bilinear(self.values, light, *self.warp.flatten(light, u, v))
         if self.jacobian:
             facets = bilinear(self.ndf, None, u, v)
             area = bilinear(self.sigma, None, jnp.sqrt(theta_i / _HALF_PI), (phi_i + np.pi) / (2 * np.pi))
@@ -239,22 +239,24 @@ class Adaptive(Material):
         outgoing = (outgoing * flat.cos_i[:, None]).reshape(*shape, -1)
         return jnp.where(above[..., None], outgoing, 0.0)
 
-    def _directions(self, seen: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    def _directions(self, shading: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return angles and azimuths of light and half vector, within the tabulated range."""
-        slope = jnp.hypot(seen.slope_along, seen.slope_across)
+        slope = jnp.hypot(shading.slope_along, shading.slope_across)
         none = slope == 0
         safe = jnp.where(none, 1.0, slope)
-        c, s = jnp.where(none, 1.0, seen.slope_along / safe), jnp.where(none, 0.0, seen.slope_across / safe)
+        c, s = jnp.where(none, 1.0, shading.slope_along / safe), jnp.where(none, 0.0, shading.slope_across / safe)
         theta_m = jnp.arctan(slope)
         # the light, first with the half vector in the x-z plane (angles.azimuth_difference), then turned to its azimuth
-        x = jnp.cos(theta_m) * jnp.sin(seen.theta_d) * jnp.cos(seen.phi_d) + jnp.sin(theta_m) * jnp.cos(seen.theta_d)
-        y = jnp.sin(seen.theta_d) * jnp.sin(seen.phi_d)
+        x = jnp.cos(theta_m) * jnp.sin(shading.theta_d) * jnp.cos(shading.phi_d) + jnp.sin(theta_m) * jnp.cos(
+            shading.theta_d
+        )
+        y = jnp.sin(shading.theta_d) * jnp.sin(shading.phi_d)
         i_x, i_y, m_x, m_y = c * x - s * y, s * x + c * y, c, s
         if self.mirrored >= 2:
             flip_y = jnp.where(i_y < 0, 1.0, -1.0)
             flip_x = jnp.where(i_x < 0, 1.0, -1.0) if self.mirrored == 4 else flip_y
             i_x, i_y, m_x, m_y = i_x * flip_x, i_y * flip_y, m_x * flip_x, m_y * flip_y
-        theta_i = jnp.arctan2(jnp.hypot(i_x, i_y), seen.cos_i)
+        theta_i = jnp.arctan2(jnp.hypot(i_x, i_y), shading.cos_i)
         return theta_i, jnp.arctan2(i_y, i_x), theta_m, jnp.arctan2(m_y, m_x)
 
     @property

@@ -55,18 +55,18 @@ class Tabulated(Material):
         self.shift = {"centre": 0.5, "edge": 0.0}[sampling_of(checked)]
 
     @eqx.filter_jit
-    def reflected(self, seen: Shading) -> jax.Array:
+    def reflected(self, shading: Shading) -> jax.Array:
         """Return the interpolated BRDF times both cosines, 1/sr."""
-        seen, above = above_horizon(seen)
-        brdf = self._interpolated(theta_h_of(seen), jnp.asarray(seen.theta_d), jnp.asarray(seen.phi_d))
-        return jnp.where(above[..., None], brdf * (seen.cos_i * seen.cos_o)[..., None], 0.0)
+        shading, above = above_horizon(shading)
+        brdf = self._interpolate(theta_h_of(shading), jnp.asarray(shading.theta_d), jnp.asarray(shading.phi_d))
+        return jnp.where(above[..., None], brdf * (shading.cos_i * shading.cos_o)[..., None], 0.0)
 
     @property
     def finest(self) -> jax.Array:
         """Width of the first theta_h cell, rad."""
         return jnp.asarray(theta_h_edges()[1])
 
-    def _interpolated(self, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array) -> jax.Array:
+    def _interpolate(self, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array) -> jax.Array:
         n_h, n_d, n_p = GRID_SHAPE
         peak = theta_h == 0
         root = jnp.where(peak, 0.0, jnp.sqrt(jnp.where(peak, 1.0, theta_h / (np.pi / 2))))

@@ -52,8 +52,8 @@ class Cylinder(Curved):
         n_z, hits = depth_of(x / self.stretch, self.nearness)
         depth = 1 - self.nearness * n_z
         element, cos_o = self._element(x / self.stretch * depth, n_z, y / self.stretch * depth)
-        seen = hits & (cos_o > 0)
-        return element._replace(x=x, y=y, area=1 / jnp.where(seen, cos_o, 1.0)), seen
+        visible = hits & (cos_o > 0)
+        return element._replace(x=x, y=y, area=1 / jnp.where(visible, cos_o, 1.0)), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Return the normal's angle, rad, and the place along the axis, radii."""

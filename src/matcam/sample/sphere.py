@@ -80,15 +80,15 @@ class Sphere(Curved):
         section = jnp.sqrt(normal[0] ** 2 + normal[2] ** 2)
         section = jnp.where(section > 0, section, 1.0)
         cos_o = (n_z - q) / length
-        seen = hits & (cos_o > 0)
+        visible = hits & (cos_o > 0)
         return Element(
             normal=normal,
             tangent=(n_z / section, jnp.zeros(()), -normal[0] / section),
             view=view,
             x=x,
             y=y,
-            area=1 / jnp.where(seen, cos_o, 1.0),
-        ), seen
+            area=1 / jnp.where(visible, cos_o, 1.0),
+        ), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Return longitude and latitude about the y axis, rad."""
