@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.batch.executors.processes import ProcessExecutor
+from matcam.batch.executors.local import ProcessExecutor
 from matcam.batch.job import attempt
 from matcam.batch.recipe import CorrectedTable
 from matcam.camera.optics.gaussian import GaussianOptics

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from matcam import Cylinder, Rig, read_merl, rigs
 from matcam.batch import job, run
-from matcam.batch.executors.processes import ProcessExecutor, WorkerError
+from matcam.batch.executors.local import ProcessExecutor, WorkerError
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, attempt
 from matcam.batch.recipe import Options, Recipe

@@ -2,15 +2,20 @@
 
 import math
 import re
+from typing import get_args, get_type_hints
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from matcam import BoxPixel, DiffractionOptics
+from matcam.calibration.chart.chart_layout import KINDS, PAGES
+from matcam.cli import chart, simulate
 from matcam.cli.app import app
 from matcam.cli.options import in_options
 from matcam.core.errors import ArgumentError
+from matcam.core.grid import SAMPLINGS
+from matcam.rigs import CELL_VALUES
 
 COMMANDS = typer.main.get_command(app).commands
 
@@ -79,3 +84,20 @@ def test_ranges_are_in_the_options_units():
 def test_python_keeps_its_own_words():
     with pytest.raises(ArgumentError, match=r"^half_width must lie in"):
         BoxPixel(0.7)
+
+
+def test_lists_are_the_librarys():
+    """Lists that commands repeat, because a help text must not wait for the library to load."""
+    choices = lambda command, name: get_args(get_type_hints(command)[name])  # noqa: E731
+    assert choices(chart.command, "page") == tuple(PAGES)
+    assert choices(simulate.command, "cell") == CELL_VALUES
+    assert choices(simulate.command, "sampling") == SAMPLINGS
+    assert all(kind in COMMANDS["chart"].params[0].help for kind in KINDS)
+
+
+def test_the_halo_is_checked_by_its_own_options():
+    for arguments, message in (
+        (("--glare", "2"), "--glare must lie in [0, 1), got 2"),
+        (("--glare", "0.01", "--glare-radius", "0"), "--glare-radius must lie in (0, inf) px, got 0"),
+    ):
+        assert str(CliRunner().invoke(app, ["predict", *arguments]).exception) == message

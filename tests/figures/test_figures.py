@@ -9,9 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matcam import GGX, Camera, GaussianOptics, edge_mtf, fresnel, paper, rigs
 from matcam.core.errors import OutputError
 from matcam.core.grid import brdf_table
-from matcam.figures.calibration import targets_figure
+from matcam.figures.calibration import edge_figure, targets_figure
 from matcam.figures.curves import fresnel_figure, highlight_figure, loss_figure, prediction_figure
-from matcam.figures.edge import edge_figure
 from matcam.figures.style import save
 from matcam.forward.prediction import predict
 from matcam.inverse import tabulated_fresnel

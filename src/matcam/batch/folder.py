@@ -75,7 +75,11 @@ class RunFolder:
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}
         for path in given:
-            for file in _tables_in(path) if path.is_dir() else [path]:
+            inside = [path]
+            if path.is_dir():
+                with reading(path):
+                    inside = sorted(p for p in path.iterdir() if p.suffix.lower() == ".binary" and p.name[0] != ".")
+            for file in inside:
                 found.setdefault(file.resolve(), file)
         if not found:
             raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: no *.binary in there")
@@ -158,12 +162,6 @@ class RunFolder:
             return
         listed = [{"file": str(f.source), "reason": f.reason, "trace": f.trace} for f in failures]
         write_json(self._failed, {"failed": listed}, force=True)
-
-
-def _tables_in(folder: Path) -> list[Path]:
-    """List a folder's MERL files by name."""
-    with reading(folder):
-        return sorted(p for p in folder.iterdir() if p.suffix.lower() == ".binary" and not p.name.startswith("."))
 
 
 def _first_difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str] | None:

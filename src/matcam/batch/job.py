@@ -12,9 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import xarray as xr
-
-from matcam.batch.recipe import CorrectedTable, Recipe
+from matcam.batch.recipe import Recipe
 from matcam.batch.store import StoreRow
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
 from matcam.core.io import check_output, reading
@@ -82,9 +80,19 @@ class Job:
         return document if whole else None
 
     def is_finished(self) -> bool:
-        """Tell whether the files are whole, made with these settings from the input as it is now."""
-        document = self.finished_record()
-        return document is not None and is_unchanged(self.source, document.get("input"))
+        """Tell whether the files are whole, made with these settings from the input as it is now.
+
+        The input is read only if its time of change differs: hashing a hundred thousand tables would take an hour, and
+        looking at their times takes seconds.
+        """
+        try:
+            known = (self.finished_record() or {})["input"]
+            status = self.source.stat()
+            if status.st_size != known["bytes"]:
+                return False
+            return status.st_mtime_ns == known["mtime_ns"] or fingerprint(self.source).sha256 == known["sha256"]
+        except (OSError, KeyError, TypeError, FileFormatError):
+            return False
 
 
 class Outcome(NamedTuple):
@@ -156,28 +164,22 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         options = options._replace(workspace=workspace)
     done = job.recipe.corrector(table, job.recipe.rig, options)
     with _WRITING:
-        _write_files(job, table, done)
+        if job.force:  # an old record must not vouch for new files
+            job.record.unlink(missing_ok=True)
+        write_merl(job.output, done.table["brdf"], force=job.force)
+        write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force)
+        if job.recipe.page:
+            done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)
+        if job.key is not None:
+            write_thumbnail(job.output.with_suffix(".png"), table, done.table["brdf"], force=job.force)
+        if job.row is not None:
+            job.row.write(done.table)
         document = {"file": str(job.source), **done.document, "input": before._asdict()}
         if job.key is not None:
             sizes = {path.name: path.stat().st_size for path in job.files[:-1]}
             document["run"] = {"settings": job.key, "files": sizes, "seconds": time.perf_counter() - started}
         write_json(job.record, plain(document), force=job.force)
     return document
-
-
-def _write_files(job: Job, table: xr.DataArray, done: CorrectedTable) -> None:
-    """Write all files of a job but its record."""
-    # an old record must not vouch for new files
-    if job.force:
-        job.record.unlink(missing_ok=True)
-    write_merl(job.output, done.table["brdf"], force=job.force)
-    write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force)
-    if job.recipe.page:
-        done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)
-    if job.key is not None:
-        write_thumbnail(job.output.with_suffix(".png"), table, done.table["brdf"], force=job.force)
-    if job.row is not None:
-        job.row.write(done.table)
 
 
 class Fingerprint(NamedTuple):
@@ -195,18 +197,3 @@ def fingerprint(path: Path) -> Fingerprint:
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     return Fingerprint(status.st_size, status.st_mtime_ns, digest)
-
-
-def is_unchanged(path: Path, known: Any) -> bool:
-    """Tell whether a file still has the fingerprint `known`, as read from a record.
-
-    The content is read only if the time of change differs: hashing a hundred thousand tables would take an hour, and
-    looking at their times takes seconds.
-    """
-    try:
-        status = path.stat()
-        if status.st_size != known["bytes"]:
-            return False
-        return status.st_mtime_ns == known["mtime_ns"] or fingerprint(path).sha256 == known["sha256"]
-    except (OSError, KeyError, TypeError, FileFormatError):
-        return False

@@ -13,8 +13,7 @@ import equinox as eqx
 
 from matcam.batch.executors import Executor
 from matcam.batch.executors.cluster import ClusterExecutor
-from matcam.batch.executors.processes import ProcessExecutor, available_cores
-from matcam.batch.executors.threads import ThreadExecutor, has_gpu
+from matcam.batch.executors.local import ProcessExecutor, ThreadExecutor, available_cores, has_gpu
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import Corrector, Options, Recipe, correct_table, rig_description, settings_key

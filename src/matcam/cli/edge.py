@@ -90,7 +90,7 @@ def command(
 
 def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:
     from matcam.core.io import write_columns
-    from matcam.figures.edge import edge_figure
+    from matcam.figures.calibration import edge_figure
     from matcam.figures.style import save
 
     write_columns(output.with_suffix(".csv"), result.dataset(), force=force)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -63,39 +64,31 @@ def command(
     for path in (output.with_suffix(".csv"), output.with_suffix(".nc")):
         check_output(path, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):
-        result, tables = _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise, every)
+        from matcam.core.jax import use_compilation_cache
+        from matcam.core.workspace import Workspace
+
+        use_compilation_cache()
+        from matcam.files.merl import read_merl
+        from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
+        from matcam.material.metals import metals
+
+        if metal is not None:
+            metals(metal)  # an unknown name should cost nothing
+        result = fresnel(
+            read_merl(file, sampling=sampling),
+            rig_of(camera, radius, lamp),
+            ndf=ndf,
+            masking=None if masking == "none" else masking,
+            normalise=(math.radians(low), math.radians(high)),
+            every=every,
+            workspace=Workspace.user(),
+        )
+        tables = tabulated_fresnel(result, metal)
         _write(result, tables, output, force, channel)
     if json:
         show.as_json(_document(result, tables, output))
     else:
         _print(result, tables, output, channel)
-
-
-def _compute(file, metal, ndf, masking, camera, radius, lamp, sampling, normalise, every):  # type: ignore[no-untyped-def]
-    import math
-
-    from matcam.core.jax import use_compilation_cache
-    from matcam.core.workspace import Workspace
-
-    use_compilation_cache()
-    from matcam.files.merl import read_merl
-    from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
-    from matcam.material.metals import metals
-
-    if metal is not None:
-        metals(metal)  # an unknown name should cost nothing
-    rig = rig_of(camera, radius, lamp)
-    table = read_merl(file, sampling=sampling)
-    result = fresnel(
-        table,
-        rig,
-        ndf=ndf,
-        masking=None if masking == "none" else masking,
-        normalise=(math.radians(normalise[0]), math.radians(normalise[1])),
-        every=every,
-        workspace=Workspace.user(),
-    )
-    return result, tabulated_fresnel(result, metal)
 
 
 def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) -> None:

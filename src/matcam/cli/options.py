@@ -133,6 +133,7 @@ def rig_of(
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
+    from matcam.core import checks
     from matcam.sample.cylinder import Cylinder
     from matcam.sample.shape import Flat, Sample
     from matcam.sample.sphere import Sphere
@@ -140,6 +141,8 @@ def rig_of(
     merl = rigs.merl()
     chosen = merl.camera if camera is None else Camera.load(camera)
     if glare:
+        checks.within("--glare", glare, 0, 1, open_high=True)
+        checks.positive("--glare-radius", glare_radius, "px")
         optics = HaloOptics(chosen.optics, glare, glare_radius)
         chosen = Camera(optics, chosen.pixel, chosen.sensor, provenance=chosen.provenance)
     size = 256.0 if radius is None else radius
@@ -209,15 +212,3 @@ def _in_unit(message: str) -> str:
     number = r"[-+\d.einf]+"
     pattern = rf"must lie in ([\[(])({number}), ({number})([\])]) (?:rad|m)\b(?: \(([^)]*)\))?, got ({number})"
     return re.sub(pattern, converted, message)
-
-
-def one_of(names: Iterable[str], *more: str) -> dict[str, Any]:
-    """Return the arguments of `typer.Option` for one of a registry's names."""
-    known = (*more, *names)
-
-    def parse(text: str) -> str:
-        if text not in known:
-            raise typer.BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
-        return text
-
-    return {"parser": parse, "metavar": "|".join(known)}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -106,7 +107,7 @@ def command(
             }
         )
         return
-    at = data.sel(theta=[a * 3.141592653589793 / 180 for a in _ANGLES], method="nearest")
+    at = data.sel(theta=[math.radians(a) for a in _ANGLES], method="nearest")
     rows = [
         [f"{value:g}", f"{r0:.1%}", *(f"{1 - r:.1%}" for r in relative[1:]), f"{angle:.1f}°" if angle < 90 else "-"]
         for value, r0, relative, angle in zip(
@@ -138,7 +139,8 @@ def command(
             show.say(f"picture: {path}")
 
 
-def _false_light(rig, lobes):  # type: ignore[no-untyped-def]
+def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
+    """Compute what the lens's glare adds to each lobe."""
     from matcam.forward.prediction import false_light
     from matcam.material.microfacet import Microfacet
 
@@ -146,12 +148,14 @@ def _false_light(rig, lobes):  # type: ignore[no-untyped-def]
         return [false_light(Microfacet(lobe, 1.0), rig) for lobe in lobes]
 
 
-def _haze(false, degrees: float = 2.0) -> float:  # type: ignore[no-untyped-def]
-    at = false.isel(channel=0).sel(theta_h=degrees * 3.141592653589793 / 180, method="nearest")
+def _haze(false: Any, degrees: float = 2.0) -> float:
+    """Return added over true BRDF at an angle off the half vector."""
+    at = false.isel(channel=0).sel(theta_h=math.radians(degrees), method="nearest")
     return float(at["added"] / at["true"])
 
 
-def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
+def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: Path, force: bool) -> None:
+    """Write the figure and the columns of the whole plane of roughness and angle."""
     import numpy as np
 
     from matcam.core.io import write_columns
@@ -166,13 +170,15 @@ def _map(rig, ndf: str, power: float | None, how: tuple[int, bool], path: Path, 
         save(plane_figure(data, f"Peak kept, relative to 0°: {rig.sample!r}"), path, force=force)
 
 
-def _degrees(angles) -> list[float]:  # type: ignore[no-untyped-def]
+def _degrees(angles: Any) -> list[float]:
+    """Convert labelled angles to degrees."""
     import numpy as np
 
     return np.degrees(angles.values).tolist()
 
 
-def _write(data, rig, output: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
+def _write(data: Any, rig: Any, output: Path, force: bool) -> None:
+    """Write the figure and the columns of a prediction."""
     from matcam.core.io import write_columns
     from matcam.figures.curves import prediction_figure
     from matcam.figures.style import save

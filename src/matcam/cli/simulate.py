@@ -108,7 +108,8 @@ def command(
 
     use_compilation_cache()
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, cell_value=cell)
-    material, described = _material(table, sampling, ndf, roughness, power, metal, source, diffuse)
+    lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
+    material, described = _tabulated(table, sampling) if table else _microfacet(lobe)
     if suffix in _TABLES:
         result = _table(material, rig, output, described, force)
     else:
@@ -123,24 +124,29 @@ def command(
         show.say(f"{result['what']}: {output}")
 
 
-def _material(table, sampling, ndf, roughness, power, metal, source, diffuse):  # type: ignore[no-untyped-def]
-    if table:
-        from matcam.files.merl import read_merl
-        from matcam.material.tabulated import Tabulated
+def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:
+    """Read the material of a MERL file, and describe it."""
+    from matcam.files.merl import read_merl
+    from matcam.material.tabulated import Tabulated
 
-        return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
+    return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
+
+
+def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Make the metal with the lobe that the options describe; its description names the source of n and k."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
-    from matcam.material.metals import metal as constants
+    from matcam.material.metals import metal
     from matcam.material.microfacet import Microfacet
     from matcam.material.reflectance import Conductor
     from matcam.material.registry import family_ndf
 
-    n, k, used = constants(metal, CHANNEL_WAVELENGTHS, *([source] if source else []))
-    described = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": used, "diffuse": diffuse}
-    return Microfacet(family_ndf(ndf, roughness, power), Conductor(n, k), diffuse), described
+    n, k, source = metal(lobe["metal"], CHANNEL_WAVELENGTHS, *([lobe["source"]] if lobe["source"] else []))
+    ndf = family_ndf(lobe["ndf"], lobe["roughness"], lobe["power"])
+    return Microfacet(ndf, Conductor(n, k), lobe["diffuse"]), {**lobe, "source": source}
 
 
-def _table(material, rig, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]
+def _table(material: Any, rig: Any, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:
+    """Write the table that the rig records; return what to print of it."""
     from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import measure
@@ -154,26 +160,35 @@ def _table(material, rig, output: Path, described: dict[str, Any], force: bool) 
     return {"what": "table", "missing_share": float(data.isnull().mean()), "largest": float(data.max())}
 
 
-def _picture(material, rig, lamp_angle, options, output: Path, described, force: bool) -> dict[str, Any]:  # type: ignore[no-untyped-def]
+def _picture(
+    material: Any,
+    rig: Any,
+    lamp_angle: float,
+    options: dict[str, Any],
+    output: Path,
+    described: dict[str, Any],
+    force: bool,
+) -> dict[str, Any]:
+    """Write the picture that the rig takes, with its sidecar; return what to print of it."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.files.float_pictures import write_exr, write_float_tiff
     from matcam.files.sidecar import sidecar_path, write_sidecar
     from matcam.forward.image import picture
 
     with show.working("taking the picture"):
-        taken = picture(material, rig, lamp_angle, **options)
-    height, width = taken.shape[:2]
+        image = picture(material, rig, lamp_angle, **options)
+    height, width = image.shape[:2]
     about = rig.description()
     noise = {"electrons_per_radiance": [options["exposure"]], "times_s": [0.0], "seed": options["seed"]}
     write = write_exr if output.suffix.lower() == ".exr" else write_float_tiff
-    write(output, taken.values, force=force)
+    write(output, image.values, force=force)
     write_sidecar(
         sidecar_path(output),
         picture={
             "file": output.name,
-            "shape": list(taken.shape),
-            "quantity": taken.attrs["quantity"],
-            "channel_wavelengths_m": list(CHANNEL_WAVELENGTHS) if taken.ndim == 3 and taken.shape[2] == 3 else None,
+            "shape": list(image.shape),
+            "quantity": image.attrs["quantity"],
+            "channel_wavelengths_m": list(CHANNEL_WAVELENGTHS) if image.ndim == 3 and image.shape[2] == 3 else None,
             "axis_column_px": (width - 1) / 2,
             "axis_row_px": (height - 1) / 2,
         },
@@ -187,16 +202,17 @@ def _picture(material, rig, lamp_angle, options, output: Path, described, force:
     )
     return {
         "what": f"picture of {width} x {height} px",
-        "largest": float(taken.max()),
-        "units": taken.attrs["units"],
-        "picture": taken,
+        "largest": float(image.max()),
+        "units": image.attrs["units"],
+        "picture": image,
     }
 
 
-def _preview(taken, described: dict[str, Any], rig, path: Path, force: bool) -> None:  # type: ignore[no-untyped-def]
+def _preview(image: Any, described: dict[str, Any], rig: Any, path: Path, force: bool) -> None:
+    """Write a figure of the picture."""
     from matcam.figures.spheres import picture_figure
     from matcam.figures.style import save
 
     name = described.get("table") or f"{described['metal']}, {described['ndf']} {described['roughness']:g}"
-    angle = math.degrees(taken.attrs["lamp_angle"])
-    save(picture_figure(taken, f"{name}, lamp {angle:.0f}° from the camera: {rig.sample!r}"), path, force=force)
+    angle = math.degrees(image.attrs["lamp_angle"])
+    save(picture_figure(image, f"{name}, lamp {angle:.0f}° from the camera: {rig.sample!r}"), path, force=force)

@@ -121,7 +121,7 @@ class Workspace:
                 memory.popitem(last=False)
         return result
 
-    def kept(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return the arrays that `make` returned for this description before, from disk, or call it.
 
         The file's name is a hash of the description and of the package's version. A file that cannot be read is made again, and

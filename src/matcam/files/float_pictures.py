@@ -237,8 +237,8 @@ def read_exr(path: str | Path) -> np.ndarray:
     path = Path(path)
     skeleton = _checked_skeleton(path)
     try:
-        held = OpenEXR.File(str(path), separate_channels=True).channels()
-        planes = [np.asarray(held[name].pixels) for name in skeleton.channels]
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        planes = [np.asarray(channels[name].pixels) for name in skeleton.channels]
     except Exception as error:  # the library throws whatever its C++ threw
         raise FileFormatError(f"{path}: damaged OpenEXR file: {str(error).splitlines()[0]:.100}") from None
     if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
@@ -308,10 +308,10 @@ def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
 
 def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tuple[str, ...], int, int]:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
-    held, names, at = attributes["channels"], [], 0
-    while held[at]:
-        name, at = _text(held, at)
-        kind, _, *sampling = struct.unpack_from("<4i", held, at)
+    listed, names, at = attributes["channels"], [], 0
+    while listed[at]:
+        name, at = _text(listed, at)
+        kind, _, *sampling = struct.unpack_from("<4i", listed, at)
         at += 16
         if kind != _FLOAT:
             stored = {0: "whole numbers", 1: "16-bit floats"}.get(kind, "an unknown type")

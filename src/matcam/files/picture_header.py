@@ -148,8 +148,8 @@ def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tu
     count = struct.unpack(order + "H", file.read(2))[0]
     if count > _MOST_ENTRIES:
         raise ValueError
-    held = file.read(12 * count)
-    return {tag: (kind, size, value) for tag, kind, size, value in struct.iter_unpack(order + "HHI4s", held)}
+    entries = file.read(12 * count)
+    return {tag: (kind, size, value) for tag, kind, size, value in struct.iter_unpack(order + "HHI4s", entries)}
 
 
 def _text(file: BinaryIO, base: int, entry: tuple[int, int, bytes], order: str) -> str:

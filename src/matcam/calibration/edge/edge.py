@@ -16,8 +16,7 @@ from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
 from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
-from matcam.calibration.photograph.region import flaws
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.camera.registry import PARAMETRIC_LENSES
 from matcam.core import checks

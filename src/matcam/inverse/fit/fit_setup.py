@@ -1,7 +1,8 @@
 """The setup of a fit in one object: data, rig, model, prior and noise (docs/model.md 8).
 
-`FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit that begins where another
-ended - in more slices, with a parameter of the rig left free, with the lobe bent - is `setup.with_(...).solve(start=found)`.
+`FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit can begin where another
+ended: in more slices, with a parameter of the rig left free, or with the lobe bent. It is
+`setup.with_(...).solve(start=found)`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,11 @@
-"""Workers on this machine: processes of one core each, one job at a time. If one dies, the job that it had is known.
+"""Executors on this machine: processes of one core each, or threads of this process that share a GPU.
 
-Each worker has a pipe of its own, so that a worker that is killed in the middle of a message harms no other. That is why
-this is no `pebble.ProcessPool`: its workers share a pipe, and some kills break or block the whole pool.
+Each worker process has a pipe of its own, so that one that is killed in the middle of a message harms no other, and the job
+that it had is known. That is why this is no `pebble.ProcessPool`: its workers share a pipe, and some kills break or block
+the whole pool.
+
+Threads have their lobes recorded in one program. A fit's search stays on the processor; what the searches ask of the
+operator within a millisecond is computed together.
 """
 
 from __future__ import annotations
@@ -15,13 +19,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Any
 
 from matcam.batch.executors import Executor, one_core_environment
-from matcam.batch.job import Job, Outcome
+from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import MatcamError
+from matcam.core.jax import jax
+from matcam.core.workspace import default_workspace
+from matcam.inverse.fit.lobe_slopes import RecordBatch
 
 # not fork: JAX has threads, and a fork would copy their locks without them
 _SPAWN = multiprocessing.get_context("spawn")
@@ -95,6 +103,37 @@ class ProcessExecutor(Executor):
         return [worker for worker in workers if worker.pipe in ready]
 
 
+@dataclass(frozen=True)
+class ThreadExecutor(Executor):
+    """Do jobs in threads of this process.
+
+    Attributes:
+        seats: materials at a time. Sixteen records fill a GPU, and their tables take some GiB of memory.
+    """
+
+    seats: int = 16
+
+    def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
+        """Do jobs and yield their outcomes as they come."""
+        if not jobs:
+            return
+        seats = min(self.seats, len(jobs))
+        with RecordBatch(seats) as batch:
+
+            def attempt_in_batch(job: Job) -> Outcome:
+                workspace = job.recipe.options.workspace or default_workspace()
+                return attempt(job, workspace.with_batch(batch))
+
+            # what depends on the rig alone is computed by the first, and found by the others
+            yield attempt_in_batch(jobs[0])
+            pool = ThreadPoolExecutor(seats)
+            try:
+                for future in as_completed([pool.submit(attempt_in_batch, job) for job in jobs[1:]]):
+                    yield future.result()
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+
 class _Worker:
     """Run one process, with the pipe to it and the job that it has."""
 
@@ -153,6 +192,11 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def has_gpu() -> bool:
+    """Tell whether JAX computes on a GPU."""
+    return jax.default_backend() == "gpu"
+
+
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
     """Set environment variables for the processes that are started inside."""
@@ -176,7 +220,6 @@ def _serve(pipe: connection.Connection) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that temporary files are removed
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        from matcam.batch.job import attempt
         from matcam.core.jax import jnp, use_compilation_cache
         from matcam.core.workspace import Workspace
 
