@@ -23,8 +23,8 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.reflectance import Conductor
 from matcam.rigs import Rig, merl
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Place
-from matcam.sample.sphere import Sphere
 
 PICTURE_STRIDE = 1 << 13
 """Pixels per picture row in a pixel's number; a picture is never that wide."""

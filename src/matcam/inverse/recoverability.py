@@ -23,7 +23,7 @@ from matcam.inverse.operator.rig_axes import LENS, prior_axis
 from matcam.material.registry import ONE_WIDTH
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
-from matcam.sample.sphere import Sphere
+from matcam.sample.curved import Sphere
 
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """Roughnesses that are judged where the user names none."""
