@@ -31,10 +31,9 @@ class RadianceEstimate(NamedTuple):
         saturated: True where every picture is saturated, same shape.
 
     Example:
-        >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
-        >>> found = matcam.camera.merge_bracket(sensor, np.full((1, 1, 2), 20_000.0), [500.0])
-        >>> found.saturated.tolist()
-        [[True, True]]
+        >>> pixel = matcam.camera.RadianceEstimate(np.array([[1.0]]), np.array([[0.02]]), np.array([[False]]))
+        >>> float(pixel.std[0, 0])
+        0.02
     """
 
     radiance: jax.Array
