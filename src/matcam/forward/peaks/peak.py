@@ -23,7 +23,7 @@ from matcam.forward.peaks.tangent_plane import line_record, lobe_record
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import MixtureNDF, SlopeDistribution
-from matcam.material.ndf.epd import EPD
+from matcam.material.ndf.power_lobes import EPD
 from matcam.rigs import Rig
 from matcam.sample.shape import Curved, Flat
 
