@@ -101,8 +101,13 @@ class Outcome(NamedTuple):
     Attributes:
         source: the job's input.
         seconds: time that it took, s.
-        reason: why it failed, in one line; None if it did not.
-        trace: traceback of a fault of matcam; None otherwise.
+        reason: why it failed, in one line. Default: None, it did not fail.
+        trace: traceback of a fault of matcam. Default: None, there was none.
+
+    Example:
+        >>> from pathlib import Path
+        >>> matcam.batch.Outcome(Path("steel.binary"), 12.5).reason is None
+        True
     """
 
     source: Path

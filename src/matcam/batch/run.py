@@ -39,7 +39,12 @@ class Progress(NamedTuple):
         corrected: materials that the run has corrected.
         failed: materials that failed.
         total: all materials of the run.
-        last: outcome of the last material; None at the start.
+        last: outcome of the last material. None: the run has just begun.
+
+    Example:
+        >>> progress = matcam.batch.Progress(kept=2, corrected=1, failed=0, total=5, last=None)
+        >>> f"{progress.kept + progress.corrected} of {progress.total}"
+        '3 of 5'
     """
 
     kept: int
@@ -58,6 +63,12 @@ class Run:
         corrected: inputs that the run corrected.
         kept: inputs that were finished before.
         failures: outcomes of the inputs that failed, each with one line that says why.
+
+    Example:
+        >>> from pathlib import Path
+        >>> run = matcam.batch.Run(Path("out"), corrected=(Path("a.binary"),), kept=(), failures=())
+        >>> run.to_dict()["corrected"]
+        ['a.binary']
     """
 
     folder: Path
