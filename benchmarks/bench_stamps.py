@@ -12,7 +12,7 @@ import galsim
 import numpy as np
 
 from matcam import Camera, GaussianOptics
-from matcam.forward import highlight_stamps
+from matcam.forward import Highlights, highlight_stamps
 
 STAMPS, SIZE, SIGMA, DRAWN, CHECKED, ROUNDS = 10_000, 16, 0.5, 200, 60, 9
 TIGHT = galsim.GSParams(
@@ -46,14 +46,14 @@ def main() -> None:
         def drawn(count, accuracy, numbers=numbers):
             return [draw(*([*(a[k] for a in numbers), None][:6]), accuracy) for k in range(count)]
 
-        ours = np.asarray(highlight_stamps(camera, SIZE, *numbers))
+        ours = np.asarray(highlight_stamps(camera, SIZE, Highlights(*numbers)))
         truth = drawn(CHECKED, TIGHT)
         print(f"{name}: our error {worst(ours, truth):.1e} of the peak (asked for 5e-7)")
         for words, accuracy in (("its default accuracy", None), ("an accuracy like ours must be", EQUAL)):
             ratios = []
             for _ in range(ROUNDS):
                 start = time.perf_counter()
-                highlight_stamps(camera, SIZE, *numbers).block_until_ready()
+                highlight_stamps(camera, SIZE, Highlights(*numbers)).block_until_ready()
                 middle = time.perf_counter()
                 theirs = drawn(DRAWN, accuracy)
                 ratios.append((time.perf_counter() - middle) / DRAWN * STAMPS / (middle - start))

@@ -52,7 +52,7 @@ def signature(thing):
     if inspect.isclass(thing):
         thing = thing.__new__ if issubclass(thing, tuple) else thing.__init__
     parameters = inspect.signature(thing).parameters
-    return {name: p for name, p in parameters.items() if name not in ("self", "cls", "_cls", "mcls")}
+    return {name: p for name, p in parameters.items() if name not in ("self", "cls", "_cls") and name[0] != "_"}
 
 
 def sections(text):

@@ -37,7 +37,7 @@ def test_figure_5_lies_between_cosine_and_one():
 
 
 def test_equation_11_is_what_is_printed():
-    """At 60 degrees, sigma_p = 2.5 sigma_mtf, MODEL 4 finds it 60 % too high for a narrow lobe."""
+    """At 60 degrees, sigma_p = 2.5 sigma_mtf, docs/model.md 4 finds it 60 % too high for a narrow lobe."""
     sigma_p, theta = 0.5, np.radians([0.0, 60.0])
     printed = np.asarray(paper.peak_eq11(1e-6, sigma_p / 2.5, sigma_p, 256, theta))
     assert printed[1] / printed[0] / np.cos(theta[1]) == pytest.approx(1.6, abs=0.05)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from matcam import Camera, calibrate
+from matcam import Camera, LinearImage, calibrate
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark, texts
@@ -41,6 +41,16 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert loaded.pixel.half_width == 0.4
     assert "16 edges" in loaded.provenance.source
     assert found.edges_dataset().sizes["edge"] == 16
+
+
+def test_a_linear_image_is_a_picture_of_one_colour():
+    picture = chart(0.5, 0.4)
+    plain = calibrate([picture], half_width=0.4).channels["grey"]
+    found = calibrate([LinearImage(picture, source="a.tif", f_number=5.6)], half_width=0.4)
+    assert found.pictures == ("a.tif",)
+    assert found.channels["grey"].values == pytest.approx(plain.values, rel=1e-9)
+    green = calibrate([LinearImage(picture, "G", "RGGB")], half_width=0.4).channels["G"]
+    assert abs(green.values[0] - 0.5) < 4 * green.std[0] < 0.02
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from matcam import edge_mtf, edge_mtf_stack
+from matcam import LinearImage, edge_mtf, edge_mtf_stack
 from matcam.core.errors import ArgumentError, FitError
 from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge as oracle
@@ -51,6 +51,9 @@ def test_region_of_a_larger_picture(clean):
     alone, inside = edge_mtf(clean), edge_mtf(frame, (40, 25, 80, 160))
     assert inside.mtf50 == alone.mtf50
     assert inside.place == pytest.approx((alone.place[0] + 40, alone.place[1] + 25))
+    plane = LinearImage.of(frame)
+    for same in (edge_mtf(plane, (40, 25, 80, 160)), edge_mtf(plane.cut((40, 25, 80, 160)))):
+        assert (same.mtf50, same.place) == (inside.mtf50, inside.place)
 
 
 def test_tone_curves_are_undone(clean):
@@ -209,6 +212,16 @@ def test_a_stack_says_which_edges_cannot_be_measured(clean):
     assert np.isnan(result.mtf50).tolist() == [False, True, False]
     assert np.isnan(result.mtf[1]).all()
     assert len(result) == 3
+    assert [problem and problem.code for problem in result.problems] == [None, "flat", None]
+    assert result.good.tolist() == [0, 2]
+    assert [edge.mtf50 for edge in result] == pytest.approx(result.mtf50, nan_ok=True)
+    assert result.to_dict()["problems"][1]["text"] == "region is all one value, 3: there is no edge in it"
+    planes = [LinearImage(clean, corner=(7, 9)), LinearImage(clean[:, ::-1])]
+    placed = edge_mtf_stack(planes)
+    assert placed.mtf50 == pytest.approx(result.mtf50[[0, 2]], rel=1e-9)
+    assert placed.place[0][0] == pytest.approx(result.place[0][0] + 7)
+    with pytest.raises(ArgumentError, match="regions of one shape"):
+        edge_mtf_stack([planes[0], planes[1].cut((0, 0, 60, 80))])
     for bad in (clean, np.ones((2, 10, 40)), np.ones((0, 80, 80)), np.array([[["a"]]])):
         with pytest.raises(ArgumentError, match="images must be"):
             edge_mtf_stack(bad)

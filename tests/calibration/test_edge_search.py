@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_mtf_stack, edge_stack
-from matcam.calibration.photograph.linear_image import LinearImage
-from matcam.calibration.photograph.region import flaws
+from matcam.calibration.photograph.linear_image import LinearImage, flaws
 from matcam.calibration.search.edge_search import find_edges
-from matcam.calibration.search.strips import strip_regions, strips_along
+from matcam.calibration.search.photograph_edges import strip_regions, strips_along
 from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge, slanted_squares
 

@@ -126,7 +126,7 @@ def test_point_optics_and_point_pixel_are_the_identity():
 
 @pytest.mark.parametrize(("sigma", "percent"), [(0.2, 12), (0.3, 3.4), (0.5, 0.54), (0.8, 0.09)])
 def test_square_pixel_is_not_isotropic(sigma, percent):
-    """MODEL 2: a narrow highlight at 45 degrees to the grid, treated as isotropic, errs by this much of the peak."""
+    """docs/model.md 2: a narrow highlight at 45 degrees to the grid, treated as isotropic, errs by this much of the peak."""
     camera = Camera(GaussianOptics(sigma), BoxPixel(0.5))
     r = np.linspace(0, 3, 601)
     straight = camera.psf(r, 0 * r)

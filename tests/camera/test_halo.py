@@ -33,7 +33,7 @@ def box_gaussian(x, sigma, p=0.5):
 
 
 def test_against_the_closed_form():
-    """Two Gaussians through a square pixel (MODEL 2), written out."""
+    """Two Gaussians through a square pixel (docs/model.md 2), written out."""
     camera = Camera(HaloOptics(GaussianOptics(0.5), 0.03, 40.0), BoxPixel(0.5))
     x, y = np.array([-90, -20, -1.3, -0.4, 0, 0.9, 7, 60]), 0.3
     truth = 0.97 * box_gaussian(x, 0.5) * box_gaussian(y, 0.5) + 0.03 * box_gaussian(x, 40) * box_gaussian(y, 40)

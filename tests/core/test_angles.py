@@ -56,7 +56,7 @@ def test_grid_is_that_of_merls_own_reader():
 
 
 def test_share_below_the_horizon():
-    """MODEL 5: 23.8 % of MERL's cells by their edges, 24.8 % by their centres."""
+    """docs/model.md 5: 23.8 % of MERL's cells by their edges, 24.8 % by their centres."""
     assert below_horizon("edge").mean() == pytest.approx(0.238, abs=5e-4)
     assert below_horizon("centre").mean() == pytest.approx(0.248, abs=5e-4)
     assert below_horizon("centre").shape == GRID_SHAPE

@@ -24,24 +24,24 @@ def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path):
     make = Counted()
     workspace = Workspace(tmp_path)
     for _ in range(2):
-        np.testing.assert_array_equal(workspace.kept("rig", make)["a"], [0, 1, 2])
+        np.testing.assert_array_equal(workspace.store("rig", make)["a"], [0, 1, 2])
     assert make.calls == 1
     (file,) = tmp_path.glob("*.npz")
     file.write_bytes(b"not an archive")
-    workspace.kept("rig", make)
+    workspace.store("rig", make)
     assert make.calls == 2
-    workspace.kept("another rig", make)
+    workspace.store("another rig", make)
     assert make.calls == 3
     # another process finds them
-    pickle.loads(pickle.dumps(workspace)).kept("another rig", make)
+    pickle.loads(pickle.dumps(workspace)).store("another rig", make)
     assert make.calls == 3
 
 
 def test_another_version_of_the_package_makes_its_own(tmp_path, monkeypatch):
     make = Counted()
-    Workspace(tmp_path).kept("rig", make)
+    Workspace(tmp_path).store("rig", make)
     monkeypatch.setattr("importlib.metadata.version", lambda name: "0.0.0")
-    Workspace(tmp_path).kept("rig", make)
+    Workspace(tmp_path).store("rig", make)
     assert make.calls == 2
 
 
@@ -49,14 +49,14 @@ def test_another_version_of_the_package_makes_its_own(tmp_path, monkeypatch):
 def test_the_latest_files_stay(tmp_path, most, left):
     workspace = Workspace(tmp_path, files=most)
     for number in range(14):
-        workspace.kept(str(number), Counted())
+        workspace.store(str(number), Counted())
     assert len(list(tmp_path.glob("*.npz"))) == left
 
 
 def test_a_folder_that_cannot_be_written_is_no_harm(tmp_path):
     (tmp_path / "file").write_text("in the way")
     make = Counted()
-    assert Workspace(tmp_path / "file" / "rules").kept("rig", make)["a"].size == 3
+    assert Workspace(tmp_path / "file" / "rules").store("rig", make)["a"].size == 3
     assert make.calls == 1
 
 
@@ -71,6 +71,15 @@ def test_memory_keeps_the_latest_used_of_each_kind():
     ask("lattice", 1)
     ask("rule", 2)
     assert made == [("rule", 1), ("rule", 2), ("rule", 3), ("lattice", 1), ("rule", 2)]
+
+
+def test_a_batch_shares_the_memory_and_does_not_travel():
+    workspace, batch = Workspace(), object()
+    other = workspace.with_batch(batch)
+    assert other.batch is batch
+    assert workspace.batch is None
+    assert workspace.remember("rule", 1, lambda: 5) == other.remember("rule", 1, lambda: 1 / 0) == 5
+    assert pickle.loads(pickle.dumps(other)).batch is None
 
 
 def test_large_kinds_and_no_memory():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from matcam import fit, rigs
+from matcam.core.workspace import default_workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import RecordBatch, record_and_slopes
 from matcam.inverse.operator.lobe_operator import lobe_operator
@@ -25,8 +26,7 @@ def test_questions_of_several_threads_are_answered_as_alone(operator):
     with RecordBatch(3) as batch, ThreadPoolExecutor(4) as pool:
 
         def asked(question):
-            with batch.serving():
-                return record_and_slopes(operator, LobeKind(question[0], "smith"), question[1])
+            return record_and_slopes(operator, LobeKind(question[0], "smith"), question[1], batch)
 
         together = list(pool.map(asked, questions))
         assert sum(batch.sizes) == 4
@@ -54,8 +54,8 @@ def test_fits_side_by_side_are_the_fits_alone():
     with RecordBatch(2) as batch, ThreadPoolExecutor(2) as pool:
 
         def fitted(table):
-            with batch.serving():
-                return fit(table, made.rig(), noise=made.NOISE, every=every)
+            workspace = default_workspace().with_batch(batch)
+            return fit(table, made.rig(), noise=made.NOISE, every=every, workspace=workspace)
 
         together = list(pool.map(fitted, tables))
     assert max(batch.sizes) == 2

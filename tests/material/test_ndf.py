@@ -56,7 +56,7 @@ def test_mixture_is_the_lobe(ndf):
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.9, 0.9999])
 @pytest.mark.parametrize(("beta", "power"), [(1e-4, 0.3), (0.1, 1.0), (0.6, 3.0)])
 def test_quantiles_of_epd_are_those_of_its_sampling_formula(beta, power, share):
-    """MODEL 6: tan^2 = beta^2 Q^-1(1/p, u)^(1/p) leaves a share u of the facets steeper."""
+    """docs/model.md 6: tan^2 = beta^2 Q^-1(1/p, u)^(1/p) leaves a share u of the facets steeper."""
     ndf = EPD(beta, power)
     steepest = beta * gammainccinv(1 / power, 1 - share) ** (1 / (2 * power))
     inside = lambda r: 2 * np.pi * r * float(ndf.slope_density(jnp.asarray(r * r)))  # noqa: E731

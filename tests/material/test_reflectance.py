@@ -61,7 +61,7 @@ def test_refusals(build, name):
 
 
 def test_chromium_disagrees_by_source_as_the_literature_does():
-    """MODEL 5: F0 at 550 nm is 0.555, 0.650 or 0.681; F(75)/F0 0.937, 0.908 or 0.881."""
+    """docs/model.md 5: F0 at 550 nm is 0.555, 0.650 or 0.681; F(75)/F0 0.937, 0.908 or 0.881."""
     expected = {"johnson": (0.555, 0.937), "rakic": (0.650, 0.908), "sytchkova": (0.681, 0.881)}
     assert set(metals()["Cr"]) == set(expected)
     for source, (f0, ratio) in expected.items():

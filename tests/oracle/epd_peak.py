@@ -1,4 +1,4 @@
-"""Peak of an exponential power lobe through a Gaussian lens and a box pixel, in the tangent plane (MODEL 4), by a tensor
+"""Peak of an exponential power lobe through a Gaussian lens and a box pixel (docs/model.md 4): tangent plane, by a tensor
 of double-exponential rules over the quarter plane of the sensor. Imports nothing of the package."""
 
 import numpy as np

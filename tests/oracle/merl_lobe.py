@@ -1,4 +1,4 @@
-"""What a rig records of a Gaussian lobe on the MERL grid, written down a second time (MODEL 3, 4, 5), with pixel noise.
+"""What a rig records of a Gaussian lobe on the MERL grid, written down a second time (docs/model.md 3, 4, 5), with pixel noise.
 
 Imports nothing of the package: this is the truth that the inverse is judged by.
 """

@@ -1,4 +1,4 @@
-"""Pictures of slanted edges as exact integrals over square pixels, and what can be known from them at best (MODEL 7).
+"""Pictures of slanted edges as exact integrals over square pixels, and what can be known from them at best (docs/model.md 7).
 
 Coordinates: px from the picture's centre, x along the rows, y down; the bright side lies at larger x. Imports nothing of
 the package: this is the truth that the edge's estimator is judged by.

@@ -1,4 +1,4 @@
-"""Smith's Lambda by adaptive quadrature of its integral over slopes (MODEL 6). Imports nothing of the package."""
+"""Smith's Lambda by adaptive quadrature of its integral over slopes (docs/model.md 6). Imports nothing of the package."""
 
 import numpy as np
 from scipy.integrate import quad

@@ -1,4 +1,4 @@
-"""Many cells of a table at once, for any isotropic lobe, and their noise (MODEL 3, 8): truth for fits.
+"""Many cells of a table at once, for any isotropic lobe, and their noise (docs/model.md 3, 8): truth for fits.
 
 Imports nothing of the package. Two rules: near the highlight a fixed polar grid of slopes about the half vector, graded
 towards it, over whose nodes each pixel's kernel is a sparse row; elsewhere the trapezoid rule on the sensor, at a

@@ -1,5 +1,5 @@
 """What one pixel records of a sphere under a distant point lamp, by adaptive quadrature over normals in polar coordinates
-about the highlight's normal (MODEL 3): GGX (Walter et al. 2007, (33), (34)) and Lambert, a Gaussian lens, a box pixel.
+about the highlight's normal (docs/model.md 3): GGX (Walter et al. 2007, (33), (34)) and Lambert, a Gaussian lens, a box pixel.
 
 Imports nothing of the package. Visible and lit are explicit limits of the azimuth; the kernel is followed to 10 standard
 deviations, and the part of the sphere under it is all that is integrated over.
@@ -46,7 +46,7 @@ class Setup(NamedTuple):
 
 def place(theta_h, theta_d, phi_d, radius):
     """(x, y) px at which the picture with lamp and camera 2 theta_d apart shows the cell from the lamp's side
-    (orthographic, MODEL 3); the other way is phi_d + pi."""
+    (orthographic, docs/model.md 3); the other way is phi_d + pi."""
     psi = np.pi - phi_d
     x = np.cos(theta_h) * np.sin(theta_d) + np.sin(theta_h) * np.cos(psi) * np.cos(theta_d)
     return radius * x, radius * np.sin(theta_h) * np.sin(psi)

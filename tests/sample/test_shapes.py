@@ -111,7 +111,7 @@ def test_angles_have_their_place_and_the_place_has_these_angles(distance):
 
 
 def test_a_distant_sphere_s_places_are_the_paper_s():
-    """x = r (cos th sin td + sin th cos psi cos td), y = r sin th sin psi, psi = pi - phi_d (MODEL 3), lamp at 2 td."""
+    """x = r (cos th sin td + sin th cos psi cos td), y = r sin th sin psi, psi = pi - phi_d (docs/model.md 3), lamp at 2 td."""
     theta_h, theta_d, phi_d = np.random.default_rng(4).uniform(0, np.pi / 2, (3, 200))
     phi_d *= 4
     place = Sphere(256.0).place(theta_h, theta_d, phi_d)

@@ -101,12 +101,13 @@ class Outcome(NamedTuple):
     Attributes:
         source: the job's input.
         seconds: time that it took, s.
-        reason: why it failed, in one line. Default: None, it did not fail.
-        trace: traceback of a fault of matcam. Default: None, there was none.
+        reason: why it failed, in one line; None: it did not. Default: None.
+        trace: traceback of a fault of matcam; None: there was none. Default: None.
 
     Example:
-        >>> from pathlib import Path
-        >>> matcam.batch.Outcome(Path("steel.binary"), 12.5).reason is None
+        >>> import pathlib
+        >>> outcome = matcam.batch.Outcome(pathlib.Path("gold.binary"), 12.5)
+        >>> outcome.reason is None
         True
     """
 

@@ -30,7 +30,7 @@ class Options(NamedTuple):
         ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd". Default: "auto".
         masking: masking function, or None for none. Default: "smith".
         glare: share of light that the lens may scatter without its profile saying so (no unit). Default: 1e-3.
-        workspace: keeps what depends on the rig alone, and changes no result. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone; None: the process's own. It changes no result. Default: None.
 
     Example:
         >>> matcam.batch.Options(ndf="ggx").glare

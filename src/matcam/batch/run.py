@@ -39,12 +39,12 @@ class Progress(NamedTuple):
         corrected: materials that the run has corrected.
         failed: materials that failed.
         total: all materials of the run.
-        last: outcome of the last material. None: the run has just begun.
+        last: outcome of the last material; None: none is done yet.
 
     Example:
-        >>> progress = matcam.batch.Progress(kept=2, corrected=1, failed=0, total=5, last=None)
+        >>> progress = matcam.batch.Progress(kept=3, corrected=2, failed=1, total=10, last=None)
         >>> f"{progress.kept + progress.corrected} of {progress.total}"
-        '3 of 5'
+        '5 of 10'
     """
 
     kept: int
@@ -65,10 +65,9 @@ class Run:
         failures: outcomes of the inputs that failed, each with one line that says why.
 
     Example:
-        >>> from pathlib import Path
-        >>> run = matcam.batch.Run(Path("out"), corrected=(Path("a.binary"),), kept=(), failures=())
-        >>> run.to_dict()["corrected"]
-        ['a.binary']
+        >>> import pathlib
+        >>> matcam.batch.Run(pathlib.Path("out"), corrected=(), kept=(), failures=()).to_dict()["failed"]
+        []
     """
 
     folder: Path

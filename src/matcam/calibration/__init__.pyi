@@ -1,4 +1,17 @@
 from .camera.calibration import Calibration
-from .edge.edge_result import EdgeMTF, EdgeStack
+from .camera.camera_fit import CameraFit, MeanCurve
+from .camera.evidence import EdgeTable
+from .edge.edge_result import EdgeMTF, EdgeSamples, EdgeStack
+from .edge.parametric_result import ParametricEdge, ParametricStack
 
-__all__ = ["Calibration", "EdgeMTF", "EdgeStack"]
+__all__ = [
+    "Calibration",
+    "CameraFit",
+    "EdgeMTF",
+    "EdgeSamples",
+    "EdgeStack",
+    "EdgeTable",
+    "MeanCurve",
+    "ParametricEdge",
+    "ParametricStack",
+]

@@ -29,6 +29,12 @@ class RadianceEstimate(NamedTuple):
             is saturated, or the data are missing.
         std: its standard deviation, fixed patterns included, same unit and shape.
         saturated: True where every picture is saturated, same shape.
+
+    Example:
+        >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
+        >>> found = matcam.camera.merge_bracket(sensor, np.full((1, 1, 2), 20_000.0), [500.0])
+        >>> found.saturated.tolist()
+        [[True, True]]
     """
 
     radiance: jax.Array

@@ -139,9 +139,9 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
     if patches is not None:
         if tone != "auto":
             raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
-        from matcam.calibration.photograph.tone import measured_tone
+        from matcam.calibration.photograph.tone import patch_tone_curve
 
-        return measured_tone(files[0], patches)
+        return patch_tone_curve(files[0], patches)
     if tone in ("auto", "linear", "srgb"):
         return tone
     if tone.startswith("gamma:"):

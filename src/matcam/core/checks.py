@@ -1,4 +1,4 @@
-"""Arguments at the door: cast to float64, and refuse a concrete value that is out of its range.
+"""Checks of arguments: cast to float64, and refuse a concrete value that is out of its range.
 
 Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermost caller has checked them.
 """
@@ -15,7 +15,7 @@ from matcam.core.jax import is_concrete, jax, jnp
 
 
 def number(name: str, value: ArrayLike) -> jax.Array:
-    """`value` as a float64 array. Raises ArgumentError where it is not numeric or not finite."""
+    """Return `value` as a float64 array; ArgumentError where it is not numeric or not finite."""
     if not is_concrete(value):
         return jnp.asarray(value, dtype=jnp.float64)
     array = _as_float64(name, value)
@@ -34,7 +34,10 @@ def within(
     open_low: bool = False,
     open_high: bool = False,
 ) -> jax.Array:
-    """`value` as a float64 array inside [low, high] (an end may be open, or infinite, when infinity itself is allowed)."""
+    """Return `value` as a float64 array inside [low, high].
+
+    An end may be open, or infinite, when infinity itself is allowed.
+    """
     if not is_concrete(value):
         return jnp.asarray(value, dtype=jnp.float64)
     array = _as_float64(name, value)
@@ -48,24 +51,24 @@ def within(
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:
-    """`value` as a float64 array, finite and above 0."""
+    """Return `value` as a float64 array, finite and above 0."""
     return within(name, value, 0, np.inf, unit, open_low=True, open_high=True)
 
 
 def scalar(name: str, value: jax.Array) -> jax.Array:
-    """`value` if it has no axes; ArgumentError with its shape otherwise."""
+    """Return `value` if it has no axes; ArgumentError with its shape otherwise."""
     if value.ndim:
         raise ArgumentError(f"{name} must be a single number, got an array of shape {value.shape}")
     return value
 
 
 def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
-    """An angle between a surface normal and a direction that it can be seen from: [0, pi/2) rad."""
+    """Return an angle between a surface normal and a direction that it can be seen from, [0, pi/2) rad."""
     return within(name, value, 0, np.pi / 2, "rad (below 90 degrees)", open_high=True)
 
 
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
-    """`value` if it is one of `allowed`."""
+    """Return `value` if it is one of `allowed`; ArgumentError otherwise."""
     if value not in allowed:
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
     return value

@@ -1,4 +1,4 @@
-"""One family of errors: each says what was wrong, where, and what would be right."""
+"""The family of errors that a user's input can cause: each says what was wrong, where, and what would be right."""
 
 from __future__ import annotations
 
@@ -7,31 +7,41 @@ from collections.abc import Iterable
 
 
 class MatcamError(Exception):
-    """Base of every error that a user's input can cause. Its text is one line."""
+    """Report an error that a user's input can cause.
+
+    All errors of the family are of this class. Their text is one line: what was wrong, where, and what would be right.
+
+    Example:
+        >>> try:
+        ...     matcam.GGX(2.0)
+        ... except matcam.MatcamError as error:
+        ...     print(error)
+        alpha must lie in (0, 1], got 2
+    """
 
 
 class ArgumentError(MatcamError, ValueError):
-    """An argument is out of its range, of the wrong shape, or of the wrong kind."""
+    """Report an argument that is out of its range, of the wrong shape, or of the wrong kind."""
 
 
 class FileFormatError(MatcamError):
-    """A file is not what it should be. The message names the file and the byte or field."""
+    """Report a file that is not what it should be. The message names the file and the byte or field."""
 
 
 class OutputError(MatcamError):
-    """An output cannot be written where it was asked for, or would destroy something."""
+    """Report an output that cannot be written where it was asked for, or would destroy something."""
 
 
 class DownloadError(MatcamError):
-    """A file could not be fetched, or what came is not what its checksum says."""
+    """Report a file that could not be fetched, or is not what its checksum says."""
 
 
 class FitError(MatcamError):
-    """The data do not determine what was asked of them."""
+    """Report data that do not determine what was asked of them."""
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ArgumentError:
-    """Error for a `name` that is none of the `known` ones; suggests the nearest of them."""
+    """Return the error for a `name` that is none of the `known` ones; it suggests the nearest of them."""
     known = sorted(known)
     by_lowercase = {candidate.lower(): candidate for candidate in known}
     nearest = difflib.get_close_matches(name.lower(), by_lowercase, n=1, cutoff=0.5)

@@ -1,10 +1,10 @@
-"""Half and difference angles (Rusinkiewicz 1998), and the grid on which MERL tabulates them.
+"""The MERL grid: half and difference angles (Rusinkiewicz 1998), and tables of a BRDF on it.
 
-A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's
-direction in the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is
-phi_d -> phi_d + pi.
+A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's direction in
+the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is phi_d -> phi_d + pi.
 
-The table: a BRDF on the MERL grid as a labelled xarray, missing values NaN, its sampling stated.
+A table is a labelled xarray on this grid; missing values are NaN, and its attribute `sampling` says where in their cells values
+were sampled.
 """
 
 from __future__ import annotations
@@ -27,6 +27,12 @@ SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
 """Where in its cell a tabulated value was sampled; loaders of MERL files disagree."""
 
 _BORDER = 1e-9  # cells: an angle this close below a border lies on it, but for rounding
+
+DIMS = ("theta_h", "theta_d", "phi_d", "channel")
+CHANNELS = ("R", "G", "B")
+CHANNEL_WAVELENGTHS = (610e-9, 550e-9, 465e-9)
+"""Representative wavelengths of R, G, B, m, at which tabulated metals are compared. MERL does not publish its camera's
+spectral response; these are the middles of the bands of a common RGB sensor."""
 
 
 class Grid(NamedTuple):
@@ -84,7 +90,7 @@ def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
 
 
 def merl_grid(sampling: Sampling) -> Grid:
-    """Angles at which the cells of a MERL table are sampled.
+    """Return the angles at which the cells of a MERL table are sampled.
 
     theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi / 2)))).
     """
@@ -98,12 +104,12 @@ def merl_grid(sampling: Sampling) -> Grid:
 
 
 def theta_h_edges() -> np.ndarray:
-    """Borders of the theta_h cells, rad, shape (91,)."""
+    """Return the borders of the theta_h cells, rad, shape (91,)."""
     return (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2 * np.pi / 2
 
 
 def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """(cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
+    """Return (cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
     theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
     mean = jnp.cos(theta_h) * jnp.cos(theta_d)
     half_difference = jnp.sin(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
@@ -111,7 +117,7 @@ def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[j
 
 
 def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> jax.Array:
-    """Azimuth between light and view about the surface normal, rad, wrapped to [0, pi]; pi is mirror side."""
+    """Return the azimuth between light and view about the surface normal, rad, in [0, pi]; pi is the mirror side."""
     theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
@@ -127,8 +133,10 @@ def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike)
 def half_and_difference(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """(theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad. phi_d in
-    [0, 2 pi); it is that of the light where the half vector is the normal."""
+    """Return (theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad.
+
+    phi_d lies in [0, 2 pi). It is that of the light where the half vector is the normal.
+    """
     theta_i, phi_i, theta_o, phi_o = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
 
     def vector(theta: jax.Array, phi: jax.Array) -> jax.Array:
@@ -149,22 +157,18 @@ def half_and_difference(
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:
-    """Which cells of a MERL table, by their sampling points, have a direction at or below the horizon; bool (90, 90, 180)."""
+    """Return where a table has no reflection: light or view at or below the horizon, (90, 90, 180).
+
+    A cell's directions are those of its sampling point.
+    """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
     half_difference = np.sin(theta_h)[:, None] * np.sin(theta_d)
     return mean[:, :, None] <= half_difference[:, :, None] * np.abs(np.cos(phi_d))
 
 
-DIMS = ("theta_h", "theta_d", "phi_d", "channel")
-CHANNELS = ("R", "G", "B")
-CHANNEL_WAVELENGTHS = (610e-9, 550e-9, 465e-9)
-"""Representative wavelengths of R, G, B, m, at which tabulated metals are compared. MERL does not publish its camera's
-spectral response; these are the middles of the bands of a common RGB sensor."""
-
-
 def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.DataArray:
-    """Label BRDF values (90, 90, 180, 3), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
+    """Label BRDF values (90, 90, 180, channels), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
     grid = merl_grid(sampling)
     table = xr.DataArray(
         values,
@@ -182,7 +186,7 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
 
 
 def checked_table(table: xr.DataArray) -> xr.DataArray:
-    """Return `table` if it is a BRDF on the MERL grid; ArgumentError naming the offending dims, shape, coordinate or value."""
+    """Return `table` if it is a BRDF on the MERL grid; ArgumentError names the wrong dims, shape, coordinate or value."""
     if not isinstance(table, xr.DataArray):
         raise ArgumentError(f"a BRDF table must be an xarray.DataArray (see read_merl), got {type(table).__name__}")
     if table.dims != DIMS:
@@ -199,7 +203,7 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
 
 
 def sampling_of(table: xr.DataArray) -> Sampling:
-    """Where in its cell each value is sampled: the attribute `sampling`."""
+    """Return where in its cell each value of a table is sampled: its attribute `sampling`."""
     sampling = table.attrs.get("sampling")
     if sampling not in SAMPLINGS:
         raise ArgumentError(f"attrs['sampling'] of a BRDF table must be 'centre' or 'edge', got {sampling!r}")

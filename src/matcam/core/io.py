@@ -1,8 +1,7 @@
-"""Safe writing: a file appears under its final name whole, or not at all; nothing is destroyed unasked.
+"""Safe reading and writing of files.
 
-Reading a user's file: what the system refuses is said in one line, the same for every format.
-
-Datasets as plain columns of text (CSV), for people's spreadsheets and plotting programs.
+A file appears under its final name whole, or not at all, and nothing is destroyed unasked. What the system refuses is said in
+one line, the same for every format. Datasets go into columns of text (CSV) for spreadsheets and plotting programs.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
     """Refuse, before any work, an output that could not be written or that would destroy something.
 
-    Raises OutputError when `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or
-    exists and `force` is not set.
+    OutputError where `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or exists and `force` is
+    not set.
     """
     path = Path(path)
     for source in inputs:
@@ -71,8 +70,10 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
 
 @contextlib.contextmanager
 def reading(path: Path, what: str = "") -> Iterator[None]:
-    """Context in which `path` is opened and read. FileFormatError, naming it, where there is no such file, where it cannot be
-    read, and, if `what` says what it should be ("a picture"), where it is a folder."""
+    """Turn what goes wrong while `path` is opened and read into a FileFormatError that names it.
+
+    `what` says what it should be ("a picture"): then a folder is refused, too.
+    """
     try:
         if what and path.is_dir():
             raise FileFormatError(f"{path}: is a folder, not {what}")
@@ -84,8 +85,10 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
 
 
 def write_columns(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
-    """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable, units in the names of
-    those that have any ("theta_d_rad")."""
+    """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable.
+
+    The names of those that have units end in them ("theta_d_rad").
+    """
     frame = data.to_dataframe().reset_index()
     names = {
         str(n): f"{n}_{v.attrs['units'].replace('/', '_per_')}" for n, v in data.variables.items() if "units" in v.attrs

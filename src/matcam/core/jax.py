@@ -1,7 +1,7 @@
-"""JAX in float64. Every module that computes imports `jax` and `jnp` from here, so that the switch is thrown once.
+"""JAX in float64. Every module that computes imports `jax` and `jnp` from here, so that the switch is set once.
 
-Float64 is not a luxury: the erf differences of the effective kernel lose all their digits in float32 for broad
-lobes, and highlights are 1e3 to 1e6 times brighter than what surrounds them.
+Float64 is needed: the erf differences of the effective kernel lose all their digits in float32 for broad lobes, and highlights
+are 1e3 to 1e6 times brighter than what surrounds them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def is_concrete(value: object) -> bool:
-    """Whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
+    """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
     return not isinstance(value, jax.core.Tracer)
 
 

@@ -1,5 +1,7 @@
-"""JSON documents on disk: whole, without NaN, and never trusted to be small or sound; those of matcam's own formats, which bear
-a version."""
+"""JSON documents on disk: whole, without NaN, and never trusted to be small or sound.
+
+Those of matcam's own formats bear a version.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +22,20 @@ _LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
 
 
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
-    """Write a document, indented for people. ValueError or TypeError for what JSON cannot hold, before anything is
-    written; OutputError where it cannot go."""
+    """Write a document, indented for people.
+
+    ValueError or TypeError for what JSON cannot hold, before anything is written; OutputError where it cannot go.
+    """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def read_json(path: str | Path, what: str) -> Any:
-    """Read a document. FileFormatError naming the file, where that is not JSON or more than 16 MiB; `what`: it should
-    be, e.g. "a camera profile"."""
+    """Read a document; `what` says what it should be, such as "a camera profile".
+
+    FileFormatError naming the file, where it is not JSON or more than 16 MiB.
+    """
     path = Path(path)
 
     def refuse(constant: str) -> None:
@@ -45,8 +51,10 @@ def read_json(path: str | Path, what: str) -> Any:
 
 
 def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
-    """The version of a document of ours: {"format": form, "version": one of `versions`, ...}. FileFormatError naming `where`
-    it stands, `what` it should be, and the field."""
+    """Return the version of a document of ours: {"format": form, "version": one of `versions`, ...}.
+
+    FileFormatError says `where` it stands, `what` it should be, and the field.
+    """
     if not isinstance(document, dict) or document.get("format") != form:
         raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
     version = document.get("version")
@@ -59,15 +67,17 @@ def checked_version(document: Any, where: str | Path, what: str, form: str, vers
 
 
 def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
-    """What a schema says against a document first, in one line that names the field. unnamed: parts of the field's place that
-    are no names of fields."""
+    """Return what a schema finds wrong first, in one line that names the field.
+
+    unnamed: parts of the field's place that are no names of fields.
+    """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
     return f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}"
 
 
 def plain(value: Any) -> Any:
-    """A result as JSON can hold it: lists, numbers, texts; what is not a number is None."""
+    """Return a result as JSON can hold it: lists, numbers, texts; NaN and infinities become None."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""How a surface sees light and view: from vectors to all that its reflectance can depend on."""
+"""Shading geometry: from vectors to all that the reflectance of a surface can depend on."""
 
 from __future__ import annotations
 
@@ -13,12 +13,16 @@ Vector = tuple[jax.Array, jax.Array, jax.Array]
 
 
 class Shading(NamedTuple):
-    """Where light comes from and goes to, as the surface sees it: all that a BRDF can depend on. Arrays that broadcast.
+    """Hold all that a BRDF can depend on. Arrays that broadcast.
 
-    cos_i, cos_o: cosines to the normal, of light and view. slope_along, slope_across: the half vector as the slope of a
-    facet that mirrors light into view, along the surface's first tangent and along the second (normal x first).
-    theta_d, phi_d: difference angles, rad; phi_d in (-pi, pi], counted from the azimuth of the half vector's slope, which
-    is 0 where that slope is.
+    Attributes:
+        cos_i: cosine of the light's angle to the normal.
+        cos_o: cosine of the view's angle to the normal.
+        slope_along: half vector as the slope of a facet that mirrors light into view, along the surface's first tangent.
+        slope_across: the same along the second tangent (normal x first).
+        theta_d: difference angle, rad.
+        phi_d: azimuth of the difference, rad, in (-pi, pi], counted from that of the half vector's slope; from the first
+            tangent where that slope is 0.
     """
 
     cos_i: jax.Array
@@ -30,8 +34,10 @@ class Shading(NamedTuple):
 
 
 def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
-    """The angles of unit vectors; tangent: perpendicular to the normal. Slopes keep their digits close to the mirror
-    direction, where a half vector's angle from its cosine would not."""
+    """Return the angles of unit vectors; tangent: perpendicular to the normal.
+
+    Slopes keep their digits close to the mirror direction, where a half vector's angle from its cosine would not.
+    """
     total = _combined(light, view, 1)
     length = jnp.sqrt(_dot(total, total))
     half = total[0] / length, total[1] / length, total[2] / length
@@ -55,13 +61,13 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
 
 
 def local_shading(light: Vector, view: Vector) -> Shading:
-    """`shading` of directions in the surface's own frame: the normal is z, the first tangent x."""
+    """Return the `shading` of directions in the surface's own frame: the normal is z, the first tangent x."""
     zero, one = jnp.zeros(()), jnp.ones(())
     return shading((zero, zero, one), (one, zero, zero), light, view)
 
 
 def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
-    """A vector from its components."""
+    """Return a vector made of its components."""
     return jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)
 
 

@@ -14,7 +14,7 @@ import threading
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -38,6 +38,8 @@ class Workspace:
         entries: results of each kind kept in memory, the latest used; 0: none (no unit). Default: 6, enough for the rigs and
             slices of one correction.
         files: files kept in `folder`, the latest written (no unit). Default: 12, at most some hundred MB.
+        batch: what computes the lobes of several fits together, as a `RecordBatch` does for threads that share a GPU. Default:
+            None, each fit computes its own.
 
     Raises:
         ArgumentError: `entries` or `files` is not a whole number >= 0.
@@ -54,6 +56,7 @@ class Workspace:
     folder: Path | None = None
     entries: int = 6
     files: int = 12
+    batch: Any = field(default=None, repr=False, compare=False)
     _memory: dict[str, OrderedDict[Hashable, Any]] = field(default_factory=dict, init=False, repr=False, compare=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False, compare=False)
 
@@ -66,7 +69,7 @@ class Workspace:
             object.__setattr__(self, "folder", Path(self.folder))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process without what is in memory."""
+        """Travel to another process without what is in memory, and without a batch."""
         return type(self), (self.folder, self.entries, self.files)
 
     @classmethod
@@ -79,6 +82,20 @@ class Workspace:
             The workspace that keeps files in the folder `rules` of `user_cache_folder`, always the same one.
         """
         return _user_workspace(user_cache_folder() / "rules")
+
+    def with_batch(self, batch: Any) -> Workspace:
+        """Return the same workspace, memory and all, for fits whose lobes a batch computes.
+
+        Args:
+            batch: the batch, as for the workspace itself.
+
+        Returns:
+            A workspace that shares this one's memory and folder.
+        """
+        other = replace(self, batch=batch)
+        object.__setattr__(other, "_memory", self._memory)
+        object.__setattr__(other, "_lock", self._lock)
+        return other
 
     def remember(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
         """Return what `make` returned for this key before, or call it.
@@ -104,7 +121,7 @@ class Workspace:
                 memory.popitem(last=False)
         return result
 
-    def kept(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return the arrays that `make` returned for this description before, from disk, or call it.
 
         The file's name is a hash of the description and of the package's version. A file that cannot be read is made again, and
@@ -140,7 +157,10 @@ class Workspace:
 
 @cache
 def default_workspace() -> Workspace:
-    """Return the workspace of a process that names none: in memory, nothing on disk. It is made here and nowhere else."""
+    """Return the workspace of a process that names none.
+
+    It keeps results in memory and nothing on disk. It is made here and nowhere else.
+    """
     return Workspace()
 
 

@@ -26,7 +26,7 @@ from matcam.material.tabulated import Tabulated
 
 @dataclass(frozen=True)
 class Contents:
-    """The contents of a file; one field besides `format` is not None.
+    """Hold what is in a file; one field besides `format` is not None.
 
     Attributes:
         format: short name of the file's format; "": it was not read from a file.
@@ -69,9 +69,9 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
             `read_merl`). Default: "centre".
 
     Returns:
-        What the format's own reader returns. An `xarray.DataArray` for a table or scattered samples; an `xarray.Dataset` for
-        RGL's fields or another result; an array (rows, columns, channels) for a picture; a `Camera` for a camera profile; a
-        dict for a picture sidecar; a `Chart` for a chart's description.
+        What the format's own reader returns: an `xarray.DataArray` for a table or scattered samples, an `xarray.Dataset` for
+        RGL's fields or another result. A picture is an array (rows, columns, channels), a camera profile a `Camera`, a chart's
+        description a `Chart`, a picture sidecar a dict.
 
     Raises:
         FileFormatError: the file is of no format that matcam reads, or is damaged.
@@ -79,11 +79,10 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from matcam.exchange.contents import read
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
         ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
-        ...     picture = read(path)
+        ...     picture = matcam.io.read(path)
         >>> picture.shape
         (2, 3, 3)
     """
@@ -114,11 +113,10 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from matcam.exchange.contents import read, write
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "camera.json"
-        ...     write(path, matcam.rigs.merl().camera)
-        ...     read(path)
+        ...     matcam.io.write(path, matcam.rigs.merl().camera)
+        ...     matcam.io.read(path)
         Camera(...)
     """
     if isinstance(thing, Camera | Chart):

@@ -19,11 +19,18 @@ _SIGNIFICANCE, _WIDENING = 5.0, 1.15
 
 
 class LobeWidths(NamedTuple):
-    """Half widths of a lobe at half maximum in theta_h, one per theta_d of the table; NaN where there is no lobe.
+    """Half widths of a lobe at half maximum, in theta_h.
+
+    There is one for every theta_d of the table; it is NaN where there is no lobe.
 
     Attributes:
         in_plane: half widths in the plane of light and view, (theta_d,), rad.
         across: half widths across that plane, (theta_d,), rad.
+
+    Example:
+        >>> widths = matcam.exchange.LobeWidths(in_plane=np.full(90, 0.07), across=np.full(90, 0.06))
+        >>> widths.in_plane.shape
+        (90,)
     """
 
     in_plane: np.ndarray

@@ -24,6 +24,9 @@ from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
 
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 4, 256, 1 << 16
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_DESCRIPTION = "zarr.json"
+_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
 
 
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
@@ -49,9 +52,6 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
 def one_line(error: Exception) -> str:
     """Return a library's complaint as one line, cut short."""
     return " ".join(str(error).split())[:120] or type(error).__name__
-
-
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -122,10 +122,6 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
 
 
-_DESCRIPTION = "zarr.json"
-_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
-
-
 def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
     """Write a Dataset with its attributes as Zarr in one zip file.
 
@@ -147,8 +143,8 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         ...     matcam.io.read_zarr(Path(folder) / "a.zarr.zip")["raw"].attrs
         {'units': '1/sr'}
     """
-    held: dict[str, Any] = {}
-    store = _storage().MemoryStore(held)
+    members: dict[str, Any] = {}
+    store = _storage().MemoryStore(members)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not know it
         # not compressed: a reader can tell from the file's size what it may have to hold
@@ -156,8 +152,8 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         data.to_zarr(store, zarr_format=3, consolidated=False, encoding=plain)
     # by way of memory, because a zip cannot replace what was written to it, and the attributes are written twice
     with replacing(path, force=force) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as packed:
-        for name in sorted(held, key=lambda name: (not name.endswith(_DESCRIPTION), name)):
-            packed.writestr(name, held[name].to_bytes())
+        for name in sorted(members, key=lambda name: (not name.endswith(_DESCRIPTION), name)):
+            packed.writestr(name, members[name].to_bytes())
 
 
 def read_zarr(path: str | Path) -> xr.Dataset:
@@ -190,17 +186,17 @@ def read_zarr(path: str | Path) -> xr.Dataset:
             raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
         size = path.stat().st_size
         _check_directory(path, size)
-        with zipfile.ZipFile(path) as held:
-            members = held.infolist()
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
             if any(m.compress_type != zipfile.ZIP_STORED or max(m.file_size, m.compress_size) > size for m in members):
                 raise FileFormatError(f"{path}: damaged, or compressed by zip: members are stored as they are (zip -0)")
-            described = {m.filename: json.loads(held.read(m)) for m in members if m.filename.endswith(_DESCRIPTION)}
-            broken = held.testzip()
+            described = {m.filename: json.loads(archive.read(m)) for m in members if m.filename.endswith(_DESCRIPTION)}
+            broken = archive.testzip()
         if broken:
             raise FileFormatError(f"{path}: damaged: {broken} is not what was written")
         arrays = {name: d for name, d in described.items() if d.get("node_type") == "array"}
         shapes = {name: tuple(d["shape"]) for name, d in arrays.items()}
-        # a chunk is held whole, however little of it belongs to the array
+        # a chunk is loaded whole, however little of it belongs to the array
         chunks = {
             f"{name} (chunk)": tuple(d["chunk_grid"]["configuration"]["chunk_shape"]) for name, d in arrays.items()
         }

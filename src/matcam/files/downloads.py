@@ -1,4 +1,4 @@
-"""Fetching published measurements, and making sure that what comes is what was published."""
+"""Downloads of published measurements, checked against their published checksums."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _BLOCK = 1 << 20  # bytes between two reports of progress
 
 @cache
 def merl_checksums() -> dict[str, str]:
-    """SHA-256 of the 100 published MERL files, by material."""
+    """Return the SHA-256 of the 100 published MERL files, by material."""
     lines = resources.files("matcam").joinpath("data/merl_sha256.txt").read_text(encoding="ascii").splitlines()
     return {name.removesuffix(".binary"): sha256 for sha256, _, name in (line.split() for line in lines)}
 
@@ -34,11 +34,22 @@ def merl_checksums() -> dict[str, str]:
 def fetch_merl(
     material: str, folder: str | Path, source: str | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Path:
-    """Fetch one true MERL file into `folder` and return its path; a file that is there and is right is kept.
+    """Fetch one published MERL file and check it.
 
-    source: an archive or folder of another server; default `SOURCE_SETTING`, else `MERL_SOURCE`. progress(done, total)
-    is called with bytes. Raises ArgumentError for an unknown material and DownloadError where the file cannot be had or
-    is not, by its SHA-256, the published one; nothing is left under the final name then.
+    A file that is there and is right is kept. Nothing is left under the final name where something goes wrong.
+
+    Args:
+        material: name as published, such as "chrome".
+        folder: folder to put NAME.binary into.
+        source: an archive (ending in .zip) or folder on another server. Default: None, `SOURCE_SETTING`, else `MERL_SOURCE`.
+        progress: function that is called with (done, total) bytes. Default: None.
+
+    Returns:
+        Path of the file.
+
+    Raises:
+        ArgumentError: the material is unknown; the message names the nearest.
+        DownloadError: the file cannot be had, or is not, by its SHA-256, the published one.
     """
     # pooch brings requests along: half a second that only a download should cost
     import pooch
@@ -76,7 +87,7 @@ def fetch_merl(
 
 
 class _WholeFile:
-    """A pooch downloader of a file that stands by itself on a web server."""
+    """Fetch a file that stands by itself on a web server, as a pooch downloader."""
 
     def __init__(self, progress: Callable[[int, int], None] | None):
         self.progress = progress

@@ -37,6 +37,10 @@ LARGEST = 1 << 29
 """Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
 DEFLATE_LIMIT = 1032
 """What deflate makes of a byte at most (258 of every 2 bits): 1032."""
+_MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
+_LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
+"""Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
+_LONGEST_HEADER = 1 << 20  # bytes
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
@@ -171,12 +175,6 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-_MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
-_LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
-"""Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
-_LONGEST_HEADER = 1 << 20  # bytes
-
-
 class _Skeleton(NamedTuple):
     channels: tuple[str, ...]
     height: int
@@ -239,8 +237,8 @@ def read_exr(path: str | Path) -> np.ndarray:
     path = Path(path)
     skeleton = _checked_skeleton(path)
     try:
-        held = OpenEXR.File(str(path), separate_channels=True).channels()
-        planes = [np.asarray(held[name].pixels) for name in skeleton.channels]
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        planes = [np.asarray(channels[name].pixels) for name in skeleton.channels]
     except Exception as error:  # the library throws whatever its C++ threw
         raise FileFormatError(f"{path}: damaged OpenEXR file: {str(error).splitlines()[0]:.100}") from None
     if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
@@ -294,7 +292,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
-    """The header's attributes by name, and the byte behind them."""
+    """Return the header's attributes by name, and the byte behind them."""
     found, at = {}, 8
     while head[at]:
         name, at = _text(head, at)
@@ -310,10 +308,10 @@ def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
 
 def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tuple[str, ...], int, int]:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
-    held, names, at = attributes["channels"], [], 0
-    while held[at]:
-        name, at = _text(held, at)
-        kind, _, *sampling = struct.unpack_from("<4i", held, at)
+    listed, names, at = attributes["channels"], [], 0
+    while listed[at]:
+        name, at = _text(listed, at)
+        kind, _, *sampling = struct.unpack_from("<4i", listed, at)
         at += 16
         if kind != _FLOAT:
             stored = {0: "whole numbers", 1: "16-bit floats"}.get(kind, "an unknown type")

@@ -1,9 +1,7 @@
-"""Camera raw: the mosaic as the sensor counted it, through LibRaw (rawpy, extra `raw`). Nothing is demosaiced or balanced.
+"""Photographs as arrays of their own codes: TIFF, PNG and JPEG in 8 or 16 bits, OpenEXR, camera raw.
 
-Photographs as arrays of their own codes: TIFF, PNG, JPEG, in 8 or 16 bits, OpenEXR, camera raw. Nothing is converted,
-scaled, rotated or demosaiced.
-
-Decoders: tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits); LibRaw for camera raw.
+Nothing is converted, scaled, rotated or demosaiced. Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow turns a
+16-bit colour PNG into 8 bits), and LibRaw (rawpy, extra `raw`), which gives the mosaic as the sensor counted it.
 """
 
 from __future__ import annotations
@@ -24,20 +22,33 @@ SUFFIXES = (
 )  # fmt: skip
 
 
+_TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_EXR = b"\x76\x2f\x31\x01"
+_LARGEST = 2 << 30  # bytes
+PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
+"""Suffixes of files that may be photographs."""
+
+
 class Mosaic(NamedTuple):
-    """A mosaic, linear."""
+    """Hold a linear mosaic.
+
+    Attributes:
+        values: counts above the black level, float32 (height, width).
+        cfa: colours of the first 2 x 2 px, row by row ("RGGB").
+        saturation: counts at which a pixel is full.
+    """
 
     values: np.ndarray
-    """(height, width) float32, counts above the black level."""
     cfa: str
-    """Colours of the first 2 x 2 px, row by row."""
     saturation: float
-    """Counts at which a pixel is full."""
 
 
 def read_raw(path: str | Path) -> Mosaic:
-    """The mosaic of a camera raw file. FileFormatError naming the file where it is none that LibRaw knows, where it is
-    damaged, where its colours are no Bayer mosaic, and where rawpy is not installed."""
+    """Read the mosaic of a camera raw file.
+
+    FileFormatError naming the file where LibRaw does not know it, where it is damaged, or its colours are no Bayer mosaic, and
+    where rawpy is not installed.
+    """
     try:
         import rawpy
     except ImportError:
@@ -65,30 +76,29 @@ def read_raw(path: str | Path) -> Mosaic:
     return Mosaic(counts, cfa, white - float(tile.max()))
 
 
-_TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
-_EXR = b"\x76\x2f\x31\x01"
-_LARGEST = 2 << 30  # bytes
-PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
-"""Suffixes of files that may be photographs."""
-
-
 class Photograph(NamedTuple):
-    """A picture as it lies in its file, and what the file says of it."""
+    """Hold a picture as it lies in its file, and what the file says of it.
+
+    Attributes:
+        values: (height, width) or (height, width, 3), in the file's own type.
+        cfa: colours of a mosaic's first 2 x 2 px, row by row ("RGGB"); None: no mosaic.
+        saturation: value of a full pixel; infinite if it is not known.
+        linear: whether the format holds linear values by its nature: camera raw, floats.
+        exif: what the file says of the camera.
+    """
 
     values: np.ndarray
-    """(height, width) or (height, width, 3), in the file's own type."""
     cfa: str | None
-    """The picture is a mosaic: colours of its first 2 x 2 px, row by row ("RGGB")."""
     saturation: float
-    """Value of a full pixel; infinite if nobody knows."""
     linear: bool
-    """The format holds linear values by its nature: camera raw, floats."""
     exif: Exif
 
 
 def open_photograph(path: str | Path) -> Photograph:
-    """Read a picture of any of these formats. FileFormatError naming the file where it is missing, unknown, damaged, or
-    larger than memory allows."""
+    """Read a picture of any of these formats.
+
+    FileFormatError naming the file where it is missing, unknown, damaged, or larger than memory allows.
+    """
     path = Path(path)
     exif = read_exif(path)
     if exif.dng or (path.suffix.lower() in SUFFIXES and path.is_file()):
@@ -100,9 +110,9 @@ def open_photograph(path: str | Path) -> Photograph:
 
 
 def read_photograph(path: str | Path) -> np.ndarray:
-    """Codes of a picture, (height, width) or (height, width, 3), in the file's own type; an alpha channel is left out.
+    """Return the codes of a picture, (height, width) or (height, width, 3), in the file's own type.
 
-    FileFormatError naming the file where it is missing, of another format, or damaged.
+    An alpha channel is left out. FileFormatError naming the file where it is missing, of another format, or damaged.
     """
     path = Path(path)
     start = _start(path)
@@ -131,14 +141,14 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Height, width and channels; a page of colours apart begins with them."""
+    """Return height, width and channels; a page of separate colours begins with them."""
     if len(shape) == 3 and shape[0] < shape[2]:
         return shape[1], shape[2], shape[0]
     return shape[0], shape[1], int(np.prod(shape[2:]))
 
 
 def _start(path: Path) -> bytes:
-    """The file's first bytes."""
+    """Return the file's first bytes."""
     with reading(path, "a picture"):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")

@@ -1,10 +1,11 @@
-"""How large a picture says it is, read from its first bytes: before memory is asked for it.
+"""What a picture file says of itself before it is decoded: its size, and the camera that took it.
 
-What a picture file says of the camera that took it: maker, model and f-number, from its TIFF or Exif directory.
+The size is read from the first bytes, before memory is asked for the picture.
 
-Exif is a TIFF directory, wherever it stands: at the start of a TIFF and of most camera raw files, in the APP1 segment of a
-JPEG, in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). A directory: uint16 count, then entries of 12 bytes: uint16 tag,
-uint16 type, uint32 count, and the value or its offset. A file whose directory is damaged says nothing; its pixels decide.
+Maker, model and f-number stand in the TIFF or Exif directory. Exif is a TIFF directory, wherever it stands: at the start of a
+TIFF and of most camera raw files, in the APP1 segment of a JPEG, in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). It is a
+uint16 count, then entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its offset. A file whose
+directory is damaged says nothing; its pixels decide.
 """
 
 from __future__ import annotations
@@ -21,10 +22,15 @@ _MOST_SEGMENTS = 200
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """PNG's colour types."""
+_MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
+_ASCII, _LONGEST_TEXT = 2, 200
+_MOST_ENTRIES = 500
+_TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
+"""First bytes -> order; the last two are Olympus's and Panasonic's."""
 
 
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int) -> None:
-    """FileFormatError for a picture, of `depth` bytes to a sample, that does not fit into memory."""
+    """Refuse a picture, of `depth` bytes to a sample, that does not fit into memory (FileFormatError)."""
     needed, there = height * width * channels * depth, memory()
     if needed > _SHARE * there:
         raise FileFormatError(
@@ -34,7 +40,7 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int)
 
 
 def memory() -> int:
-    """Bytes that this process may use at most."""
+    """Return the bytes that this process may use at most."""
     most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         import resource
@@ -46,13 +52,13 @@ def memory() -> int:
 
 
 def png_size(start: bytes) -> tuple[int, int, int, int]:
-    """Height, width, channels, bytes to a sample, from a file's first 26 bytes."""
+    """Return height, width, channels and bytes to a sample, from a PNG's first 26 bytes."""
     width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
     return height, width, _CHANNELS.get(colours, 4), max(bits // 8, 1)
 
 
 def jpeg_size(path: Path) -> tuple[int, int, int, int]:
-    """The same of a JPEG; zeros where it does not say."""
+    """Return height, width, channels and bytes to a sample of a JPEG; zeros where it does not say."""
     with path.open("rb") as file:
         at = 2
         for _ in range(_MOST_SEGMENTS):
@@ -67,25 +73,22 @@ def jpeg_size(path: Path) -> tuple[int, int, int, int]:
     return 0, 0, 0, 0
 
 
-_MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
-_ASCII, _LONGEST_TEXT = 2, 200
-_MOST_ENTRIES, _MOST_SEGMENTS = 500, 200
-_TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
-"""First bytes -> order; the last two are Olympus's and Panasonic's."""
-
-
 class Exif(NamedTuple):
-    """What was found."""
+    """Hold what a picture file says of its camera.
+
+    Attributes:
+        camera: maker and model; empty if the file does not say.
+        f_number: f-number of the picture; None: the file does not say.
+        dng: whether the file is a digital negative: camera raw, though it looks like a TIFF.
+    """
 
     camera: str = ""
-    """Maker and model; empty if nobody said."""
     f_number: float | None = None
     dng: bool = False
-    """The file is a digital negative: camera raw, though it looks like a TIFF."""
 
 
 def read_exif(path: str | Path) -> Exif:
-    """The metadata of a picture; empty where there are none, or none that can be read."""
+    """Return the metadata of a picture; empty where there are none, or none that can be read."""
     try:
         with Path(path).open("rb") as file:
             base = _start(file)
@@ -95,7 +98,7 @@ def read_exif(path: str | Path) -> Exif:
 
 
 def _start(file: BinaryIO) -> int | None:
-    """Where the TIFF header stands."""
+    """Return the place of the TIFF header, or None."""
     head = file.read(12)
     if head[:4] in _TIFF:
         return 0
@@ -140,13 +143,13 @@ def _directory(file: BinaryIO, base: int) -> Exif:
 
 
 def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tuple[int, int, bytes]]:
-    """Tag -> (type, count, value or offset)."""
+    """Return tag -> (type, count, value or offset)."""
     file.seek(base + offset)
     count = struct.unpack(order + "H", file.read(2))[0]
     if count > _MOST_ENTRIES:
         raise ValueError
-    held = file.read(12 * count)
-    return {tag: (kind, size, value) for tag, kind, size, value in struct.iter_unpack(order + "HHI4s", held)}
+    entries = file.read(12 * count)
+    return {tag: (kind, size, value) for tag, kind, size, value in struct.iter_unpack(order + "HHI4s", entries)}
 
 
 def _text(file: BinaryIO, base: int, entry: tuple[int, int, bytes], order: str) -> str:

@@ -126,7 +126,9 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
         b'tensor_file'
     """
     if not isinstance(fields, xr.Dataset):
-        raise ArgumentError(f"an RGL file is made of a Dataset (see read_rgl, adaptive), got {type(fields).__name__}")
+        raise ArgumentError(
+            f"an RGL file is made of a Dataset (see read_rgl, adaptive_grid), got {type(fields).__name__}"
+        )
     names = sorted(map(str, fields.variables), key=lambda n: _ORDER.index(n) if n in _ORDER else len(_ORDER))
     arrays = {name: np.ascontiguousarray(fields[name].values) for name in names}
     unknown = [name for name, array in arrays.items() if array.dtype not in _CODES]

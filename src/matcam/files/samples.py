@@ -133,9 +133,9 @@ def read_samples(path: str | Path) -> xr.DataArray:
     path = Path(path)
     names, scale, lines = _head(path)
     values = np.empty((lines, len(names)))
-    held = _fill(path, values)
-    values = values[:held]
-    if not held:
+    count = _fill(path, values)
+    values = values[:count]
+    if not count:
         raise FileFormatError(f"{path}: no line follows the names of the columns")
     columns = {name: values[:, k] * scale[k] for k, name in enumerate(names)}
     angles = _PAIR if set(_PAIR) <= set(names) else _HALF

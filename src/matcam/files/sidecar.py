@@ -97,7 +97,18 @@ class _Sidecar(_Strict):
 
 
 def sidecar_path(picture: str | Path) -> Path:
-    """Where the sidecar of a picture lies: "copper.exr" -> "copper.exr.json"."""
+    """Return where the sidecar of a picture lies.
+
+    Args:
+        picture: the picture's file.
+
+    Returns:
+        The same name with ".json" appended.
+
+    Example:
+        >>> matcam.io.sidecar_path("copper.exr").name
+        'copper.exr.json'
+    """
     picture = Path(picture)
     return picture.with_name(picture.name + ".json")
 
@@ -115,8 +126,42 @@ def write_sidecar(
     notes: str = "",
     force: bool = False,
 ) -> None:
-    """Write a sidecar from its sections, as the head of this file shows them. ArgumentError naming the field that is
-    missing, unknown or out of its range; OutputError where the file cannot go."""
+    """Write the sidecar of a picture from its sections.
+
+    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units stand in their names.
+
+    Args:
+        path: file to write, as from `sidecar_path`.
+        picture: file, shape (rows, columns, channels), quantity, wavelengths in m, place of the optical axis in px.
+        camera: camera profile, as from `Camera.profile()`.
+        sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii; None: infinitely far.
+        lamp: angles between lamp and camera and the lamp's angular radius, rad.
+        blur: jitter in px, aperture over distance (no unit), focus in rad.
+        exposure: electrons per unit of radiance, times in s, seed; None: no noise was added.
+        material: free; what describes the material.
+        notes: free text. Default: "".
+        force: replace an existing file (no unit). Default: False.
+
+    Raises:
+        ArgumentError: a field is missing, unknown or out of its range; the message names it.
+        OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> about = matcam.rigs.merl().description()
+        >>> sections = {
+        ...     "picture": {
+        ...         "file": "a.exr", "shape": [4, 5], "quantity": "radiance", "axis_column_px": 2.0, "axis_row_px": 1.5
+        ...     },
+        ...     "camera": about["camera"], "sample": about["sample"], "blur": about["blur"],
+        ...     "lamp": {"angles_rad": [0.5], "radius_rad": 0.0}, "exposure": None, "material": {},
+        ... }
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     matcam.io.write_sidecar(Path(folder) / "a.exr.json", **sections)
+        ...     matcam.io.read_sidecar(Path(folder) / "a.exr.json")["lamp"]["angles_rad"]
+        [0.5]
+    """
     document = {
         "format": FORMAT,
         "version": VERSION,
@@ -141,7 +186,23 @@ def write_sidecar(
 
 
 def read_sidecar(path: str | Path) -> dict[str, Any]:
-    """Read a sidecar: its sections as dicts, checked, all fields present. FileFormatError naming file and field."""
+    """Read the sidecar of a picture.
+
+    Args:
+        path: JSON file, as from `sidecar_path`.
+
+    Returns:
+        Its sections as dicts by name, checked, with all fields present.
+
+    Raises:
+        FileFormatError: the file is no sidecar, or a field is missing, unknown or out of its range; the message names it.
+
+    Example:
+        >>> matcam.io.read_sidecar("none.exr.json")
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.FileFormatError: none.exr.json: no such file
+    """
     path = Path(path)
     document = read_json(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
@@ -152,5 +213,5 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of the sidecar."""
+    """Return the JSON Schema of the sidecar."""
     return _Sidecar.model_json_schema()

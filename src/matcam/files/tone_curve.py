@@ -1,6 +1,8 @@
-"""sRGB's transfer function (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full scale.
+"""Tone curves: what light the codes of a picture stand for.
 
-Tone curves as text (OECF tables, ISO 14524): what light a code stands for.
+The transfer function of sRGB (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full scale.
+
+Curves as text (OECF tables, ISO 14524):
 
     one number a line           linear value of code 0, 1, 2, ...
     three numbers a line        the same for red, green and blue
@@ -19,26 +21,27 @@ from numpy.typing import ArrayLike
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import reading
 
+_LARGEST = 4 << 20  # bytes: 65,536 lines of three numbers fit
+_DEEPEST = 65535
+
 
 def encoded(light: ArrayLike) -> np.ndarray:
-    """Codes of linear light; of light below 0 as well, on the straight part."""
+    """Return sRGB codes of linear light; below 0 they continue on the straight part."""
     light = np.asarray(light, dtype=np.float64)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
 def decoded(code: ArrayLike) -> np.ndarray:
-    """Linear light of codes, the inverse of `encoded`."""
+    """Return the linear light of sRGB codes, the inverse of `encoded`."""
     code = np.asarray(code, dtype=np.float64)
     return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
 
 
-_LARGEST = 4 << 20  # bytes: 65,536 lines of three numbers fit
-_DEEPEST = 65535
-
-
 def read_tone_curve(path: str | Path) -> np.ndarray:
-    """Linear values by code, (codes,) or (codes, 3). FileFormatError naming file and line where it is no tone curve, or
-    one that is not monotone."""
+    """Read linear values by code, (codes,) or (codes, 3).
+
+    FileFormatError naming file and line where it is no tone curve, or one that is not monotone.
+    """
     values = read_numbers(path)
     try:
         if values.ndim == 2 and values.shape[1] == 2:
@@ -49,8 +52,10 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
 
 
 def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
-    """Lines of numbers as (lines, columns), comments and empty lines left out. columns: as many in every line; None: one to
-    three, everywhere alike. FileFormatError naming file and line."""
+    """Read lines of numbers as (lines, columns), without comments and empty lines.
+
+    columns: numbers in every line; None: one to three, the same in all. FileFormatError naming file and line.
+    """
     path = Path(path)
     with reading(path):
         if path.stat().st_size > _LARGEST:
@@ -72,7 +77,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
 
 
 def checked_curve(values: np.ndarray) -> np.ndarray:
-    """A table of linear values by code, if it is one: ArgumentError where it is too short, not finite or not monotone."""
+    """Return a table of linear values by code; ArgumentError if it is too short, not finite or not monotone."""
     if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
         raise ArgumentError(
             f"tone curve must be at least 2 linear values by code, one or three each, got shape {values.shape}"
@@ -89,8 +94,10 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
 
 
 def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The table (codes,) through points (code, linear value), continued straight to code 0; ArgumentError where codes do not
-    increase strictly within 0 to 65535, or values fall."""
+    """Return the table (codes,) through points (code, linear value), continued straight to code 0.
+
+    ArgumentError where codes do not increase strictly within 0 to 65535, or values fall.
+    """
     from scipy.interpolate import PchipInterpolator
 
     if codes.size < 2 or not (np.diff(codes) > 0).all() or codes[0] < 0 or codes[-1] > _DEEPEST:

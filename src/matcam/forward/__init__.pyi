@@ -1,14 +1,16 @@
 from .image import picture_values
-from .measurement import table_values
+from .measurement import table_values, true_table
 from .noisy_table import with_pixel_noise
-from .stamps import highlight_stamps
+from .stamps import Highlights, highlight_stamps
 from .texture import texture_contrast, textured_picture
 
 __all__ = [
+    "Highlights",
     "highlight_stamps",
     "picture_values",
     "table_values",
     "texture_contrast",
     "textured_picture",
+    "true_table",
     "with_pixel_noise",
 ]

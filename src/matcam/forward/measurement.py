@@ -130,9 +130,22 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
-    """Return the table of a material itself.
+    """Return the table of a material itself, as no camera has blurred it.
 
-    It is sampled at each cell's centre or edge, and is any camera's table of a flat sample.
+    Args:
+        material: the material.
+        sampling: point of each cell at which it is evaluated, "centre" or "edge". Default: "centre".
+
+    Returns:
+        BRDF on the MERL grid, (90, 90, 180, 3), 1/sr; NaN below the horizon.
+
+    Raises:
+        ArgumentError: the sampling is neither "centre" nor "edge".
+
+    Example:
+        >>> table = matcam.forward.true_table(matcam.Microfacet(matcam.GGX(0.1), 0.9))
+        >>> table.sizes["theta_h"]
+        90
     """
     return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 

@@ -29,25 +29,12 @@ _NARROWEST = 0.2
 _LARGEST = 4096
 
 
-def highlight_stamps(
-    camera: Camera,
-    size: int,
-    flux: ArrayLike,
-    x: ArrayLike,
-    y: ArrayLike,
-    std_along: ArrayLike,
-    std_across: ArrayLike,
-    angle: ArrayLike | None = None,
-) -> jax.Array:
-    """Draw pictures of Gaussian highlights.
+class Highlights(NamedTuple):
+    """Describe elliptical Gaussian highlights on the sensor.
 
-    The parameters of the highlights broadcast to the leading axes, one entry per stamp. Row 0 is on top. Stamps along the pixel
-    grid are exact. At any angle they are within 5e-7 of the peak where lens and highlight together are nowhere narrower
-    than 0.2 px (tests).
+    The values broadcast against each other, one entry per highlight.
 
-    Args:
-        camera: camera with a Gaussian lens (a halo may surround it) and a box pixel.
-        size: side of a stamp, in [1, 4096], px.
+    Attributes:
         flux: integral over each highlight, in the unit of radiance times px^2.
         x: column of its centre from the stamp's middle, px. Pixel centres lie at integers for an odd size, half way between
             them for an even one.
@@ -55,6 +42,30 @@ def highlight_stamps(
         std_along: standard deviation of the highlight alone along its direction, >= 0, px.
         std_across: standard deviation across that direction, >= 0, px.
         angle: direction, from the x axis, rad. Default: None, along the pixel grid, which is faster.
+
+    Example:
+        >>> matcam.forward.Highlights(flux=1.0, x=0.0, y=0.0, std_along=0.8, std_across=0.4).angle is None
+        True
+    """
+
+    flux: ArrayLike
+    x: ArrayLike
+    y: ArrayLike
+    std_along: ArrayLike
+    std_across: ArrayLike
+    angle: ArrayLike | None = None
+
+
+def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.Array:
+    """Draw pictures of Gaussian highlights.
+
+    Row 0 is on top. Stamps along the pixel grid are exact. At any angle they are within 5e-7 of the peak where lens and
+    highlight together are nowhere narrower than 0.2 px (tests).
+
+    Args:
+        camera: camera with a Gaussian lens (a halo may surround it) and a box pixel.
+        size: side of a stamp, in [1, 4096], px.
+        highlights: the highlights; what they broadcast to are the leading axes of the result.
 
     Returns:
         Pictures, (..., size, size), in units of flux per px^2. Differentiable in all parameters, and usable inside jax.jit.
@@ -67,42 +78,48 @@ def highlight_stamps(
 
     Example:
         >>> camera = matcam.Camera(matcam.GaussianOptics(0.5))
-        >>> stamps = matcam.forward.highlight_stamps(camera, 9, flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
+        >>> pair = matcam.forward.Highlights(flux=1.0, x=[0.0, 0.3], y=0.0, std_along=0.8, std_across=0.4)
+        >>> stamps = matcam.forward.highlight_stamps(camera, 9, pair)
         >>> print(stamps.shape, np.round(stamps.sum((1, 2)), 3))
         (2, 9, 9) [1. 1.]
     """
     lens = _gaussians(camera)
     if not isinstance(size, int) or not 1 <= size <= _LARGEST:
         raise ArgumentError(f"size must be a whole number of pixels in [1, {_LARGEST}], got {size!r:.60}")
-    values = [checks.number(name, value) for name, value in (("flux", flux), ("x", x), ("y", y))]
-    for name, value in (("std_along", std_along), ("std_across", std_across)):
-        values.append(checks.within(name, value, 0, np.inf, "px", open_high=True))
-    if angle is not None:
-        values.append(checks.number("angle", angle))
-    try:
-        values = jnp.broadcast_arrays(*values)
-    except ValueError:
-        raise ArgumentError(
-            f"shapes of the highlights' numbers do not broadcast: {[a.shape for a in values]}"
-        ) from None
-    highlights = _Highlights(*values, *([None] if angle is None else []))
+    lights = _light_arrays(highlights)
     pixel: BoxPixel = camera.pixel  # type: ignore[assignment]
     edges = _PixelEdges(size, is_concrete(pixel.half_width) and float(pixel.half_width) == 0.5, pixel.half_width)
-    draw = _aligned if angle is None else partial(_rotated, _order(lens, highlights))
-    return reduce(
-        jnp.add, (draw(edges, sigma, highlights._replace(flux=weight * highlights.flux)) for weight, sigma in lens)
-    )
+    draw = _aligned if lights.angle is None else partial(_rotated, _order(lens, lights))
+    return reduce(jnp.add, (draw(edges, sigma, lights._replace(flux=weight * lights.flux)) for weight, sigma in lens))
 
 
-class _Highlights(NamedTuple):
-    """Arrays of one shape; see `highlight_stamps`. An angle of None stands for the pixel grid's own direction."""
+class _Lights(NamedTuple):
+    """Highlights as arrays of one shape."""
 
     flux: jax.Array
     x: jax.Array
     y: jax.Array
     std_along: jax.Array
     std_across: jax.Array
-    angle: jax.Array | None
+    angle: jax.Array | None = None
+
+
+def _light_arrays(highlights: Highlights) -> _Lights:
+    if not isinstance(highlights, Highlights):
+        raise ArgumentError(
+            f"highlights must be Highlights(flux, x, y, std_along, std_across), got {type(highlights).__name__}"
+        )
+    values = [checks.number(name, getattr(highlights, name)) for name in ("flux", "x", "y")]
+    for name in ("std_along", "std_across"):
+        values.append(checks.within(name, getattr(highlights, name), 0, np.inf, "px", open_high=True))
+    if highlights.angle is not None:
+        values.append(checks.number("angle", highlights.angle))
+    try:
+        return _Lights(*jnp.broadcast_arrays(*values))
+    except ValueError:
+        raise ArgumentError(
+            f"shapes of the highlights' numbers do not broadcast: {[a.shape for a in values]}"
+        ) from None
 
 
 class _PixelEdges(eqx.Module):
@@ -149,13 +166,13 @@ def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
     return parts
 
 
-def _order(lens: list[tuple[jax.Array, jax.Array]], highlights: _Highlights) -> int:
+def _order(lens: list[tuple[jax.Array, jax.Array]], lights: _Lights) -> int:
     """Return the count of Gauss-Legendre nodes over a pixel's height.
 
     The narrowest Gaussian of all decides.
     """
-    lengths = [jax.lax.stop_gradient(a) for a in (highlights.std_along, highlights.std_across, *(s for _, s in lens))]
-    if all(is_concrete(a) for a in lengths) and highlights.std_along.size:
+    lengths = [jax.lax.stop_gradient(a) for a in (lights.std_along, lights.std_across, *(s for _, s in lens))]
+    if all(is_concrete(a) for a in lengths) and lights.std_along.size:
         along, across, *sigmas = (np.min(np.asarray(a)) for a in lengths)
         narrowest = max(float(np.hypot(min(along, across), min(sigmas))), _NARROWEST)
     else:
@@ -178,7 +195,7 @@ def _log_error(order: int, length: float) -> float:
 
 
 @eqx.filter_jit
-def _aligned(edges: _PixelEdges, sigma: jax.Array, lights: _Highlights) -> jax.Array:
+def _aligned(edges: _PixelEdges, sigma: jax.Array, lights: _Lights) -> jax.Array:
     positions = edges.positions()
 
     def mean(centre: jax.Array, std: jax.Array) -> jax.Array:
@@ -191,7 +208,7 @@ def _aligned(edges: _PixelEdges, sigma: jax.Array, lights: _Highlights) -> jax.A
 
 
 @eqx.filter_jit
-def _rotated(order: int, edges: _PixelEdges, sigma: jax.Array, lights: _Highlights) -> jax.Array:
+def _rotated(order: int, edges: _PixelEdges, sigma: jax.Array, lights: _Lights) -> jax.Array:
     assert lights.angle is not None
     cos, sin = jnp.cos(lights.angle), jnp.sin(lights.angle)
     along, across = lights.std_along**2, lights.std_across**2

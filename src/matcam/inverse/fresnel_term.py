@@ -54,8 +54,8 @@ def fresnel(
 
     F is free in every slice; one lobe and a Lambertian part are common to all. The camera's stated uncertainty is a prior that
     the data may improve on. So the fit is that of `fit(..., fresnel="free", diffuse=True)`. A lobe whose family does not
-    explain the data is bent. Where `corrected` and `corrected_peak` disagree by more than their errors, the lobe is not of
-    this shape, or does not widen with theta_d as this camera would make it.
+    explain the data is bent. `corrected` and `corrected_peak` may disagree by more than their errors. Then the lobe is not of
+    this shape, or does not widen as this camera would make it.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.

@@ -28,6 +28,7 @@ from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import MatcamError
 from matcam.core.jax import jax
+from matcam.core.workspace import default_workspace
 from matcam.inverse.fit.lobe_slopes import RecordBatch
 
 # not fork: JAX has threads, and a fork would copy their locks without them
@@ -120,8 +121,8 @@ class ThreadExecutor(Executor):
         with RecordBatch(seats) as batch:
 
             def attempt_in_batch(job: Job) -> Outcome:
-                with batch.serving():
-                    return attempt(job)
+                workspace = job.recipe.options.workspace or default_workspace()
+                return attempt(job, workspace.with_batch(batch))
 
             # what depends on the rig alone is computed by the first, and found by the others
             yield attempt_in_batch(jobs[0])

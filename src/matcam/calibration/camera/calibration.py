@@ -16,7 +16,7 @@ from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_c
 from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
-from matcam.calibration.photograph.linear_image import CHANNELS, as_photograph
+from matcam.calibration.photograph.linear_image import CHANNELS, LinearImage, as_photograph
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
@@ -31,7 +31,7 @@ from matcam.files.photographs import Photograph, open_photograph
 if TYPE_CHECKING:
     import xarray as xr
 
-Picture = str | Path | ArrayLike | Photograph
+Picture = str | Path | ArrayLike | Photograph | LinearImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def calibrate(
 
     Args:
         pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
-            `Photograph`s. All by one camera.
+            `Photograph`s, or `LinearImage`s, each of one colour. All by one camera.
         samples: measurements of gratings, stars, dots. Default: none.
         chart: what the pictures show, or its file, which `matcam chart` writes. Default: None, slanted edges only. With it
             gratings, stars and dots are measured, too.
@@ -224,16 +224,23 @@ class _Pictures:
 
         name: of a picture that is no file.
         """
-        name = str(picture) if isinstance(picture, str | Path) else name
+        if isinstance(picture, str | Path):
+            name = str(picture)
+        elif isinstance(picture, LinearImage):
+            name = picture.source or name
         short = Path(name).name
         try:
-            photograph = picture if isinstance(picture, Photograph) else None
-            if photograph is None:
-                photograph = open_photograph(picture) if isinstance(picture, str | Path) else as_photograph(picture)
-            if photograph.exif.camera:
-                self.cameras.setdefault(photograph.exif.camera, short)
-            f_number = photograph.exif.f_number if f_number is None else f_number
-            findings, remarks = plan.measure(photograph, short, f_number)
+            if isinstance(picture, str | Path):
+                picture = open_photograph(picture)
+            elif not isinstance(picture, Photograph | LinearImage):
+                picture = as_photograph(picture)
+            if isinstance(picture, LinearImage):
+                own = picture.f_number
+            else:
+                own = picture.exif.f_number
+                if picture.exif.camera:
+                    self.cameras.setdefault(picture.exif.camera, short)
+            findings, remarks = plan.measure(picture, short, own if f_number is None else f_number)
         except ArgumentError:
             raise
         except MatcamError as error:

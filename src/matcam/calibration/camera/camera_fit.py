@@ -82,9 +82,8 @@ class MeanCurve:
         camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
 
     Example:
-        >>> from matcam.calibration.camera.camera_fit import MeanCurve
         >>> f = np.linspace(0, 1, 5)
-        >>> curve = MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
+        >>> curve = matcam.calibration.MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
         >>> [round(value, 3) for value in curve.misfit]
         [0.05, 0.01]
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +13,10 @@ from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.linear_image import planes_of
+from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
-from matcam.calibration.search.photograph_edges import edge_remarks, found_edge_stack
+from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import measure_targets
 from matcam.core.errors import FitError
@@ -26,6 +26,7 @@ from matcam.files.photographs import Photograph
 LensAt = Callable[[float | None], LensModel]
 """The family of lenses in a picture taken at an f-number, None if that is not known."""
 
+_GAPS = 1.2  # px: width of the means by which edges are looked for in a plane of a mosaic
 _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
@@ -45,9 +46,9 @@ class EdgeTable(NamedTuple):
         source: (n,) names of pictures.
 
     Example:
-        >>> from matcam.calibration.camera.evidence import EdgeTable
         >>> one, mtf = np.ones(4), np.full((4, 81), 0.5)
-        >>> table = EdgeTable(one, one, one, 0.5 * one, 0.01 * one, one, one, mtf, mtf / 10, np.array(["a.png"] * 4))
+        >>> columns = (one, one, one, 0.5 * one, 0.01 * one, one, one, mtf, mtf / 10, np.array(["a.png"] * 4))
+        >>> table = matcam.calibration.EdgeTable(*columns)
         >>> float(table.weights[0, 0]), table.spread
         (0.25, 0.0)
     """
@@ -114,19 +115,27 @@ class PicturePlan:
     accept_sharpened: bool
     chart: Chart | None
 
-    def measure(self, photograph: Photograph, name: str, f_number: float | None) -> tuple[list[Finding], list[Remark]]:
-        """Return what a photograph says, colour by colour, and remarks on it.
+    def measure(
+        self, picture: Photograph | LinearImage, name: str, f_number: float | None
+    ) -> tuple[list[Finding], list[Remark]]:
+        """Return what a picture says, colour by colour, and remarks on it.
 
         FitError if it holds nothing that can be measured, or the chart is not in it.
         """
-        planes = planes_of(photograph, self.channels, self.tone, f_number, name)
+        mosaic = picture.cfa is not None
+        if isinstance(picture, LinearImage):
+            planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
+            values, mosaic = (local_mean(picture.values, _GAPS) if mosaic else picture.values), False
+        else:
+            planes = planes_of(picture, self.channels, self.tone, f_number, name)
+            values = picture.values
         # around gratings and stars there are edges by the hundred; those of a described chart are its squares'
         squares = self.chart is None or any(isinstance(e, Square | Patch) for e in self.chart.elements)
-        edges = find_edges(photograph.values, mosaic=photograph.cfa is not None) if squares else None
+        edges = find_edges(values, mosaic=mosaic) if squares else None
         registration: Projection | None = None
-        if self.chart is not None and photograph.cfa is not None:
+        if self.chart is not None and mosaic:
             # colours only matter for blur: all of a mosaic's pixels know where the chart lies
-            registration = register_chart(photograph.values, self.chart, mosaic=True)
+            registration = register_chart(values, self.chart, mosaic=True)
         findings: list[Finding] = []
         remarks: list[Remark] = []
         for plane in planes:
@@ -139,7 +148,7 @@ class PicturePlan:
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
             if edges is not None:
                 try:
-                    result = found_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
+                    result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
                 except FitError:
                     if not samples:
                         raise

@@ -18,7 +18,7 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import LINEAR, Noise, State, edge_model
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.region import program_size
+from matcam.calibration.edge.rows import program_size
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp

@@ -18,8 +18,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
-from matcam.calibration.photograph.linear_image import LinearImage
-from matcam.calibration.photograph.region import local_mean
+from matcam.calibration.photograph.linear_image import LinearImage, local_mean
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -50,8 +49,8 @@ class Registration:
         found: number of fiducials found.
 
     Example:
-        >>> from matcam.calibration.chart.registration import Registration
-        >>> where = Registration(np.diag([2.0, 2.0, 1.0]), (0.0, 0.0), (101, 101), 0.0, 8)  # 2 px per mm, squarely
+        >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, squarely
+        >>> where = matcam.targets.Registration(homography, (0.0, 0.0), (101, 101), 0.0, 8)
         >>> where(np.array([[10.0, 5.0]])), round(where.scale((10.0, 5.0)), 3)
         (array([[70., 60.]]), 2.0)
     """

@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
-from matcam.calibration.edge.profiles import MODELS, Gaussian, LensModel, lens_model
+from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
-from matcam.calibration.photograph.region import flaws
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.camera.registry import PARAMETRIC_LENSES
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax
@@ -219,7 +219,8 @@ def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):
-            raise ArgumentError("images must be regions of one shape, none of them of a mosaic")
+            shapes = ", ".join(f"{plane.shape}{' of a mosaic' if plane.cfa else ''}" for plane in planes)
+            raise ArgumentError(f"images must be regions of one shape, none of them of a mosaic, got {shapes:.100}")
         values, corners = np.stack([plane.values for plane in planes]), np.array([plane.corner for plane in planes])
     else:
         values = np.asarray(images)
@@ -237,7 +238,7 @@ def _settings(
     read_noise: float | None, accept_sharpened: bool,
 ) -> EdgeSettings:  # fmt: skip
     """Return the public functions' arguments, checked, as one object."""
-    checks.choice("model", model, MODELS)
+    checks.choice("model", model, tuple(PARAMETRIC_LENSES))
     if model in ("diffraction", "defocus"):
         for name, value in (("wavelength", wavelength), ("pixel_pitch", pixel_pitch)):
             if value is None:

@@ -24,6 +24,7 @@ from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.edge.rows import RegionFrame
 from matcam.core import checks
 from matcam.core.jax import AnyArray, jax
+from matcam.core.json import plain
 from matcam.core.remark import Remark
 
 if TYPE_CHECKING:
@@ -36,13 +37,19 @@ _SHARPENED = 0.02  # overshoot of the step from which it is remarked on
 class EdgeSamples(NamedTuple):
     """Hold the picture as an edge response.
 
-    Values are means over cells of pixels at nearly one distance from the edge.
+    Values are means over n cells of pixels at nearly one distance from the edge.
 
     Attributes:
-        distance: px, negative on the dark side.
-        value: 0 on the dark side, 1 on the bright one, light made even (no unit).
-        std: standard deviation of `value` (no unit).
-        parametric: what the parametric fit expects of the same cells (no unit).
+        distance: distance from the edge (n,), px, negative on the dark side.
+        value: 0 on the dark side, 1 on the bright one, light made even (n,) (no unit).
+        std: standard deviation of `value` (n,).
+        parametric: what the parametric fit expects of the same cells (n,) (no unit).
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> result = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
+        >>> bool((np.diff(result.samples.distance) >= 0).all())
+        True
     """
 
     distance: np.ndarray
@@ -53,7 +60,7 @@ class EdgeSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _EdgeNumbers(Generic[Number]):
-    """Hold the numbers of one edge, or of a stack, with leading axes."""
+    """Hold the numbers of one edge, or of a stack."""
 
     frequency: np.ndarray
     mtf: np.ndarray
@@ -114,6 +121,7 @@ class EdgeMTF(_EdgeNumbers[float]):
         overshoot: overshoot of the ESF beyond its levels, relative to the step; a lens has none, sharpening has (no unit).
         overshoot_std: its standard deviation (no unit).
         parametric: the fit of a family of lenses, a `ParametricEdge`.
+        fits: everything that was fitted, about the middle of the region.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -127,7 +135,7 @@ class EdgeMTF(_EdgeNumbers[float]):
     """
 
     parametric: ParametricEdge
-    _fits: EdgeFits
+    fits: EdgeFits
 
     def esf(self, distance: ArrayLike) -> SampledCurve:
         """Return the edge response, 0 to 1.
@@ -196,35 +204,37 @@ class EdgeMTF(_EdgeNumbers[float]):
         Returns:
             Numbers by name, units in the names, angles in degrees.
         """
-        return {
-            "mtf50_cycles_per_px": self.mtf50,
-            "mtf50_std": self.mtf50_std,
-            "core_mtf50_cycles_per_px": self.core_mtf50,
-            "core_mtf50_std": self.core_mtf50_std,
-            "glare_fraction": self.glare_fraction,
-            "glare_fraction_std": self.glare_fraction_std,
-            "glare_radius_px": self.glare_radius,
-            "angle_deg": np.degrees(self.angle),
-            "angle_std_deg": np.degrees(self.angle_std),
-            "bow_px": self.bow,
-            "light_per_px": self.light,
-            "levels": [self.dark, self.bright],
-            "gain": self.gain,
-            "read_noise": self.read_noise,
-            "excess": self.excess,
-            "overshoot": self.overshoot,
-            "parametric": self.parametric.to_dict(),
-            "frequency_cycles_per_px": self.frequency,
-            "mtf": self.mtf,
-            "mtf_std": self.mtf_std,
-        }
+        return plain(
+            {
+                "mtf50_cycles_per_px": self.mtf50,
+                "mtf50_std": self.mtf50_std,
+                "core_mtf50_cycles_per_px": self.core_mtf50,
+                "core_mtf50_std": self.core_mtf50_std,
+                "glare_fraction": self.glare_fraction,
+                "glare_fraction_std": self.glare_fraction_std,
+                "glare_radius_px": self.glare_radius,
+                "angle_deg": np.degrees(self.angle),
+                "angle_std_deg": np.degrees(self.angle_std),
+                "bow_px": self.bow,
+                "light_per_px": self.light,
+                "levels": [self.dark, self.bright],
+                "gain": self.gain,
+                "read_noise": self.read_noise,
+                "excess": self.excess,
+                "overshoot": self.overshoot,
+                "parametric": self.parametric.to_dict(),
+                "frequency_cycles_per_px": self.frequency,
+                "mtf": self.mtf,
+                "mtf_std": self.mtf_std,
+            }
+        )
 
     @cached_property
     def samples(self) -> EdgeSamples:
         """Return the picture's own edge response, sorted by distance."""
-        cells, fit, shift = self._fits.cells, self._fits.parametric, self._fits.state.linear[4]
+        cells, fit, shift = self.fits.cells, self.fits.parametric, self.fits.state.linear[4]
         used = np.asarray(cells.pixels) > 0
-        dark, bright, gx, gy = self._fits.free.levels
+        dark, bright, gx, gy = self.fits.free.levels
         light = 1 + gx * cells.x + gy * cells.y
         unit = (bright - dark) * light
         variance = self.gain * np.maximum(fit.expected, 0) + self.read_noise**2
@@ -241,7 +251,7 @@ class EdgeMTF(_EdgeNumbers[float]):
         at = checks.number("distance", np.asarray(distance))
         # always a multiple of some length, so that one compiled program serves most calls
         padded = np.pad(np.asarray(at).ravel(), (0, -at.size % _LENGTH))
-        found = function(self._fits.free, padded)
+        found = function(self.fits.free, padded)
         return SampledCurve(*(np.asarray(a)[: at.size].reshape(at.shape) for a in found))
 
 
@@ -249,11 +259,33 @@ class EdgeMTF(_EdgeNumbers[float]):
 class EdgeStack(_EdgeNumbers[np.ndarray]):
     """Hold the results of n edges.
 
-    Attributes are those of `EdgeMTF` with a leading axis of n.
-    `stack[i]` is the `EdgeMTF` of one of them. Numbers of an edge that cannot be measured are NaN.
+    Numbers of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
 
     Attributes:
         frequency: frequencies (81,) along the normal, cycles/px: the same for all.
+        mtf: MTF of lens and pixel (n, 81), free of a model (no unit).
+        mtf_std: its standard deviation (n, 81).
+        mtf50: lowest frequency where the MTF is one half (n,), cycles/px.
+        mtf50_std: its standard deviation (n,), cycles/px.
+        core_mtf: MTF without its glare (n, 81) (no unit).
+        core_mtf_std: its standard deviation (n, 81).
+        core_mtf50: lowest frequency where that is one half (n,), cycles/px.
+        core_mtf50_std: its standard deviation (n,), cycles/px.
+        glare_fraction: share of the light that is spread widely (n,) (no unit).
+        glare_fraction_std: its standard deviation (n,).
+        glare_radius: standard deviation of the glare as a Gaussian (n,), px.
+        angle: direction of the edge's normal to the picture's rows (n,), rad.
+        angle_std: its standard deviation (n,), rad.
+        bow: how far the edge's middle lies from the chord of its ends (n,), px.
+        place: (x, y) of the edge's middle, (n,) each, px.
+        dark: level of the dark side (n,), in the picture's units.
+        bright: level of the bright side (n,), in the picture's units.
+        light: relative change of the light along rows and columns, (n,) each, 1/px.
+        gain: system gain (n,), in the picture's units.
+        read_noise: standard deviation of the read noise (n,), in the picture's units.
+        excess: factor by which variances were raised (n,) (no unit).
+        overshoot: overshoot of the ESF, relative to the step (n,) (no unit).
+        overshoot_std: its standard deviation (n,).
         problems: for each edge why it cannot be measured, None where it can.
         parametric: the fits of a family of lenses, a `ParametricStack`.
         fits: everything that was fitted, as the joint fit of many edges takes it.
@@ -298,7 +330,7 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         numbers = {f.name: _of_one(getattr(self, f.name), index) for f in fields(_EdgeNumbers)}
         numbers["frequency"] = self.frequency
         fits = jax.tree.map(lambda a: a[index], self.fits)
-        return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), _fits=fits)
+        return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits)
 
     def __iter__(self) -> Iterator[EdgeMTF]:
         return (self[i] for i in range(len(self)))

@@ -29,8 +29,8 @@ PLACES = 0.6 * (np.arange(PAIRS) + 0.5)
 """Places of the bumps, in s."""
 EVEN = PAIRS + 2
 """Strengths that shape the MTF: the core's, the tail's, the glare's."""
-TAIL, GLARE = PAIRS, PAIRS + 1
-"""Indices of the last two among them."""
+GLARE = EVEN - 1
+"""Index of the last of them."""
 ODD = PAIRS + 1
 FREQUENCIES = np.arange(81) / 64
 """cycles/px, at which an MTF is tabulated."""

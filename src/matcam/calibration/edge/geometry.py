@@ -189,7 +189,7 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
 
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
-    """Return every pixel's distance to a curve, and the phase of every row."""
+    """Return all pixels' distances to a curve, and all rows' phases."""
     middle = rows.value.shape[1] // 2
     offset = (rows.x[:, middle] - edge_place(curve, rows.y)) / rows.step + 0.5
     count = _PHASES * rows.step

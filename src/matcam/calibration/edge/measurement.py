@@ -204,7 +204,7 @@ def _stage(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Sta
     noise = _or_estimated(noise, aligned, geometry.edge_distance(start, aligned.x, aligned.y[:, None]))
 
     def turn(at: tuple[jax.Array, State], _: None) -> tuple[tuple[jax.Array, State], _Turn]:
-        """Fit profile and levels to the cells, then the curve to the pixels."""
+        """Fit profile and levels to cells, then the curve to pixels."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)

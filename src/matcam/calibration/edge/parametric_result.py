@@ -13,6 +13,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.pixel import BoxPixel
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.core.jax import AnyArray, jnp
+from matcam.core.json import plain
 
 _WRONG = 1e-3  # probability below which a model is called wrong
 
@@ -35,9 +36,9 @@ class _LensNumbers(Generic[Number]):
     chi2: Number
     degrees: Number
     misfit_probability: Number
-    _lens: LensModel
-    _fitted: np.ndarray
-    _half_width: float
+    lens: LensModel
+    fitted: np.ndarray
+    half_width: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,16 @@ class ParametricEdge(_LensNumbers[float]):
         chi2: misfit of the cells, under the noise (no unit).
         degrees: degrees of freedom (no unit).
         misfit_probability: how often the right model would leave as much structure in its residuals (no unit).
+        lens: the family itself.
+        fitted: fitted parameters (k,), in the forms of the fit.
+        half_width: half width of the pixel, px.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+        >>> fit = matcam.edge_mtf(image).parametric
+        >>> fit.names, np.round(fit.values, 2)
+        (('optics.sigma_px',), array([0.79]))
     """
 
     @property
@@ -67,8 +78,8 @@ class ParametricEdge(_LensNumbers[float]):
     def camera(self) -> Camera:
         """Return the fitted camera, with its covariance."""
         return Camera(
-            self._lens.optics(jnp.asarray(self._fitted)),
-            BoxPixel(self._half_width),
+            self.lens.optics(jnp.asarray(self.fitted)),
+            BoxPixel(self.half_width),
             uncertainty=Uncertainty(self.names, self.covariance),
             provenance=Provenance(source=f"slanted edge, {self.model} model"),
         )
@@ -79,33 +90,51 @@ class ParametricEdge(_LensNumbers[float]):
         Returns:
             Numbers by name, units in the names.
         """
-        return {
-            "model": self.model,
-            "mtf50_cycles_per_px": self.mtf50,
-            "mtf50_std": self.mtf50_std,
-            "parameters": dict(zip(self.names, self.values, strict=True)),
-            "covariance": self.covariance,
-            "chi2": self.chi2,
-            "degrees": self.degrees,
-            "misfit_probability": self.misfit_probability,
-            "consistent": self.consistent,
-        }
+        return plain(
+            {
+                "model": self.model,
+                "mtf50_cycles_per_px": self.mtf50,
+                "mtf50_std": self.mtf50_std,
+                "parameters": dict(zip(self.names, self.values, strict=True)),
+                "covariance": self.covariance,
+                "chi2": self.chi2,
+                "degrees": self.degrees,
+                "misfit_probability": self.misfit_probability,
+                "consistent": self.consistent,
+            }
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class ParametricStack(_LensNumbers[np.ndarray]):
     """Hold the parametric estimates of a stack.
 
-    Attributes are those of `ParametricEdge`, with a leading axis of n.
-
     Attributes:
         model: name of the family (no unit).
         names: names of the fitted parameters (no unit).
+        values: fitted parameters (n, k), in the units of their names.
+        covariance: their covariances (n, k, k).
+        mtf: total MTF (n, 81), signed (no unit).
+        mtf_std: its standard deviation (n, 81).
+        mtf50: lowest frequency at which it is one half (n,), cycles/px.
+        mtf50_std: its standard deviation (n,), cycles/px.
+        chi2: misfit of the cells, under the noise (n,) (no unit).
+        degrees: degrees of freedom (n,) (no unit).
+        misfit_probability: how often the right model would leave as much structure in its residuals (n,) (no unit).
+        lens: the family itself.
+        fitted: fitted parameters (n, k), in the forms of the fit.
+        half_width: half width of the pixel, px.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+        >>> matcam.edge_mtf_stack([image, image]).parametric.values.shape
+        (2, 1)
     """
 
     @property
     def consistent(self) -> np.ndarray:
-        """Return for each edge whether the model explains it, at 0.1 % (n,)."""
+        """Return whether the model explains each edge, at 0.1 % (n,)."""
         return self.misfit_probability > _WRONG
 
 
@@ -126,14 +155,14 @@ def parametric_stack(fit: LensFit, bad: np.ndarray, lens: LensModel, half_width:
         chi2=with_nan(fit.chi2, bad),
         degrees=np.asarray(fit.degrees),
         misfit_probability=with_nan(_misfit_probability(*map(np.asarray, fit.structure)), bad),
-        _lens=lens,
-        _fitted=np.asarray(fit.state.profile),
-        _half_width=half_width,
+        lens=lens,
+        fitted=np.asarray(fit.state.profile),
+        half_width=half_width,
     )
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
-    """Return the values of a stack (n, ...), NaN for bad edges (n,)."""
+    """Return the values of a stack, NaN for bad edges (n,)."""
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
 
 

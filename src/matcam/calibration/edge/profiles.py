@@ -31,7 +31,6 @@ from matcam.core.jax import jax, jnp
 _PERIOD = 512  # px: the table repeats after it; a 1/d^2 tail then adds 1e-6 of the step
 _PER_PX = 16
 _NARROWEST = 0.05  # px: least standard deviation of a separable core
-MODELS = ("gaussian", "diffraction", "defocus", "halo")
 KURTOSIS = 0.02
 """Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
 
@@ -79,7 +78,7 @@ class LensModel(eqx.Module):
 
 
 class LensAtEdge(NamedTuple):
-    """Hold a family of lenses behind the pixel, as one edge sees it.
+    """Hold a family of lenses as one edge sees it.
 
     Attributes:
         lens: the family.
@@ -299,7 +298,7 @@ class Separable(LensModel):
         return (0.3, 0.08, 0.05)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return a pixel that is sensitive nearly all over, and a Gaussian core."""
+        """Return a pixel that is nearly full, and a Gaussian core."""
         half = jnp.full_like(log_sigma, 0.42)
         return jnp.stack([jnp.log(jnp.exp(2 * log_sigma) + half**2 / 3) / 2, half, jnp.zeros_like(half)])
 
@@ -328,7 +327,7 @@ class Separable(LensModel):
 
 @lru_cache
 def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
-    """Return the family of one of these `MODELS`."""
+    """Return the family of one of `PARAMETRIC_LENSES`."""
     if name == "gaussian":
         return Gaussian()
     if name == "halo":
@@ -358,7 +357,7 @@ def _tabulated(
     f = jnp.arange(count // 2 + 1) / _PERIOD
 
     def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return E less its ramp over the period, and dE/dd, at every sixteenth of a px."""
+        """Return E less its ramp, and dE/dd, every sixteenth px."""
         total = lens.mtf(parameters, f, angle, half_width)
         line = jnp.fft.irfft(total, count) * _PER_PX
         wave = jnp.where(f > 0, total / (2j * jnp.pi * jnp.where(f > 0, f, 1.0)), 0.0)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.calibration.edge.measurement import EdgeFits
-from matcam.calibration.photograph.region import program_size
 from matcam.core.remark import Remark
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
@@ -41,7 +40,7 @@ class RegionFrame(NamedTuple):
     length: np.ndarray | float
 
     def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a vector of the turned region as it lies in the picture."""
+        """Return a vector of the region as it lies in the picture."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
@@ -104,6 +103,19 @@ def turns_for(cycles: float) -> int:
     cycles: how often the rows see every phase. Where that is less than a few times, profile and place come apart slowly.
     """
     return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
+
+
+def program_size(size: int) -> int:
+    """Return the next size for which a program is compiled.
+
+    It is 8, 10, 12 or 14 times a power of two, so that nearly equal sizes share one program.
+    """
+    power = 1
+    while True:
+        for eighths in (8, 10, 12, 14):
+            if eighths * power >= size:
+                return eighths * power
+        power *= 2
 
 
 def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) -> list[Remark | None]:

@@ -1,7 +1,8 @@
 """One colour plane of a photograph, linear: what every estimator of this package measures in.
 
 A mosaic's sites stand where they lie, with NaN between them: nothing is demosaiced. Of a colour picture one channel or the
-luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image` becomes such a plane.
+luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image` becomes such a plane;
+`flaw` says whether there is anything in it to measure.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import ndimage
 
 from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, linear_values
 from matcam.core.errors import ArgumentError, FitError
+from matcam.core.jax import FloatArray
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
@@ -25,6 +28,8 @@ SMALLEST = 16
 """px: both sides of a region that is measured have at least as many."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
 _SATURATED = 0.02  # share of full pixels beyond which a region is refused
+_FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
+_ALONE = 1e-6  # of a Gaussian's weight: a pixel with fewer data around it is left dark
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +235,51 @@ def region_of(
                 f"region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range"
             )
     return region
+
+
+def flaws(values: np.ndarray) -> list[Remark | None]:
+    """Return the `flaw` of every region of a stack.
+
+    It is quick where there is none.
+    """
+    low, high = values.min((1, 2)), values.max((1, 2))
+    share = (values == high[:, None, None]).mean((1, 2))
+    doubtful = ~((low < high) & (share <= _FLAT_TOP))  # NaN is doubtful
+    return [flaw(value) if look else None for value, look in zip(values, doubtful, strict=True)]
+
+
+def flaw(values: np.ndarray) -> Remark | None:
+    """Return why nothing can be measured in a region.
+
+    None if something might be. values: (height, width).
+    """
+    used = values[np.isfinite(values)]
+    if used.size < SMALLEST**2 / 4:
+        return Remark("too-few-samples", f"region holds {used.size} usable samples: too few")
+    low, high = used.min(), used.max()
+    if not low < high:
+        return Remark("flat", f"region is all one value, {low:g}: there is no edge in it")
+    if (used == high).mean() > _FLAT_TOP:
+        # noise piles up at the end of a range, and nowhere else; without noise the dark side is as flat
+        middle = (low + high) / 2
+        flat = (used == high).sum() / (used > middle).sum()
+        dark = np.unique(used[used <= middle], return_counts=True)[1]
+        if dark.max() / dark.sum() < flat / 2:
+            text = f"region is saturated: {flat:.0%} of its bright samples have the very same value, {high:g}"
+            return Remark("saturated", text)
+    return None
+
+
+def local_mean(values: FloatArray, width: float) -> FloatArray:
+    """Return the local means of a picture (height, width).
+
+    They are weighted by a Gaussian of `width` px. NaN are filled from around.
+    """
+    known = np.isfinite(values)
+    if known.all():
+        return np.asarray(ndimage.gaussian_filter(values, width))
+    total = ndimage.gaussian_filter(np.where(known, values, 0.0), width)
+    return np.asarray(total / np.maximum(ndimage.gaussian_filter(known.astype(float), width), _ALONE))
 
 
 def planes_of(

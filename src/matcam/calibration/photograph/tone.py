@@ -126,7 +126,7 @@ def tone_from_patches(
     return curve_through(code, value)
 
 
-def measured_tone(picture: str | Path, patches: str | Path) -> np.ndarray:
+def patch_tone_curve(picture: str | Path, patches: str | Path) -> np.ndarray:
     """Measure the tone curve of a file, channel by channel.
 
     patches: a file of lines "x y width height light"; "#" begins a comment. FileFormatError naming the file and the line,

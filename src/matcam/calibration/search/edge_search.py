@@ -26,7 +26,7 @@ _SPOT = 0.4  # of the step: by so much single places along a side may differ
 _ENOUGH = 4  # edges that make a finer search unnecessary
 
 
-class FoundEdges(NamedTuple):
+class EdgePlaces(NamedTuple):
     """Hold n edges, the longest and strongest first.
 
     Lengths are px of the picture, pixel centres on whole numbers, x right, y down.
@@ -46,7 +46,7 @@ class FoundEdges(NamedTuple):
     clear: np.ndarray
 
 
-def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> FoundEdges:
+def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
     """Find straight edges in a picture of any monotone codes.
 
     picture: (height, width) or (height, width, 3). mosaic: of colour filters, whose pixels can only be compared in cells of
@@ -62,7 +62,7 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> FoundEdges:
         factor = finer
 
 
-def _at_scale(picture: np.ndarray, factor: int) -> FoundEdges:
+def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
     """Find edges in the picture reduced by a factor."""
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
@@ -72,7 +72,7 @@ def _at_scale(picture: np.ndarray, factor: int) -> FoundEdges:
     order = np.argsort(-step * length, kind="stable")
     order = order[(clear > 0)[order]]
     place = (column * factor + (factor - 1) / 2 for column in (x, y))
-    return FoundEdges(*(column[order] for column in (*place, angle, factor * length, factor * clear)))
+    return EdgePlaces(*(column[order] for column in (*place, angle, factor * length, factor * clear)))
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:

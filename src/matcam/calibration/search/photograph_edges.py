@@ -1,28 +1,75 @@
-"""All slanted edges of a photograph, found and measured, colour by colour; and what they tell of the picture as a whole."""
+"""The slanted edges of a photograph, measured in strips along them; and what they tell of the picture as a whole.
+
+The rows of a strip begin where the edge does, so that an edge may lie at any angle. A row is one of the picture, or a column
+where that crosses the edge more squarely; nothing is resampled. Strips of one picture have one shape, so that one compiled
+program measures them all: what a shorter or narrower one lacks is NaN.
+
+An edge's own fit has light that changes linearly. What a lens's vignetting bends beyond that within a strip is divided out:
+most bright sides of a picture's edges are the same paper, and show it. A wrong level or slope of the light changes nothing.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
-from matcam.calibration.photograph.linear_image import LinearImage
-from matcam.calibration.photograph.region import flaws
-from matcam.calibration.search.edge_search import FoundEdges
-from matcam.calibration.search.strips import regions_in_even_light, strip_regions, strips_along
+from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
+from matcam.calibration.photograph.linear_image import LinearImage, flaws
+from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
+_ROWS = (48, 64, 96, 128, 192)
+_COLUMNS = (32, 48)
+_USUAL = 0.8  # of the edges are no longer than the rows that are chosen
+_LEAST_ROWS, _LEAST_WIDTH = 20, 16
+_MARGIN = 1.0  # px: how well a search knows where an edge lies
+_FEWEST = 12  # edges, for the six numbers of the light
+_OUTLIER, _ROUNDS = 3.0, 6
+_LEAST_SCATTER = 0.003  # relative
+_SHARE = 4  # the last quarter of a row is its bright side
+_RANGE = 20.0  # no chart is lit so unevenly
 _SATURATED = 0.02  # share of a strip's samples
 _CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is said
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # of the blur's variance; standard deviations
 _FEW = 6  # edges, below which nothing is said of directions
 
 
-def found_edge_stack(
-    plane: LinearImage, edges: FoundEdges, half_width: float = 0.5, *, accept_sharpened: bool = False
+class Strips(NamedTuple):
+    """Hold n strips in a turned picture.
+
+    u runs along its rows, v across them. All are whole px but u, v and tilt.
+
+    Attributes:
+        transposed: (n,) u is the picture's y, and v its x.
+        mirrored: (n,) the bright side lies at smaller u.
+        u: (n,) px, of the edge's middle.
+        v: (n,) px, of the edge's middle.
+        tilt: (n,) du/dv of the edge.
+        rows: (n,) how many rows there are, px.
+        width: (n,) px, even.
+    """
+
+    transposed: np.ndarray
+    mirrored: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    tilt: np.ndarray
+    rows: np.ndarray
+    width: np.ndarray
+
+    def subset(self, which: np.ndarray | slice) -> Strips:
+        """Return some of the strips."""
+        return Strips(*(column[which] for column in self))
+
+
+def plane_edge_stack(
+    plane: LinearImage, edges: EdgePlaces, half_width: float = 0.5, *, accept_sharpened: bool = False
 ) -> EdgeStack:
     """Measure the edges that were found, in one plane.
 
@@ -72,6 +119,149 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     if text := _directional_blur(result):
         remarks.append(Remark("directional-blur", f"{channel}: {text}"))
     return remarks
+
+
+def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
+    """Return strips along the edges of a picture (height, width).
+
+    Long edges get several, one after the other. Edges without room for a strip are left out.
+    """
+    c, s = np.cos(edges.angle), np.sin(edges.angle)
+    transposed = np.abs(s) > np.abs(c)
+    across, along = np.where(transposed, s, c), np.where(transposed, c, s)
+    u, v = np.where(transposed, edges.y, edges.x), np.where(transposed, edges.x, edges.y)
+    tilt, steep = -along / across, np.abs(across)
+    half = np.minimum(np.floor(edges.clear / steep - _MARGIN), _COLUMNS[-1] // 2)
+    # a row's ends stand beside places further along the edge than its middle
+    rows = np.floor(edges.length * steep - 2 * half * np.abs(along) * steep)
+    usual = np.quantile(rows, _USUAL) if rows.size else 0.0
+    longest = next((n for n in _ROWS if n >= usual), _ROWS[-1])
+    pieces = np.maximum(np.ceil(rows / longest), 1).astype(int)
+    which = np.repeat(np.arange(rows.size), pieces)
+    number = np.arange(which.size) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    size = np.floor(rows / pieces)[which]
+    offset = (number - (pieces[which] - 1) / 2) * size
+    strips = Strips(
+        transposed[which], (across < 0)[which], u[which] + tilt[which] * offset, v[which] + offset, tilt[which],
+        size.astype(int), 2 * half[which].astype(int),
+    )  # fmt: skip
+    return strips.subset(_inside(strips, shape) & (strips.rows >= _LEAST_ROWS) & (strips.width >= _LEAST_WIDTH))
+
+
+def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[tuple[EdgeRegions, np.ndarray]]:
+    """Return the regions of strips, all of one shape.
+
+    Each item holds at most `at_once` of them, and the share of each that is saturated.
+    """
+    sites = plane.sites
+    step = 1 if sites.all() else 2
+    rows = next((n for n in _ROWS if n >= strips.rows.max(initial=0)), _ROWS[-1])
+    columns = next(n for n in _COLUMNS if n >= np.median(strips.width))
+    by_row = step if (sites.sum(1) == 0).any() else 1  # red and blue have sites in every other row
+    for i in range(0, strips.u.size, at_once):
+        yield _region(strips.subset(slice(i, i + at_once)), plane, step, by_row, (rows // by_row, columns // step))
+
+
+def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
+    """Return regions with their light made even.
+
+    The logarithm of the light is a quadratic over the field. Regions stay as they are where it is not known.
+    """
+    x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
+    bright = np.concatenate([_bright(r.value) for r in regions])
+    good = np.isfinite(bright) & (bright > 0)
+    if good.sum() < _FEWEST:
+        return list(regions)
+    middle, scale = (x.mean(), y.mean()), max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
+    powers = _powers((x - middle[0]) / scale, (y - middle[1]) / scale)
+    level = np.log(np.where(good, bright, 1.0))
+    for _ in range(_ROUNDS):
+        found = np.linalg.lstsq(powers[good], level[good], rcond=1e-6)[0]
+        off = np.abs(level - powers @ found)
+        scatter = max(1.5 * float(np.median(off[good])), _LEAST_SCATTER)
+        good = (bright > 0) & (off < _OUTLIER * scatter)
+        if good.sum() < _FEWEST:
+            return list(regions)
+    if np.ptp(powers[good] @ found) > np.log(_RANGE):
+        return list(regions)
+    return [_in_even_light(r, found, middle, scale) for r in regions]
+
+
+def _region(
+    strips: Strips, plane: LinearImage, step: int, by_row: int, shape: tuple[int, int]
+) -> tuple[EdgeRegions, np.ndarray]:
+    """Read strips of one shape (rows, columns).
+
+    by_row, step: distances of rows and of samples, px.
+    """
+    (rows, columns), sites = shape, plane.sites
+    first = np.ceil(strips.v - strips.rows / 2).astype(int)
+    v = first[:, None] + by_row * np.arange(rows)
+    left = np.rint(strips.u[:, None] + strips.tilt[:, None] * (v - strips.v[:, None])).astype(int)
+    width = np.minimum(strips.width, columns * step)
+    left -= width[:, None] // 2
+    if step == 2:
+        first_row: np.ndarray = np.where(strips.transposed[:, None], sites.any(0), sites.any(1))
+        if by_row == 2:  # begin on a row that has sites
+            v = v + ~np.take_along_axis(first_row, v[:, :1] % 2, 1)
+        turned = np.where(strips.transposed[:, None, None], sites.T, sites)
+        left = left + ~turned[np.arange(strips.u.size)[:, None], v % 2, left % 2]
+    u = left[..., None] + step * np.arange(columns)
+    there = (v < first[:, None] + strips.rows[:, None])[..., None] & (np.arange(columns) * step < width[:, None, None])
+    u, full_v = np.where(there, u, left[:, :1, None]), np.where(there, v[..., None], first[:, None, None])
+    turned = strips.transposed[:, None, None]
+    at = np.where(turned, u, full_v), np.where(turned, full_v, u)
+    value = np.where(there, plane.values[at], np.nan)
+    saturated = np.zeros(len(value)) if plane.saturated is None else plane.saturated[at].mean((1, 2))
+    mirrored = strips.mirrored
+    last = (there.any(1).sum(1) - 1)[:, None]
+    # mirrored rows are read from their last sample to their first: what is missing stays behind
+    back = np.where(mirrored[:, None], last - np.arange(columns), np.arange(columns)) % columns
+    value = np.take_along_axis(value, back[:, None, :], 2)
+    middle = first + (strips.rows - 1) / 2
+    start = np.where(mirrored[:, None], strips.u[:, None] - left - step * last, left - strips.u[:, None])
+    x, y = (np.where(strips.transposed, *pair) for pair in ((middle, strips.u), (strips.u, middle)))
+    turns = turns_for(float((strips.rows * np.abs(strips.tilt)).min()) / step)
+    frame = RegionFrame(x, y, strips.transposed, mirrored, (strips.rows - 1).astype(float))
+    return EdgeRegions(value, v - middle[:, None], start.astype(float), step, frame, turns), saturated
+
+
+def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
+    """Return whether strips, and 2 px around them, lie in the picture."""
+    reach = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
+    across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
+    long = strips.rows / 2 + 2
+    return (strips.u >= reach) & (strips.u + reach < across) & (strips.v >= long) & (strips.v + long < along)
+
+
+def _in_even_light(region: EdgeRegions, found: np.ndarray, middle: tuple[float, float], scale: float) -> EdgeRegions:
+    """Divide a region by its light relative to that at its centre."""
+    frame = region.frame
+    across = region.start[..., None] + region.step * np.arange(region.value.shape[2])
+    columns = frame._replace(
+        transposed=np.asarray(frame.transposed)[:, None, None], mirrored=np.asarray(frame.mirrored)[:, None, None]
+    )
+    dx, dy = columns.in_picture(across, np.broadcast_to(region.y[..., None], across.shape))
+    x, y = (np.asarray(a)[:, None, None] for a in (frame.x, frame.y))
+    dx, dy, x, y = dx / scale, dy / scale, (x - middle[0]) / scale, (y - middle[1]) / scale
+    # the difference of the quadratic between a place and the centre
+    _, fx, fy, fxx, fxy, fyy = found
+    bend = (fx + fxx * (2 * x + dx) + fxy * (y + dy)) * dx + (fy + fxy * x + fyy * (2 * y + dy)) * dy
+    return region._replace(value=region.value * np.exp(-bend))
+
+
+def _bright(value: np.ndarray) -> np.ndarray:
+    """Return the mean of every strip's bright side (n,)."""
+    there = np.isfinite(value)
+    width = there.any(1).sum(1)
+    side = there & (np.arange(value.shape[2]) >= (width - width // _SHARE)[:, None, None])
+    count = side.sum((1, 2))
+    return np.where(side, value, 0.0).sum((1, 2)) / np.where(count > 0, count, np.nan)
+
+
+def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the terms of a quadratic of x and y."""
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
 def _directional_blur(result: EdgeStack) -> str:

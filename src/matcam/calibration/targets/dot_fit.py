@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from matcam.calibration.photograph.region import local_mean
+from matcam.calibration.photograph.linear_image import local_mean
 from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray

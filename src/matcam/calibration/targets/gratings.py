@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, region_of
-from matcam.calibration.photograph.region import flaw
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Dots
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
-from matcam.calibration.photograph.linear_image import LinearImage, region_of
-from matcam.calibration.photograph.region import flaw
+from matcam.calibration.photograph.linear_image import LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -47,8 +46,7 @@ class BlurField:
         half: half the grid's extent, px.
 
     Example:
-        >>> from matcam.calibration.targets.grid import BlurField
-        >>> field = BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
+        >>> field = matcam.targets.BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
         >>> np.round(field.sigma_at([100, 150], [80, 80])[0], 3)
         array([0.5, 0.6])
     """

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from matcam.calibration.photograph.region import local_mean
+from matcam.calibration.photograph.linear_image import local_mean
 from matcam.core.errors import FitError
 from matcam.core.jax import FloatArray
 

@@ -281,7 +281,7 @@ def _corrected_table(
 def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndarray:
     """Return the most that a halo of any radius, holding all of the highlight's light, could add to an entry, 1/sr.
 
-    A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d, whose maximum over s is flux / (pi e d^2).
+    A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
     """
     grid = merl_grid(sampling_of(brdf))
     strength = found.curves["fresnel"].values

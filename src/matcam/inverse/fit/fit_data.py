@@ -1,9 +1,9 @@
 """The values that a material is fitted to, and the likelihood of their noise (docs/model.md 8).
 
-Noise belongs to pixels, and each slice of theta_d, which is one picture, has an exposure of its own. With a cell's variance V
-the model's, and a picture gain of standard deviation g common to a slice m, the covariance of the slice's cells is V + g^2 m
-m'. Its inverse root is known in closed form: divide by sqrt V, then shorten the part along a = m / sqrt V by 1 / sqrt(1 + g^2
-|a|^2). An unknown strength of each slice is the limit of an infinite g: that part is dropped.
+Noise belongs to pixels, and each slice of theta_d, which is one picture, has an exposure of its own. Let V be a cell's
+variance, by the model, and g the standard deviation of the picture gain common to a slice m. The covariance of the slice's
+cells is V + g^2 m m'. Its inverse root is known in closed form: divide by sqrt V, then shorten the part along a = m / sqrt V
+by 1 / sqrt(1 + g^2 |a|^2). An unknown strength of each slice is the limit of an infinite g: that part is dropped.
 """
 
 from __future__ import annotations

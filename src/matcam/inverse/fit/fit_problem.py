@@ -16,7 +16,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
-from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, lobe_record, record_and_slopes
+from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_record, record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
@@ -94,6 +94,7 @@ class FitProblem:
         layout: order of the parameters.
         prior: what is known of them.
         radius: radius of the sphere, px.
+        batch: computes lobes together with those of other fits; None: alone.
     """
 
     def __init__(
@@ -104,14 +105,15 @@ class FitProblem:
         layout: Layout,
         prior: Prior,
         radius: float,
+        batch: RecordBatch | None = None,
     ):
         self.data, self.cells, self.operator = data, cells, operator
-        self.layout, self.prior, self.radius = layout, prior, radius
+        self.layout, self.prior, self.radius, self.batch = layout, prior, radius, batch
         self._last: dict[int, tuple[bytes, RecordAndSlopes]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
         """Return the same problem with other parameters."""
-        return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
+        return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius, self.batch)
 
     @property
     def theta_d(self) -> np.ndarray:
@@ -180,7 +182,7 @@ class FitProblem:
         """Return the record of a lobe, kept for the next call: weights change more often than lobes."""
         key = q.tobytes()
         if index not in self._last or self._last[index][0] != key:
-            self._last[index] = key, record_and_slopes(self.operator, self.layout.kind, q)
+            self._last[index] = key, record_and_slopes(self.operator, self.layout.kind, q, self.batch)
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:

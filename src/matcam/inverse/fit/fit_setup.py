@@ -1,7 +1,8 @@
 """The setup of a fit in one object: data, rig, model, prior and noise (docs/model.md 8).
 
-`FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit that begins where another
-ended - in more slices, with a parameter of the rig left free, with the lobe bent - is `setup.with_(...).solve(start=found)`.
+`FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit can begin where another
+ended: in more slices, with a parameter of the rig left free, or with the lobe bent. It is
+`setup.with_(...).solve(start=found)`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import checked_table, sampling_of
-from matcam.core.workspace import Workspace
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
@@ -47,22 +48,34 @@ class FitSetup:
     """Hold everything that determines a fit.
 
     Attributes:
-        tables: tables of one rig, a material each.
+        tables: tables of one rig, 1/sr, a material each.
         rig: the rig that recorded them; None: as if the camera were perfect.
-        ndf: family of the lobe.
-        fresnel: model of F.
-        diffuse: whether to add a Lambertian part.
-        per_channel: whether each channel has a lobe of its own.
-        masking: the lobe's G.
-        camera_parameters: how the rig's parameters are treated; None: "prior" if the camera states an uncertainty, else
-            "fixed".
-        free: names of the parameters that are fitted where `camera_parameters` is "free".
-        bend: how far ln D may leave its family; 0: not at all.
-        free_masking: whether G is any smooth function of the angle.
-        noise: noise of a pixel; None: estimated from the residuals.
-        every: spacing of the slices of theta_d.
-        radius: radius of the sphere, px, whose pixels are told apart without a rig.
-        workspace: keeps what depends on the rig alone; None: the process's own.
+        ndf: family of the lobe. Default: "ggx".
+        fresnel: model of F. Default: "conductor".
+        diffuse: whether to add a Lambertian part. Default: False.
+        per_channel: whether each channel has a lobe of its own. Default: False.
+        masking: the lobe's G. Default: "smith".
+        camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior" if the
+            camera states an uncertainty, else "fixed".
+        free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
+        bend: how far ln D may leave its family (no unit). Default: 0, not at all.
+        free_masking: whether G is any smooth function of the angle. Default: False.
+        noise: noise of a pixel. Default: None, estimated from the residuals.
+        every: spacing of the slices of theta_d (no unit). Default: 1.
+        radius: radius of the sphere, px, whose pixels are distinguished without a rig. Default: 256.
+        workspace: keeps what depends on the rig alone. Default: None, the process's own.
+
+    Raises:
+        ArgumentError: a field is out of its range, or the tables do not belong together.
+
+    Example:
+        >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), every=6)  # doctest: +SKIP
+        >>> found = setup.solve()  # doctest: +SKIP
+        >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
+        >>> matcam.inverse.FitSetup((), None)
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
     """
 
     tables: tuple[xr.DataArray, ...]
@@ -97,16 +110,34 @@ class FitSetup:
             self.noise.checked()
 
     def with_(self, **changes: Any) -> FitSetup:
-        """Return the same setup with other fields."""
+        """Return the same setup with other fields.
+
+        Args:
+            changes: new values of fields, by name.
+
+        Returns:
+            The new setup.
+
+        Raises:
+            ArgumentError: a field is out of its range.
+        """
         return dataclasses.replace(self, **changes)
 
     def solve(self, start: MaterialFit | None = None, *, weights: Literal["data", "start"] = "data") -> MaterialFit:
         """Find the best fit.
 
-        start: a fit of these tables by another setup, from which the search goes on; None: the search begins anew. It takes a
-        few linear steps where the start has the same parameters, as a fit of fewer slices has.
-        weights: with a start, the robust weights to begin with: "data", each value's own variance, or "start", those of a
-        start in the same cells.
+        Args:
+            start: a fit of these tables by another setup, from which the search goes on. Default: None, the search begins
+                anew. A start with the same parameters, as a fit of fewer slices has, needs a few linear steps only.
+            weights: robust weights to go on with: "data", each value's own variance, or "start", those of the start. Default:
+                "data". "start" is for a start in the same cells.
+
+        Returns:
+            The material, its parameters with their errors, and remarks on the fit.
+
+        Raises:
+            ArgumentError: the rig is not one that a fit can follow, or has not the parameters that are free.
+            FitError: the data hold nothing to fit.
         """
         search = Search(self.problem, self.noise)
         if start is None:
@@ -143,7 +174,8 @@ class FitSetup:
         else:
             cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
         radius = self.radius if self.rig is None else sphere_radius(self.rig)
-        return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius)
+        batch = (self.workspace or default_workspace()).batch
+        return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius, batch)
 
     @cached_property
     def layout(self) -> Layout:

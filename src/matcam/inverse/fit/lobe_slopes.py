@@ -9,10 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
-from contextvars import ContextVar
 from typing import NamedTuple
 
 import equinox as eqx
@@ -59,12 +56,13 @@ def _several(operator: LobeOperator, kind: LobeKind, rows: jax.Array) -> tuple[j
     return jax.vmap(lambda q: _record_and_slopes(operator, kind, q))(rows)
 
 
-def record_and_slopes(operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> RecordAndSlopes:
-    """Return a lobe's record and slopes, computed together with what other threads of a batch ask.
+def record_and_slopes(
+    operator: LobeOperator, kind: LobeKind, q: np.ndarray, batch: RecordBatch | None = None
+) -> RecordAndSlopes:
+    """Return a lobe's record and slopes.
 
-    q: coordinates of the lobe, then those along the operator's axes.
+    q: coordinates of the lobe, then those along the operator's axes. batch: computes it together with what other threads ask.
     """
-    batch = _batch.get()
     if batch is not None:
         return batch.record_and_slopes(operator, kind, q)
     value, slope = _record_and_slopes(operator, kind, jnp.asarray(q))
@@ -85,7 +83,7 @@ class _Question(NamedTuple):
 class RecordBatch:
     """Answer up to `seats` questions of different threads in one program.
 
-    The batch is a context. A thread's questions go to it inside `batch.serving()`.
+    The batch is a context, which fits reach through their workspace (`Workspace.with_batch`).
 
     Attributes:
         seats: most questions that one program answers.
@@ -105,15 +103,6 @@ class RecordBatch:
     def __exit__(self, *error: object) -> None:
         self._asked.put(None)
         self._thread.join()
-
-    @contextmanager
-    def serving(self) -> Iterator[None]:
-        """Send this thread's questions to the batch."""
-        token = _batch.set(self)
-        try:
-            yield
-        finally:
-            _batch.reset(token)
 
     def record_and_slopes(self, operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> RecordAndSlopes:
         """Ask for a record, and wait for it."""
@@ -156,6 +145,3 @@ class RecordBatch:
         self.sizes.append(len(together))
         for question, value, slope in zip(together, values, slopes, strict=False):
             question.answer.set_result(RecordAndSlopes(value, slope))
-
-
-_batch: ContextVar[RecordBatch | None] = ContextVar("batch", default=None)

@@ -204,7 +204,7 @@ def operator_in(
     rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
 ) -> LobeOperator:
     """Return the rule of any cells. description: of all that it depends on, under which the workspace keeps it on disk."""
-    stored = workspace.kept(description, lambda: _rules(rig, cells, axes))
+    stored = workspace.store(description, lambda: _rules(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     return _Rules(along=along, **stored).operator(cells, THROUGH_SAMPLES, axes)
 

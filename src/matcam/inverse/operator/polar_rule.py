@@ -7,7 +7,7 @@ In polar coordinates (theta, psi) about the half vector the lobe depends on thet
 and the bracket without G depends on the rig alone: it is computed once, for any material. G varies slowly. It is taken at two
 azimuths of each theta, chosen by the mean and the variance of the azimuths that the pixel sees there.
 
-Nodes in theta are even in asinh(theta / scale), so that a lobe a thousandth of a radian wide is met as well as a broad one.
+Nodes in theta are even in asinh(theta / scale). So they meet a lobe a thousandth of a radian wide as well as a broad one.
 """
 
 from __future__ import annotations

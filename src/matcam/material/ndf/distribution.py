@@ -64,7 +64,9 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def d(self, theta_h: ArrayLike) -> jax.Array:
-        """Return D, 1/sr; the integral of D cos over the hemisphere is 1.
+        """Return D, 1/sr.
+
+        The integral of D cos over the hemisphere is 1.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -88,9 +90,9 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return D over D(0) and the shape in r: 1 at the peak.
+        """Return D over D(0) and the shape in r.
 
-        The tangent plane leaves this factor out.
+        It is 1 at the peak. The tangent plane leaves this factor out.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -107,7 +109,7 @@ class NDF(SlopeDistribution):
     @property
     @abstractmethod
     def roughness(self) -> jax.Array:
-        """First parameter, which the lobe's width goes with; the scale of the slopes."""
+        """First parameter, the scale of the facets' slopes."""
 
     def g1(self, theta: ArrayLike) -> jax.Array:
         """Return Smith's masking: the share of facets that others do not hide.
@@ -152,14 +154,25 @@ class SlopeNDF(NDF):
 
 
 class MixtureNDF(NDF):
-    """Describe an NDF whose shape in the tangent plane is a mixture of Gaussians.
+    """Describe an NDF that is a mixture of Gaussians in its coordinate.
 
-    shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)).
+    shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)). A camera's record of such a lobe has a closed form. `GaussianNDF`,
+    `Beckmann`, `GGX` and `SGD` are such lobes.
+
+    Source:
+        docs/model.md 4.
+
+    Example:
+        >>> [isinstance(lobe, matcam.material.MixtureNDF) for lobe in (matcam.GGX(0.1), matcam.EPD(0.1, 0.5))]
+        [True, False]
     """
 
     @abstractmethod
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return weights and widths of the Gaussians in r, each shape (n,); weights sum to 1."""
+        """Return weights and widths of the Gaussians in r.
+
+        Each has shape (n,); the weights sum to 1.
+        """
 
 
 class StretchedSlopes(SlopeDistribution):
