@@ -401,6 +401,7 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
     assert done.exit_code == 0, done.output
     asked.pop("watch")
+    assert asked.pop("workspace").folder is not None  # the user's, which keeps rules on disk
     assert asked == {
         "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "masking": None, "radius": 100.0,
         "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "force": True,
