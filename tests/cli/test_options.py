@@ -34,7 +34,7 @@ COMMANDS = typer.main.get_command(app).commands
         ("edge", "wavelength must be given for the defocus model, m", "--wavelength must be given for the defocus model"),
         (
             "edge",
-            "accept the MTF of lens and sharpening together (accept_sharpened=True, --accept-sharpened)",
+            "accept the MTF of lens and sharpening together (accept_sharpened=True)",
             "accept the MTF of lens and sharpening together (--accept-sharpened)",
         ),
         (
@@ -43,7 +43,7 @@ COMMANDS = typer.main.get_command(app).commands
             "--wavelength and --pitch must be given for the defocus model",
         ),
         ("calibrate", "f_numbers must be one, or one for each", "--f-number must be one, or one for each"),
-        ("calibrate", "give the fill (half_width, --half-width), or", "give the fill (--half-width), or"),
+        ("calibrate", "give the fill (half_width), or", "give the fill (--half-width), or"),
         ("calibrate", "half_width.tif: no such file", "half_width.tif: no such file"),
         ("chart", "fewer kinds, or more pixels_across than 300", "fewer kinds, or more --pixels than 300"),
         ("chart", "page must lie in [50, 5000] mm, got 1", "--size must lie in [50, 5000] mm, got 1"),
@@ -60,6 +60,7 @@ COMMANDS = typer.main.get_command(app).commands
         ),
         ("correct", "workers must be a whole number, got 0", "--workers must be a whole number, got 0"),
         ("correct", "instead of fit_camera=True, or tables", "instead of --fit-camera, or tables"),
+        ("calibrate", "is known: give f_numbers", "is known: give --f-number"),
         ("inspect", "power must be given", "power must be given"),
     ],
 )  # fmt: skip

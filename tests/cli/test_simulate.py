@@ -57,7 +57,7 @@ def test_a_table_in_the_format_of_merl(tmp_path):
         (("-o", "a.png"), "must end in one of"),
         (("-o", "a.exr", "--roughness", -1), "alpha must lie in"),
         (("-o", "a.exr", "--radius", 0), "--radius must lie in"),
-        (("-o", "a.exr", "--radius", 0.3), "--radius must exceed the camera's blur"),
+        (("-o", "a.exr", "--radius", 0.3), "radius must exceed the camera's blur"),
         (("-o", "a.exr", "--distance", 0.5), "--distance must lie in"),
         (("-o", "a.exr", "--lamp-angle", 200), "behind the sample"),
         (("-o", "a.exr", "--metal", "Unobtainium"), "Unobtainium"),

@@ -152,7 +152,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
             return Remark(
                 "sharpened",
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
-                "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True, --accept-sharpened)",
+                "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
         return None
 
