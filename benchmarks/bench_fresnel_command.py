@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from matcam import write_merl
-from matcam.forward.noisy_table import simulated_chromium
+from matcam.forward.measurement import simulated_chromium
 
 RUNS = 9
 

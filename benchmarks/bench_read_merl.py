@@ -9,7 +9,7 @@ import numpy as np
 
 from matcam import read_merl, write_merl
 from matcam.files.merl import SCALE
-from matcam.forward.noisy_table import simulated_chromium
+from matcam.forward.measurement import simulated_chromium
 
 
 def bare(path: Path) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from matcam import Camera, rigs, write_merl
-from matcam.batch import shared_camera
+from matcam.batch import recipe as shared_camera
 from matcam.batch.run import correct_all
 from matcam.core.errors import FitError
 from matcam.core.grid import brdf_table

@@ -18,7 +18,7 @@ from matcam import (
     WindowedGaussianPixel,
 )
 from matcam.camera import kernel as effective
-from matcam.camera.optics import fourier
+from matcam.camera.optics import optics as fourier
 from matcam.camera.pixel import gaussian_over_interval
 from matcam.core.jax import jax, jnp
 from tests.golden import rows

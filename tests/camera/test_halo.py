@@ -15,7 +15,7 @@ from matcam import (
     WindowedGaussianPixel,
 )
 from matcam.camera import kernel as effective
-from matcam.camera.optics import fourier
+from matcam.camera.optics import optics as fourier
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 

@@ -23,13 +23,13 @@ from matcam import (
     peak_response,
     rigs,
 )
-from matcam.camera.optics import fourier
+from matcam.camera.optics import optics as fourier
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.core.registry import ONE_WIDTH
 from matcam.forward import texture_contrast
 from matcam.forward.peaks.tangent_plane import lobe_record
 from matcam.forward.prediction import predict
-from matcam.material.registry import ONE_WIDTH
 from tests.golden import rows
 
 

@@ -12,8 +12,8 @@ from scipy.special import gammainccinv
 from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
+from matcam.core.registry import FAMILIES, WITH_POWER, family_ndf
 from matcam.material.masking import g2, smith_lambda
-from matcam.material.registry import FAMILIES, WITH_POWER, family_ndf
 from tests.golden import rows as golden_rows
 from tests.oracle.smith import smith_lambda as lambda_by_quadrature
 

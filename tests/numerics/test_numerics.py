@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from matcam.core.jax import jax, jnp
-from matcam.numerics.interpolate import interpolated, lagrange_basis
+from matcam.numerics.approximation import graded_nodes, interpolated, lagrange_basis, nodes_between, nodes_in_panels
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
-from matcam.numerics.quadrature import graded_nodes, nodes_between, nodes_in_panels
 
 UNITS = np.array([1e-12, 1.0, 1e9])
 

@@ -17,8 +17,7 @@ from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import SETTINGS_FORMAT
 from matcam.batch.store import open_rows, whole_rows
 from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import check_output, reading
-from matcam.core.json import read_json, write_json
+from matcam.core.io import check_output, read_json, reading, write_json
 from matcam.files.datasets import read_netcdf
 
 SETTINGS = "settings.json"

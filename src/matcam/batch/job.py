@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 from matcam.batch.recipe import Recipe
 from matcam.batch.store import StoreRow
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
-from matcam.core.io import check_output, reading
-from matcam.core.json import plain, read_json, write_json
+from matcam.core.io import check_output, plain, read_json, reading, write_json
 from matcam.core.workspace import Workspace
 from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf

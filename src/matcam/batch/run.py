@@ -16,18 +16,25 @@ from matcam.batch.executors.cluster import ClusterExecutor
 from matcam.batch.executors.local import ProcessExecutor, ThreadExecutor, available_cores, has_gpu
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, Outcome
-from matcam.batch.recipe import Corrector, Options, Recipe, correct_table, rig_description, settings_key
-from matcam.batch.shared_camera import fit_shared_camera
+from matcam.batch.recipe import (
+    Corrector,
+    Options,
+    Recipe,
+    correct_table,
+    fit_shared_camera,
+    rig_description,
+    settings_key,
+)
 from matcam.camera.camera import Camera
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
+from matcam.core.registry import FAMILIES
 from matcam.core.workspace import Workspace
 from matcam.figures.run_index import INLINE, write_run_index
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 

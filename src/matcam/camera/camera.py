@@ -17,8 +17,8 @@ from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import write_json
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.core.json import write_json
 
 
 class Camera(eqx.Module):

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from matcam.camera.optics import fourier
+from matcam.camera.optics import optics as fourier
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse, gaussian_over_interval, mean_over_interval

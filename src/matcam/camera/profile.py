@@ -33,12 +33,12 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PixelResponse
-from matcam.camera.registry import LENSES, PIXELS
 from matcam.camera.sensor import Sensor
 from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import checked_version, first_problem, read_json
 from matcam.core.jax import jax, jnp
-from matcam.core.json import checked_version, first_problem, read_json
+from matcam.core.registry import LENSES, PIXELS
 
 FORMAT = "matcam camera profile"
 VERSION = 2

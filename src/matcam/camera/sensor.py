@@ -17,10 +17,10 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.registry import CFAS
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.registry import CFAS
 
 _CHANNELS = "RGB"
 _DEEPEST = 32  # bits

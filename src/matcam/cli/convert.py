@@ -41,9 +41,8 @@ def command(
     Example: `matcam convert chrome.binary chrome.bsdf`
     """
     from matcam.core.errors import OutputError
-    from matcam.core.io import check_output
+    from matcam.core.io import check_output, write_json
     from matcam.core.jax import use_compilation_cache
-    from matcam.core.json import write_json
     from matcam.exchange.conversion import convert
     from matcam.exchange.receiver import metadata as about
 

@@ -41,7 +41,7 @@ def command(
 
 def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) -> None:
     from matcam.files.merl import write_merl
-    from matcam.forward.noisy_table import CHROMIUM_WIDTH, simulated_chromium
+    from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
 
     show.say(
         f"1. A chromium sphere with a lobe of {CHROMIUM_WIDTH} rad, photographed by the MERL rig, with 1 % pixel noise:"

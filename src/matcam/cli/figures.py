@@ -70,7 +70,7 @@ def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:
     from matcam import rigs
     from matcam.figures.curves import fresnel_figure
     from matcam.files.merl import read_merl
-    from matcam.forward.noisy_table import simulated_chromium
+    from matcam.forward.measurement import simulated_chromium
     from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
 
     result = fresnel(simulated_chromium() if source is None else read_merl(source), rigs.merl())

@@ -96,7 +96,7 @@ def command(
     if rival:
         document["rival"] = _rival(files[0], rig, ndf, sampling, every)
     if output:
-        from matcam.core.json import plain, write_json
+        from matcam.core.io import plain, write_json
 
         write_json(output, plain(document), force=force)
     if json:

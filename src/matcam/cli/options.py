@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from matcam.camera.registry import CFAS, LENSES, PARAMETRIC_LENSES
 from matcam.core.errors import MatcamError
-from matcam.material.registry import FAMILIES, FRESNEL_MODELS, MASKING_MODELS
+from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
 
 if TYPE_CHECKING:
     from matcam.rigs import Rig

@@ -81,8 +81,8 @@ def command(
         if path:
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
+    from matcam.core.registry import family_ndf
     from matcam.forward.prediction import predict
-    from matcam.material.registry import family_ndf
 
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
@@ -159,10 +159,10 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
     import numpy as np
 
     from matcam.core.io import write_columns
+    from matcam.core.registry import family_ndf
     from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
     from matcam.forward.prediction import predict
-    from matcam.material.registry import family_ndf
 
     with show.working("drawing the plane"):
         data = predict(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)

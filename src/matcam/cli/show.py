@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from matcam.core.json import plain
+from matcam.core.io import plain
 
 _SECONDS = 30.0
 

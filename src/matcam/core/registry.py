@@ -1,4 +1,4 @@
-"""Things that users choose by name: the one list of each kind.
+"""Things that users choose by name - lenses, pixels, families of lobes, masking models, Fresnel terms: the one list of each.
 
 A registry knows names at once and imports what they stand for when it is first asked for, so that the command line can
 list its choices without loading JAX.
@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
+
+from matcam.core.errors import ArgumentError, unknown_name
 
 T = TypeVar("T")
 
@@ -42,3 +44,92 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def __repr__(self) -> str:
         return f"Registry({', '.join(self.homes)})"
+
+
+_OPTICS = "matcam.camera.optics"
+
+LENSES: Registry[Any] = Registry(
+    {
+        "gaussian": f"{_OPTICS}.gaussian:GaussianOptics",
+        "diffraction": f"{_OPTICS}.pupil:DiffractionOptics",
+        "defocus": f"{_OPTICS}.pupil:DefocusOptics",
+        "measured": f"{_OPTICS}.measured:MeasuredOptics",
+        "halo": f"{_OPTICS}.halo:HaloOptics",
+    }
+)
+"""Every lens; `calibrate` and camera profiles take any of them."""
+
+PARAMETRIC_LENSES = LENSES.subset(lambda name: name != "measured")
+"""Lenses of a few parameters, which can be fitted to a single edge."""
+
+PIXELS: Registry[Any] = Registry(
+    {
+        "box": "matcam.camera.pixel:BoxPixel",
+        "windowed gaussian": "matcam.camera.pixel:WindowedGaussianPixel",
+    }
+)
+"""Every pixel response."""
+
+CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")
+"""Bayer mosaics: the colours of the upper left 2 x 2 pixels, row by row."""
+
+
+_MATERIAL = "matcam.material"
+
+FAMILIES: Registry[Any] = Registry(
+    {
+        "gaussian": f"{_MATERIAL}.ndf.gaussian_lobe:GaussianNDF",
+        "ggx": f"{_MATERIAL}.ndf.ggx:GGX",
+        "beckmann": f"{_MATERIAL}.ndf.beckmann:Beckmann",
+        "epd": f"{_MATERIAL}.ndf.power_lobes:EPD",
+        "sgd": f"{_MATERIAL}.ndf.power_lobes:SGD",
+    }
+)
+"""Isotropic normal distribution functions."""
+
+WITH_POWER = FAMILIES.subset(lambda name: name in ("epd", "sgd"))
+"""Families of a roughness and a power."""
+
+ONE_WIDTH = FAMILIES.subset(lambda name: name not in WITH_POWER)
+"""Families of a roughness alone, whose record by a camera has a closed form in the tangent plane."""
+
+MASKING_MODELS: Registry[Any] = Registry(
+    {
+        "smith": f"{_MATERIAL}.masking:height_correlated",
+        "smith-separable": f"{_MATERIAL}.masking:separable",
+        "van-ginneken": f"{_MATERIAL}.masking:azimuth_correlated",
+    }
+)
+"""Joint masking of light and view; instead of a name, None leaves masking out."""
+
+FRESNEL_MODELS: Registry[Any] = Registry(
+    {
+        "conductor": f"{_MATERIAL}.reflectance:Conductor",
+        "schlick": f"{_MATERIAL}.reflectance:Schlick",
+        "dielectric": f"{_MATERIAL}.reflectance:Dielectric",
+        "free": f"{_MATERIAL}.reflectance:Sampled",
+    }
+)
+"""Fresnel terms that a fit can estimate; "free" is one value for each theta_d."""
+
+
+def family_ndf(family: str, roughness: Any, power: Any = None) -> Any:
+    """Return the NDF of a family.
+
+    Args:
+        family: one of `FAMILIES`.
+        roughness: its first parameter (a slope; rad for "gaussian").
+        power: the second, for `WITH_POWER` and only there.
+
+    Raises:
+        ArgumentError: the family is unknown, or its power is missing or does not belong there.
+    """
+    if family in ONE_WIDTH:
+        if power is not None:
+            raise ArgumentError(f"power belongs to {' and '.join(WITH_POWER)}, not to {family}, got {power}")
+        return FAMILIES[family](roughness)
+    if family not in WITH_POWER:
+        raise unknown_name("family of lobes", family, FAMILIES)
+    if power is None:
+        raise ArgumentError(f"power must be given for {family}")
+    return FAMILIES[family](roughness, power)

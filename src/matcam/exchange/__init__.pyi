@@ -1,7 +1,7 @@
+from .inspection import LobeWidths, camera_trace, lobe_widths
 from .parameterisation import adaptive_grid
 from .receiver import metadata, solid_angles
 from .renderers import mitsuba_material, pbrt_material, rendered_sphere
-from .trace import LobeWidths, camera_trace, lobe_widths
 
 __all__ = [
     "LobeWidths",

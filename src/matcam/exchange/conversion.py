@@ -13,8 +13,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
-from matcam.core.io import check_output
-from matcam.core.json import write_json
+from matcam.core.io import check_output, write_json
 from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.parameterisation import SQUARE, adaptive_grid

@@ -29,7 +29,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.json import checked_version, first_problem, read_json, write_json
+from matcam.core.io import checked_version, first_problem, read_json, write_json
 
 FORMAT = "matcam picture sidecar"
 VERSION = 1

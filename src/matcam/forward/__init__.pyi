@@ -1,6 +1,5 @@
 from .image import picture_values
-from .measurement import table_values, true_table
-from .noisy_table import with_pixel_noise
+from .measurement import table_values, true_table, with_pixel_noise
 from .stamps import Highlights, highlight_stamps
 from .texture import texture_contrast, textured_picture
 

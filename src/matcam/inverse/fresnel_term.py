@@ -13,10 +13,11 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
 from matcam.core.jax import jnp
+from matcam.core.registry import FAMILIES
 from matcam.core.remark import to_attribute
 from matcam.core.workspace import Workspace
 from matcam.forward.peaks.peak import peak_response
-from matcam.inverse.correction.shape_correction import shape_correction
+from matcam.inverse.correction.doubts import shape_correction
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
@@ -25,7 +26,6 @@ from matcam.material.metals import metal as metal_index
 from matcam.material.metals import metals
 from matcam.material.ndf.distribution import NDF
 from matcam.material.reflectance import fresnel_conductor
-from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05

@@ -14,13 +14,13 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
 from matcam.core.jax import jnp
+from matcam.core.registry import ONE_WIDTH
 from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, prior_axis
-from matcam.material.registry import ONE_WIDTH
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere

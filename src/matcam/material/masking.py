@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.material.registry import MASKING_MODELS
-from matcam.numerics.interpolate import lagrange_basis
+from matcam.core.registry import MASKING_MODELS
+from matcam.numerics.approximation import lagrange_basis
 
 Masking = str | None
 """Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""

@@ -20,11 +20,11 @@ from matcam.calibration.photograph.linear_image import CHANNELS, LinearImage, as
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
-from matcam.camera.registry import LENSES
 from matcam.camera.uncertainty import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
-from matcam.core.json import plain
+from matcam.core.io import plain
+from matcam.core.registry import LENSES
 from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph, open_photograph
 

@@ -18,10 +18,10 @@ from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
-from matcam.camera.registry import PARAMETRIC_LENSES
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax
+from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 

@@ -23,8 +23,8 @@ from matcam.calibration.edge.parametric_result import (
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.edge.rows import RegionFrame
 from matcam.core import checks
+from matcam.core.io import plain
 from matcam.core.jax import AnyArray, jax
-from matcam.core.json import plain
 from matcam.core.remark import Remark
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from matcam.calibration.edge.profiles import LensModel
 from matcam.camera.camera import Camera
 from matcam.camera.pixel import BoxPixel
 from matcam.camera.uncertainty import Provenance, Uncertainty
+from matcam.core.io import plain
 from matcam.core.jax import AnyArray, jnp
-from matcam.core.json import plain
 
 _WRONG = 1e-3  # probability below which a model is called wrong
 

@@ -22,8 +22,8 @@ from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels,
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
+from matcam.core.io import plain
 from matcam.core.jax import FloatArray
-from matcam.core.json import plain
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 1.1  # cycles/px: harmonics beyond are taken for gone

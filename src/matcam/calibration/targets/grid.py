@@ -22,8 +22,8 @@ from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattic
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
+from matcam.core.io import plain
 from matcam.core.jax import FloatArray
-from matcam.core.json import plain
 from matcam.files.photographs import Photograph
 
 _REACH = 8  # px around a dot

@@ -9,7 +9,7 @@ import numpy as np
 
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import ArgumentError
-from matcam.core.json import plain
+from matcam.core.io import plain
 
 KINDS = ("edge", "grating", "star", "dots")
 

@@ -24,8 +24,8 @@ from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels,
 from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
 from matcam.core import checks
 from matcam.core.errors import FitError
+from matcam.core.io import plain
 from matcam.core.jax import FloatArray
-from matcam.core.json import plain
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 0.75  # cycles/px: beyond, cameras leave nothing to fit

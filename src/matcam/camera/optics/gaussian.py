@@ -16,8 +16,7 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.fourier import Rule, piecewise_rule
-from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.optics import Optics, Rule, piecewise_rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp

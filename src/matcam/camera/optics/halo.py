@@ -8,9 +8,8 @@ from typing import ClassVar
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.fourier import Rule
 from matcam.camera.optics.gaussian import GaussianOptics
-from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.optics import Optics, Rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp

@@ -10,8 +10,7 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.fourier import Rule, split_rule
-from matcam.camera.optics.optics import Optics, lsf_by_quadrature, psf_by_quadrature
+from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, psf_by_quadrature, split_rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp

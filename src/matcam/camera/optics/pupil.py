@@ -12,8 +12,7 @@ from typing import ClassVar
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.fourier import Rule, piecewise_rule, reach_of
-from matcam.camera.optics.optics import Optics, lsf_by_quadrature, psf_by_quadrature
+from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, piecewise_rule, psf_by_quadrature, reach_of
 from matcam.core import checks
 from matcam.core.jax import is_concrete, jax, jnp
 

@@ -27,7 +27,7 @@ from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, shading
 from matcam.forward.integral.blur import BlurTerms
 from matcam.material.material import Material
-from matcam.numerics.quadrature import graded_nodes, nodes_in_panels
+from matcam.numerics.approximation import graded_nodes, nodes_in_panels
 from matcam.sample.shape import Curved, Element
 
 # Orders of the Gauss-Legendre panels about a pixel, and their cuts about a squeezed lobe, in the lobe's width there

@@ -15,7 +15,7 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
 from matcam.forward.integral.integrals import highlight_x
-from matcam.numerics.interpolate import POINTS
+from matcam.numerics.approximation import POINTS
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))

@@ -26,7 +26,7 @@ from matcam.forward.integral.integrals import (
 )
 from matcam.forward.integral.plan import IntegrationPlan, PlanPart, RecordPlaces
 from matcam.material.material import Material
-from matcam.numerics.interpolate import POINTS, interpolated, lagrange_basis
+from matcam.numerics.approximation import POINTS, interpolated, lagrange_basis
 
 _GRADED, _ORDER = 6, 6
 _THREE_LAMPS = np.array([-1.0, 0.0, 1.0])

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import equinox as eqx
 
 from matcam.camera.camera import Camera
-from matcam.camera.optics.fourier import Rule
 from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.optics.optics import Rule
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.material.ndf.distribution import MixtureNDF
 from matcam.rigs import Rig

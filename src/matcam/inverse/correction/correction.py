@@ -13,16 +13,15 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import FitError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
+from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.inverse.correction.doubts import Doubt, rig_doubts
+from matcam.inverse.correction.doubts import Doubt, ShapeCorrection, no_correction, rig_doubts, shape_correction
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, LobeRatio, lobe_ratio, seen_cells
-from matcam.inverse.correction.shape_correction import ShapeCorrection, no_correction, shape_correction
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig, sphere_radius
 from matcam.material.masking import MASKINGS, Masking
-from matcam.material.registry import FAMILIES
 from matcam.rigs import Rig
 
 SUPPORTED = 0.05

@@ -1,7 +1,13 @@
-"""Doubts about the rig: the fit again, with a parameter of the rig free that the user took for certain.
+"""Doubts about a fit: a parameter of the rig that may be wrong, and a lobe that its family does not describe.
 
-If rig and data agree, nothing changes. If not, something is wrong: lens, lamp or family. It need not be the parameter that was
-left free. What the correction would have been with it counts as uncertainty, several times over.
+The rig: the fit is made again with a parameter free that the user took for certain. If rig and data agree, nothing changes. If
+not, something is wrong: lens, lamp or family. It need not be the parameter that was left free. What the correction would have
+been with it counts as uncertainty, several times over.
+
+The lobe: the record is linear in D. So after a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is one linear least-squares
+problem (docs/model.md 8). It is solved together with small changes of the fit's own parameters, strengths free in every slice. How
+much the b_k may vary is learnt from the data, by the evidence of the linear model. Where the family explains the data they stay
+close to 0 and cost nothing. Where not, what the pixels cannot resolve of them becomes uncertainty.
 """
 
 from __future__ import annotations
@@ -11,11 +17,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from matcam.camera.sensor import PixelNoise
 from matcam.camera.uncertainty import Uncertainty
+from matcam.core.jax import jax, jnp
 from matcam.core.remark import Remark
+from matcam.inverse.fit.fit_data import cell_variance, estimate_noise, huber_weights, standardised_residual, whitening
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.fit.fit_readings import LinearisedFit
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis
+from matcam.material.ndf.free_lobe import KNOTS, bend_basis
+from matcam.numerics.approximation import smoothness
+from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
 CONTRADICTION_WEIGHT = 3.0
@@ -94,3 +109,117 @@ def _doubt(fit: MaterialFit, name: str, rig: Rig) -> Doubt:
         variance += (axis.base * stated / (axis.base**2 + axis.softening**2)) ** 2
     contradicts = abs(coordinate) > max(_SIGNIFICANT * np.sqrt(variance), _LEAST)
     return Doubt(axis, coordinate, fit.params[name], fit.std[name], bool(contradicts), fit)
+
+
+FAMILY_FAILS = 0.05
+"""Scale of a shape's correction beyond which its family does not explain the data."""
+
+_SCALES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+_ROUNDS = 3
+_LEAST_CHANGE = -0.999
+"""Smallest b_k: a lobe stays positive."""
+
+
+class ShapeCorrection(NamedTuple):
+    """Hold 1 + sum b_k B_k, the factor of a lobe, and what is known of it.
+
+    Attributes:
+        b: (KNOTS,), coefficients of the splines.
+        covariance: of (lobe, rig, b), the first two in the fit's coordinates.
+        scale: standard deviation of the second differences of b that the data ask for.
+        noise: as estimated with the correction made, or as given.
+        improvement: by how much the sum of squared residuals falls.
+    """
+
+    b: np.ndarray
+    covariance: np.ndarray
+    scale: float
+    noise: PixelNoise
+    improvement: float
+
+    @property
+    def family_fails(self) -> bool:
+        """Say whether the lobe's family does not explain the data."""
+        return self.scale > FAMILY_FAILS
+
+    def remark(self, family: str) -> Remark:
+        """Say what a reader should know of a family that does not explain the data."""
+        return Remark(
+            "family-fails",
+            f"no {family} lobe explains the data: its shape was bent (scale {self.scale:g}), and what the pixels do "
+            "not resolve of that shape counts as uncertainty",
+        )
+
+
+@eqx.filter_jit
+def shape_records(
+    operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Return the record of a lobe and what each B_k adds to it: (slices, cells) and (k, slices, cells)."""
+    ndf = kind.ndf(q)
+    slope2 = jnp.tan(jnp.minimum(operator.theta, 1.57)) ** 2
+    factors = jnp.stack(bend_basis(slope2))
+    return operator.record(ndf, kind.masking, shifts), operator.records(ndf, kind.masking, shifts, factors)
+
+
+def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorrection:
+    """Return the likeliest correction of a fit with free strengths and one lobe. noise: None: estimated anew."""
+    linear = found.linearised()
+    solution, at = linear.solution, linear.coordinates
+    data, model = solution.problem.data, solution.model
+    columns = _columns(linear)
+    count, shapes = len(columns), slice(len(linear.by_coordinates), len(linear.by_coordinates) + KNOTS)
+    rig = slice(len(at.lobe), len(linear.by_coordinates))
+    differences = smoothness(KNOTS)
+    assumed = solution.noise
+    result = np.zeros(count)
+    scale, covariance, before, after = _SCALES[0], np.zeros((count, count)), 1.0, 1.0
+    for _ in range(_ROUNDS):
+        value = np.maximum(model.value + np.tensordot(result, columns, 1), 1e-3 * model.value)
+        rest = linear.residual - np.tensordot(result, columns, 1)
+        if noise is None:
+            assumed = estimate_noise(data, np.where(data.used, rest, 0), value, count, assumed)
+        robust = huber_weights(standardised_residual(data, rest, value, assumed, np.inf))
+        white = whitening(data, robust / cell_variance(data, value, assumed), model.lobe, np.inf)
+        flat, target = white(columns).reshape(count, -1), white(linear.residual).ravel()
+        information, right = flat @ flat.T, flat @ target
+        information[rig, rig] += linear.rig_information
+        scale = max(_SCALES, key=lambda one: _evidence(information, right, shapes, differences / one))
+        penalty = np.zeros((count, count))
+        penalty[shapes, shapes] = differences.T @ differences / scale**2
+        covariance = scaled_inverse(information + penalty)
+        result = covariance @ right
+        before, after = float(target @ target), float(((target - result @ flat) ** 2).sum())
+    b = np.maximum(result[shapes], _LEAST_CHANGE)
+    inner = np.r_[0 : shapes.stop]
+    return ShapeCorrection(b, covariance[np.ix_(inner, inner)], scale, assumed, before - after)
+
+
+def no_correction(found: MaterialFit, scale: float) -> ShapeCorrection:
+    """Return no correction of a fit whose lobe is bent already: its own covariance, no b.
+
+    scale: the scale that its family had asked for.
+    """
+    covariance = found.coordinates.covariance
+    padded = np.pad(covariance, (0, KNOTS))
+    return ShapeCorrection(np.zeros(KNOTS), padded, scale, found.noise, 0.0)
+
+
+def _columns(linear: LinearisedFit) -> np.ndarray:
+    """Return the derivatives of the model by lobe, rig, b and the units' parameters."""
+    at, solution = linear.coordinates, linear.solution
+    _, added = shape_records(solution.problem.operator, at.kind, jnp.asarray(at.lobe), jnp.asarray(at.rig))
+    by_shape = np.nan_to_num(solution.model.strength)[None, :, :, None] * np.asarray(added)[:, None]
+    return np.concatenate([linear.by_coordinates, by_shape, linear.by_units])
+
+
+def _evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: np.ndarray) -> float:
+    """Return the logarithm of the evidence for a scale, up to a constant: all but the b_k is integrated out."""
+    others = np.r_[0 : shapes.start, shapes.stop : len(right)]
+    cross = information[shapes, others]
+    inner = scaled_inverse(information[np.ix_(others, others)])
+    data = information[shapes, shapes] - cross @ inner @ cross.T
+    pull = right[shapes] - cross @ inner @ right[others]
+    prior = rows.T @ rows
+    total = data + prior
+    return 0.5 * float(pull @ scaled_inverse(total) @ pull - np.linalg.slogdet(total)[1] + np.linalg.slogdet(prior)[1])

@@ -17,8 +17,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
-from matcam.inverse.correction.doubts import Doubt
-from matcam.inverse.correction.shape_correction import ShapeCorrection, shape_records
+from matcam.inverse.correction.doubts import Doubt, ShapeCorrection, shape_records
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.material_fit import MaterialFit

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, ShadowedNDF
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
-from matcam.material.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 
 FresnelModel = str
 """Name of a Fresnel term, one of `FRESNEL_MODELS`."""

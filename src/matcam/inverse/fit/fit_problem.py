@@ -20,7 +20,7 @@ from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_re
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.numerics.interpolate import smoothness
+from matcam.numerics.approximation import smoothness
 
 
 class Prior(NamedTuple):

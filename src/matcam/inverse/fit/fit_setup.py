@@ -20,6 +20,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import checked_table, sampling_of
+from matcam.core.registry import FAMILIES, FRESNEL_MODELS
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind
@@ -30,7 +31,6 @@ from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perf
 from matcam.inverse.operator.rig_axes import LENS, free_axis, prior_axis
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
-from matcam.material.registry import FAMILIES, FRESNEL_MODELS
 from matcam.rigs import Rig
 
 CameraParameters = Literal["fixed", "prior", "free"]

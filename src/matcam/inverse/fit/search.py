@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import FitError
+from matcam.core.registry import WITH_POWER
 from matcam.inverse.fit.fit_data import (
     INITIAL_NOISE,
     cell_variance,
@@ -18,7 +19,6 @@ from matcam.inverse.fit.fit_data import (
 )
 from matcam.inverse.fit.fit_parameters import fresnel_start
 from matcam.inverse.fit.fit_problem import FitModel, FitProblem
-from matcam.material.registry import WITH_POWER
 from matcam.numerics.linalg import scaled_inverse
 
 _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))

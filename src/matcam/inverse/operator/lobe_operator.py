@@ -39,7 +39,7 @@ from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
-from matcam.numerics.interpolate import lagrange_basis
+from matcam.numerics.approximation import lagrange_basis
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Blur
-from matcam.numerics.interpolate import lagrange_basis
+from matcam.numerics.approximation import lagrange_basis
 
 _NODES = np.polynomial.legendre.leggauss(40)
 _BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - _NODES[0] ** 2) * _NODES[1])

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import NDF, SlopeNDF
-from matcam.numerics.interpolate import combined, cubic_basis
+from matcam.numerics.approximation import combined, cubic_basis
 
 KNOTS = 12
 """Parameters of a bend."""
