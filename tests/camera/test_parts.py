@@ -83,7 +83,7 @@ def test_measured_mtf_is_an_error_beyond_its_end_unless_it_has_reached_zero():
     ids=lambda part: type(part).__name__,
 )
 def test_repr_rebuilds_the_object(part):
-    names = {name: getattr(matcam, name) for name in matcam.__all__}
+    names = {name: getattr(space, name) for space in (matcam, matcam.camera) for name in space.__all__}
     assert repr(eval(repr(part), names)) == repr(part)
 
 
