@@ -99,7 +99,7 @@ def test_seeds_decide():
 
 def test_refusals():
     table = recorded(0.05)
-    with pytest.raises(ArgumentError, match="recorded from a Sphere, this rig has a Cylinder"):
+    with pytest.raises(ArgumentError, match="needs a rig with a Sphere, this one has a Cylinder"):
         with_pixel_noise(table, Rig(rigs.merl().camera, Cylinder(10)), PixelNoise(), 1)
     with pytest.raises(ArgumentError, match="must be 'centre' or 'edge', got 'center'"):
         with_pixel_noise(table.assign_attrs(sampling="center"), rigs.merl(), PixelNoise(), 1)
