@@ -25,15 +25,13 @@ from .inverse.rival_fits import rivals
 from .material.metals import metal
 from .material.microfacet import Microfacet
 from .material.ndf.beckmann import Beckmann
-from .material.ndf.epd import EPD
 from .material.ndf.gaussian_lobe import GaussianNDF
 from .material.ndf.ggx import GGX
-from .material.ndf.sgd import SGD
+from .material.ndf.power_lobes import EPD, SGD
 from .material.reflectance import Conductor, Dielectric, Schlick, fresnel_conductor
 from .rigs import Rig
-from .sample.cylinder import Cylinder
+from .sample.curved import Cylinder, Sphere
 from .sample.shape import Flat
-from .sample.sphere import Sphere
 
 __all__ = [
     "EPD",

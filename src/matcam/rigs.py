@@ -15,8 +15,8 @@ from matcam.camera.uncertainty import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
-from matcam.sample.sphere import Sphere
 
 CellValue = Literal["centre", "edge", "mean"]
 CELL_VALUES: tuple[CellValue, ...] = get_args(CellValue)

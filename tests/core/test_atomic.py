@@ -50,7 +50,7 @@ def test_full_disk_is_said_in_one_line(tmp_path):
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
-        "from matcam.atomic import replacing\nfrom matcam.errors import OutputError\n"
+        "from matcam.core.io import replacing\nfrom matcam.core.errors import OutputError\n"
         "try:\n  with replacing(sys.argv[1]) as t: t.write_bytes(bytes(5000))\n"
         "except OutputError as e: print(e)"
     )

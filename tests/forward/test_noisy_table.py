@@ -108,4 +108,4 @@ def test_refusals():
         true_table(Microfacet(GGX(0.1), 1.0), sampling="center")
     for noise in (PixelNoise(-0.1, 0), PixelNoise(0, 0), PixelNoise(float("nan"), 0)):
         with pytest.raises(ArgumentError, match="noise"):
-            noise.checked()
+            noise.check()

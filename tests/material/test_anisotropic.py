@@ -7,7 +7,7 @@ from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF, Microfacet
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.material import AnisotropicBeckmann, AnisotropicGGX
-from matcam.material.material import seen_at
+from matcam.material.material import shading_at
 
 RANDOM = np.random.default_rng(3)
 ANGLES = (
@@ -70,7 +70,7 @@ def test_a_view_sees_as_many_facets_as_the_flat_surface(ndf, theta, azimuth):
     assert (p22.sum() * measure) == pytest.approx(1, abs=2e-5)
     seen = np.sum(p22 * np.maximum(facing, 0)) * measure
     # light mirrored about the normal: half vector along it, its azimuth by definition 0
-    _, lambda_o = ndf.lambdas(seen_at(0.0, theta, azimuth + np.pi))
+    _, lambda_o = ndf.lambdas(shading_at(0.0, theta, azimuth + np.pi))
     assert (1 + float(lambda_o)) * np.cos(theta) == pytest.approx(seen, rel=1e-3 if "GGX" in repr(ndf) else 1e-4)
 
 

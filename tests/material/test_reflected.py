@@ -10,7 +10,7 @@ from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, shading
 from matcam.material import AnisotropicBeckmann
 from matcam.material.masking import MASKINGS
-from matcam.material.material import seen_at
+from matcam.material.material import shading_at
 
 RANDOM = np.random.default_rng(11)
 ANGLES = RANDOM.uniform(0, 1.57, 200), RANDOM.uniform(0, 1.57, 200), RANDOM.uniform(0, 6.28, 200)
@@ -21,7 +21,7 @@ def test_reflected_is_the_brdf_times_the_cosines_and_0_below(masking):
     material = Microfacet(GGX(0.3), Conductor([0.2, 1.0], 3.0), diffuse=0.2, masking=masking)
     cos_i, cos_o = cosines(*ANGLES)
     above = np.minimum(cos_i, cos_o) > 0
-    reflected = np.asarray(material.reflected(seen_at(*ANGLES)))
+    reflected = np.asarray(material.reflected(shading_at(*ANGLES)))
     assert reflected.shape == (200, 2)
     np.testing.assert_array_equal(reflected[~above], 0)
     brdf = np.asarray(material.brdf(*ANGLES))
@@ -76,9 +76,9 @@ def test_derivatives_are_finite_wherever_light_and_view_may_be(ndf, masking):
 def test_a_single_theta_d_serves_many_normals():
     """Fresnel's term is evaluated on theta_d's own shape, and broadcasts."""
     material = Microfacet(GGX(0.3), Conductor([0.2, 1.0], 3.0), diffuse=[0.1, 0.2])
-    one = seen_at(ANGLES[0], 0.7, ANGLES[2])
+    one = shading_at(ANGLES[0], 0.7, ANGLES[2])
     assert one.theta_d.shape == ()
-    many = seen_at(ANGLES[0], np.full(200, 0.7), ANGLES[2])
+    many = shading_at(ANGLES[0], np.full(200, 0.7), ANGLES[2])
     np.testing.assert_array_equal(material.reflected(one), material.reflected(many))
 
 
@@ -90,7 +90,7 @@ def test_a_single_theta_d_serves_many_normals():
 def test_derivatives_through_the_table_of_lambda(ndf):
     """By the NDF's parameters, against central differences of the integral itself."""
     angles = np.random.default_rng(4).uniform(0, [[1.3], [1.3], [6.3]], (3, 3000))
-    seen = seen_at(*angles)
+    seen = shading_at(*angles)
     assert seen.cos_i.size > 2048
     leaves, rest = jax.tree.flatten(ndf)
 

@@ -10,7 +10,7 @@ from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, cosines, mer
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 from matcam.material import Tabulated
-from matcam.material.material import seen_at
+from matcam.material.material import shading_at
 
 SMOOTH = Microfacet(GGX(0.4), Conductor([0.2, 1.0, 2.0], 3.0), diffuse=0.1)
 
@@ -132,7 +132,7 @@ def test_reflected_is_0_below_the_horizon_and_differentiable(noise):
     assert np.all(reflected[[0, 3]] > 0)
     slopes = jax.grad(lambda seen: jnp.sum(material.reflected(seen)))(seen)
     assert all(np.all(np.isfinite(s)) for s in slopes)
-    one_theta_d = seen_at(np.linspace(0, 1, 7), 0.4, 0.2)
+    one_theta_d = shading_at(np.linspace(0, 1, 7), 0.4, 0.2)
     assert material.reflected(one_theta_d).shape == (7, 3)
 
 

@@ -31,10 +31,9 @@ class RadianceEstimate(NamedTuple):
         saturated: True where every picture is saturated, same shape.
 
     Example:
-        >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
-        >>> found = matcam.camera.merge_bracket(sensor, np.full((1, 1, 2), 20_000.0), [500.0])
-        >>> found.saturated.tolist()
-        [[True, True]]
+        >>> pixel = matcam.camera.RadianceEstimate(np.array([[1.0]]), np.array([[0.02]]), np.array([[False]]))
+        >>> float(pixel.std[0, 0])
+        0.02
     """
 
     radiance: jax.Array
@@ -70,7 +69,7 @@ def expose_bracket(
         >>> matcam.camera.expose_bracket(sensor, np.ones((2, 3)), [100.0, 1000.0], seed=1).shape
         (2, 2, 3)
     """
-    exposures, times = _checked(exposures, times)
+    exposures, times = _exposures_and_times(exposures, times)
     pairs = zip(jax.random.split(random_key(seed), len(exposures)), exposures, times, strict=True)
     return jnp.stack([sensor.expose(radiance, exposure, one, time) for one, exposure, time in pairs])
 
@@ -104,7 +103,7 @@ def merge_bracket(
         >>> round(float(matcam.camera.merge_bracket(sensor, pictures, [500.0, 5000.0]).radiance[0, 0]), 6)
         1.0
     """
-    exposures, times = _checked(exposures, times)
+    exposures, times = _exposures_and_times(exposures, times)
     pictures = jnp.asarray(pictures, dtype=jnp.float64)
     if pictures.shape[:1] != (len(exposures),) or pictures.ndim not in (3, 4):
         raise ArgumentError(
@@ -143,13 +142,15 @@ def _nan_where_zero(total: jax.Array) -> jax.Array:
     return jnp.where(total > 0, total, jnp.nan)
 
 
-def _checked(exposures: Sequence[float], times: Sequence[float] | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _exposures_and_times(
+    exposures: Sequence[float], times: Sequence[float] | None
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     positive = checks.positive("exposures", jnp.atleast_1d(jnp.asarray(exposures)), "e- per unit of radiance")
     if positive.ndim != 1 or positive.size == 0:
         raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
-    exposed = tuple(positive.tolist())
-    lasted = (0.0,) * len(exposed) if times is None else tuple(float(t) for t in times)
-    if len(lasted) != len(exposed):
-        raise ArgumentError(f"times must be as many as exposures ({len(exposed)}), got {len(lasted)}")
-    checks.within("times", jnp.asarray(lasted), 0, float("inf"), "s", open_high=True)
-    return exposed, lasted
+    strengths = tuple(positive.tolist())
+    durations = (0.0,) * len(strengths) if times is None else tuple(float(t) for t in times)
+    if len(durations) != len(strengths):
+        raise ArgumentError(f"times must be as many as exposures ({len(strengths)}), got {len(durations)}")
+    checks.within("times", jnp.asarray(durations), 0, float("inf"), "s", open_high=True)
+    return strengths, durations

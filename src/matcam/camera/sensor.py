@@ -44,7 +44,7 @@ class PixelNoise(NamedTuple):
             `Sensor.gain`.)
 
     Example:
-        >>> matcam.camera.PixelNoise(relative=0.02).checked()
+        >>> matcam.camera.PixelNoise(relative=0.02).check()
         PixelNoise(relative=0.02, floor=0.0001, picture_gain=0.0)
     """
 
@@ -52,7 +52,7 @@ class PixelNoise(NamedTuple):
     floor: float = 1e-4
     picture_gain: float = 0.0
 
-    def checked(self) -> PixelNoise:
+    def check(self) -> PixelNoise:
         """Return the noise itself if it is possible.
 
         Raises:

@@ -134,9 +134,8 @@ def rig_of(
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
     from matcam.core import checks
-    from matcam.sample.cylinder import Cylinder
+    from matcam.sample.curved import Cylinder, Sphere
     from matcam.sample.shape import Flat, Sample
-    from matcam.sample.sphere import Sphere
 
     merl = rigs.merl()
     chosen = merl.camera if camera is None else Camera.load(camera)

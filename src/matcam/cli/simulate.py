@@ -127,7 +127,7 @@ def command(
 def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:
     """Read the material of a MERL file, and describe it."""
     from matcam.files.merl import read_merl
-    from matcam.material.tabulated import Tabulated
+    from matcam.material.measured import Tabulated
 
     return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
 

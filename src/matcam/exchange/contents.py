@@ -19,9 +19,8 @@ from matcam.core.io import check_output
 from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
 from matcam.files.rgl import check_fields
 from matcam.files.samples import samples_of, table_of
-from matcam.material.adaptive import Adaptive
 from matcam.material.material import Material
-from matcam.material.tabulated import Tabulated
+from matcam.material.measured import Adaptive, Tabulated
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ from matcam.exchange.parameterisation import SQUARE, adaptive_grid
 from matcam.files.formats import Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
-from matcam.material.adaptive import Adaptive
 from matcam.material.material import Material
-from matcam.material.tabulated import Tabulated
+from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 

@@ -16,9 +16,8 @@ from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, merl_grid, sam
 from matcam.exchange.contents import Contents
 from matcam.exchange.trace import camera_trace, lobe_widths
 from matcam.forward.measurement import true_table
-from matcam.material.adaptive import Adaptive
 from matcam.material.material import albedo
-from matcam.material.tabulated import Tabulated
+from matcam.material.measured import Adaptive, Tabulated
 
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 """Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""

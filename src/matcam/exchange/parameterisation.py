@@ -20,8 +20,8 @@ import xarray as xr
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
 from matcam.core.shading import local_shading, vector
-from matcam.material.adaptive import Adaptive, Warp
 from matcam.material.material import Material
+from matcam.material.measured import Adaptive, Warp
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import NDF
 

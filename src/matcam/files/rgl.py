@@ -18,7 +18,7 @@ Fields of a BRDF, with P azimuths and T angles of the light, rows along azimuth 
     description                   u8   text
 
 Directions on a unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, u along the columns. Other fields ("version", "valid")
-are kept as they are. What the fields mean together: `material/adaptive.py`.
+are kept as they are. What the fields mean together: `material/measured.py`.
 """
 
 from __future__ import annotations

@@ -20,9 +20,9 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
+from matcam.forward.integral.integrals import Scene, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
-from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.shape import Curved

@@ -29,8 +29,8 @@ from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integrat
 from matcam.forward.integral.recording import record
 from matcam.material.material import Material
 from matcam.rigs import CellValue, Rig, merl
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Flat
-from matcam.sample.sphere import Sphere
 
 _POINTS: dict[CellValue, tuple[float, ...]] = {
     "centre": (0.5,),

@@ -23,8 +23,8 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.reflectance import Conductor
 from matcam.rigs import Rig, merl
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Place
-from matcam.sample.sphere import Sphere
 
 PICTURE_STRIDE = 1 << 13
 """Pixels per picture row in a pixel's number; a picture is never that wide."""
@@ -61,7 +61,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         >>> bool(abs(noisy / table - 1).mean() < 0.01)
         True
     """
-    noise.checked()
+    noise.check()
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)

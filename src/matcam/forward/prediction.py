@@ -20,7 +20,7 @@ from matcam.forward.peaks.peak import peak_response
 from matcam.material.material import Material
 from matcam.material.ndf.distribution import NDF
 from matcam.rigs import Rig
-from matcam.sample.sphere import Sphere
+from matcam.sample.curved import Sphere
 
 LOSS = 0.05
 """Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""

@@ -23,7 +23,7 @@ from matcam.inverse.operator.rig_axes import LENS, prior_axis
 from matcam.material.registry import ONE_WIDTH
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
-from matcam.sample.sphere import Sphere
+from matcam.sample.curved import Sphere
 
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """Roughnesses that are judged where the user names none."""
@@ -97,7 +97,7 @@ def limits(
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
-    view = _View(rig, ndf, (noise or PixelNoise(picture_gain=0.01)).checked(), every, workspace)
+    view = _View(rig, ndf, (noise or PixelNoise(picture_gain=0.01)).check(), every, workspace)
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]

@@ -20,16 +20,16 @@ class Material(eqx.Module):
     """An opaque surface with a BRDF. Channels, where it has them, are the last axis of every result."""
 
     @abstractmethod
-    def reflected(self, seen: Shading) -> jax.Array:
+    def reflected(self, shading: Shading) -> jax.Array:
         """Return the BRDF times both cosines, 1/sr.
 
         It is finite up to the horizon and at it, 0 where light or view lies below, and NaN where data are missing.
 
         Args:
-            seen: light and view as the surface sees them; its arrays broadcast.
+            shading: light and view as the surface sees them; its arrays broadcast.
 
         Returns:
-            Shape of `seen`, with (channels,) behind it if the material has channels.
+            Shape of `shading`, with (channels,) behind it if the material has channels.
         """
 
     @property
@@ -56,16 +56,16 @@ class Material(eqx.Module):
         Source:
             Rusinkiewicz (1998); docs/model.md 1.
         """
-        seen = seen_at(theta_h, theta_d, phi_d, phi_h)
-        reflected = self.reflected(seen)
-        above = (seen.cos_i > 0) & (seen.cos_o > 0)
-        foreshortening = jnp.where(above, seen.cos_i * seen.cos_o, 1.0)
+        shading = shading_at(theta_h, theta_d, phi_d, phi_h)
+        reflected = self.reflected(shading)
+        above = (shading.cos_i > 0) & (shading.cos_o > 0)
+        foreshortening = jnp.where(above, shading.cos_i * shading.cos_o, 1.0)
         if reflected.ndim > above.ndim:
             above, foreshortening = above[..., None], foreshortening[..., None]
         return jnp.where(above, reflected / foreshortening, jnp.nan)
 
 
-def seen_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> Shading:
+def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> Shading:
     """Return light and view as a surface sees them at half and difference angles, rad, which broadcast."""
     theta_h, theta_d, phi_d, phi_h = (
         checks.number(name, angle)
@@ -77,20 +77,20 @@ def seen_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: Arr
     return Shading(cos_i, cos_o, along, across, theta_d, phi_d)
 
 
-def above_horizon(seen: Shading) -> tuple[Shading, jax.Array]:
-    """Return `seen` with harmless values below the horizon, and a mask of what lies above it.
+def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
+    """Return `shading` with harmless values below the horizon, and a mask of what lies above it.
 
     NaN in a branch that is not taken would still poison derivatives.
     """
-    above = (seen.cos_i > 0) & (seen.cos_o > 0)
-    cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (seen.cos_i, seen.cos_o))
-    along, across = (jnp.where(above, s, 0.0) for s in (seen.slope_along, seen.slope_across))
-    return seen._replace(cos_i=cos_i, cos_o=cos_o, slope_along=along, slope_across=across), above
+    above = (shading.cos_i > 0) & (shading.cos_o > 0)
+    cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (shading.cos_i, shading.cos_o))
+    along, across = (jnp.where(above, s, 0.0) for s in (shading.slope_along, shading.slope_across))
+    return shading._replace(cos_i=cos_i, cos_o=cos_o, slope_along=along, slope_across=across), above
 
 
-def theta_h_of(seen: Shading) -> jax.Array:
+def theta_h_of(shading: Shading) -> jax.Array:
     """Return the half vector's angle to the normal, rad."""
-    slope2 = seen.slope_along**2 + seen.slope_across**2
+    slope2 = shading.slope_along**2 + shading.slope_across**2
     mirror = slope2 == 0  # the root's slope is infinite there
     return jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))
 
@@ -126,7 +126,7 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     theta_h = u**2 * np.pi / 2
     half = np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h) + 0 * phi
     solid = np.sin(theta_h) * np.pi * u / _NODES * 2 * np.pi / _AZIMUTHS
-    found = []
+    albedos = []
     for angle in angles:
         view = np.sin(angle), 0.0, np.cos(angle)
         towards = half[0] * view[0] + half[2] * view[2]
@@ -134,5 +134,5 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
         reflected = material.reflected(local_shading(light, vector(*view)))
         values = np.asarray(reflected).reshape(_NODES, _AZIMUTHS, -1)
         weight = np.where(towards > 0, 4 * towards * solid, 0.0) / view[2]
-        found.append(np.nansum(values * weight[..., None], axis=(0, 1)))
-    return np.stack(found)
+        albedos.append(np.nansum(values * weight[..., None], axis=(0, 1)))
+    return np.stack(albedos)

@@ -61,17 +61,17 @@ class Microfacet(Material):
         self.masking = checks.choice("masking", masking, MASKINGS)
 
     @eqx.filter_jit
-    def reflected(self, seen: Shading) -> jax.Array:
+    def reflected(self, shading: Shading) -> jax.Array:
         """Return the BRDF times both cosines, 1/sr.
 
         F D G / 4 + diffuse cos_i cos_o / pi.
         """
-        seen, above = above_horizon(seen)
-        lambert = jnp.where(above, seen.cos_i * seen.cos_o / jnp.pi, 0.0)
-        facets = jnp.where(above, self.ndf.density(seen.slope_along, seen.slope_across), 0.0)
-        facets *= (1 + seen.slope_along**2 + seen.slope_across**2) ** 2 * self._joint_masking(seen) / 4
-        reflectance = self.fresnel.at(seen.theta_d)
-        in_channels = reflectance.ndim > seen.theta_d.ndim
+        shading, above = above_horizon(shading)
+        lambert = jnp.where(above, shading.cos_i * shading.cos_o / jnp.pi, 0.0)
+        facets = jnp.where(above, self.ndf.density(shading.slope_along, shading.slope_across), 0.0)
+        facets *= (1 + shading.slope_along**2 + shading.slope_across**2) ** 2 * self._joint_masking(shading) / 4
+        reflectance = self.fresnel.at(shading.theta_d)
+        in_channels = reflectance.ndim > shading.theta_d.ndim
         if in_channels or self.diffuse.ndim:
             facets, lambert = facets[..., None], lambert[..., None]
             reflectance = reflectance if in_channels else reflectance[..., None]
@@ -82,24 +82,24 @@ class Microfacet(Material):
         """Narrowest scale of the facets' slopes, about rad."""
         return self.ndf.finest
 
-    def smooth_part(self, seen: Shading) -> jax.Array:
+    def smooth_part(self, shading: Shading) -> jax.Array:
         """Return the factor of D in the BRDF.
 
         It is F G / (4 cos_i cos_o).
 
         Args:
-            seen: light and view as the surface sees them; its arrays broadcast.
+            shading: light and view as the surface sees them; its arrays broadcast.
 
         Returns:
             Shape as of `reflected`; 0 below the horizon.
         """
-        seen, above = above_horizon(seen)
-        factor = jnp.where(above, self._joint_masking(seen) / (4 * seen.cos_i * seen.cos_o), 0.0)
-        reflectance = self.fresnel.at(seen.theta_d)
-        return reflectance * (factor[..., None] if reflectance.ndim > seen.theta_d.ndim else factor)
+        shading, above = above_horizon(shading)
+        factor = jnp.where(above, self._joint_masking(shading) / (4 * shading.cos_i * shading.cos_o), 0.0)
+        reflectance = self.fresnel.at(shading.theta_d)
+        return reflectance * (factor[..., None] if reflectance.ndim > shading.theta_d.ndim else factor)
 
-    def _joint_masking(self, seen: Shading) -> jax.Array:
+    def _joint_masking(self, shading: Shading) -> jax.Array:
         if self.masking is None:
-            return jnp.ones_like(seen.cos_i * seen.cos_o)
-        azimuth = azimuth_difference(theta_h_of(seen), seen.theta_d, seen.phi_d)
-        return g2(self.masking, *self.ndf.lambdas(seen), azimuth)
+            return jnp.ones_like(shading.cos_i * shading.cos_o)
+        azimuth = azimuth_difference(theta_h_of(shading), shading.theta_d, shading.phi_d)
+        return g2(self.masking, *self.ndf.lambdas(shading), azimuth)

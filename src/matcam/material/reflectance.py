@@ -37,20 +37,20 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
         0.04
     """
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
-    return _unpolarised(theta, checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True))
+    return _mean_of_polarisations(theta, checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True))
 
 
 @jax.jit
-def _unpolarised(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
+def _mean_of_polarisations(theta: jax.Array, n: jax.Array, k: jax.Array) -> jax.Array:
     index = n + 1j * k
     cos_i, sin2 = jnp.cos(theta), jnp.sin(theta) ** 2
     inside = jnp.sqrt(index**2 - sin2)  # index times the cosine of the refracted ray
     r_s = (cos_i - inside) / (cos_i + inside)
     r_p = (index**2 * cos_i - inside) / (index**2 * cos_i + inside)
-    return (_squared(r_s) + _squared(r_p)) / 2
+    return (_modulus2(r_s) + _modulus2(r_p)) / 2
 
 
-def _squared(z: jax.Array) -> jax.Array:
+def _modulus2(z: jax.Array) -> jax.Array:
     return z.real**2 + z.imag**2
 
 

@@ -14,8 +14,8 @@ FAMILIES: Registry[Any] = Registry(
         "gaussian": f"{_MATERIAL}.ndf.gaussian_lobe:GaussianNDF",
         "ggx": f"{_MATERIAL}.ndf.ggx:GGX",
         "beckmann": f"{_MATERIAL}.ndf.beckmann:Beckmann",
-        "epd": f"{_MATERIAL}.ndf.epd:EPD",
-        "sgd": f"{_MATERIAL}.ndf.sgd:SGD",
+        "epd": f"{_MATERIAL}.ndf.power_lobes:EPD",
+        "sgd": f"{_MATERIAL}.ndf.power_lobes:SGD",
     }
 )
 """Isotropic normal distribution functions."""

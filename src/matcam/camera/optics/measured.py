@@ -62,17 +62,17 @@ class MeasuredOptics(Optics):
             raise ArgumentError("frequency must start at 0 cycles/px and increase strictly")
         self.ends_at_zero = True
         if is_concrete(values):
-            numbers = np.asarray(values)
-            if abs(numbers[0] - 1) > 1e-6:
+            samples = np.asarray(values)
+            if abs(samples[0] - 1) > 1e-6:
                 raise ArgumentError(
-                    f"mtf must be 1 at frequency 0, got {numbers[0]:g}: divide the curve by its first sample"
+                    f"mtf must be 1 at frequency 0, got {samples[0]:g}: divide the curve by its first sample"
                 )
-            largest = np.max(np.abs(numbers))
+            largest = np.max(np.abs(samples))
             if largest > 1.05:
                 raise ArgumentError(
                     f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: is the picture sharpened?"
                 )
-            self.ends_at_zero = bool(abs(numbers[-1]) <= _ZERO)
+            self.ends_at_zero = bool(abs(samples[-1]) <= _ZERO)
         self.frequency = tuple(f.tolist())
         self.values = values
 

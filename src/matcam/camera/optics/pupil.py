@@ -19,7 +19,7 @@ from matcam.core.jax import is_concrete, jax, jnp
 
 _TRACED_BAND = 8.0
 _WIDEST = 1000.0  # px
-_TRACED_CIRCLE = 256.0  # blur_diameter * cutoff that is resolved where the numbers are not known yet
+_TRACED_CIRCLE = 256.0  # blur_diameter * cutoff that is resolved for traced parameters
 _FREQUENCIES_AT_ONCE = 1024
 
 

@@ -1,8 +1,15 @@
-"""Three integrals of a record: around a highlight, inside smooth light, and where the light ends.
+"""The light of a scene, and three integrals of its record: around a highlight, inside smooth light, and where the light ends.
 
-- `record_around`: over normals about the half vector (docs/model.md 3). The nodes crowd towards the half vector on the
-  lobe's own scale, and are nowhere further apart than the kernel allows. A highlight of a thousandth of a pixel is neither
-  missed nor noisy. Nodes and kernel are products in u and v, so two matrix products give all pixels of a rectangle.
+A scene is a material on a curved sample, under a lamp (docs/model.md 3). What reaches a pixel is radiance rho cos_i, not rho.
+With dx dy = area cos_o du dv, the record is
+
+    R(x) = integral over the visible, lit surface of  k(x - x(u, v)) rho cos_i cos_o area du dv.
+
+Every cosine that could vanish has cancelled: nothing is singular at the limb.
+
+- `record_around`: over normals about the half vector. The nodes crowd towards the half vector on the lobe's own scale, and
+  are nowhere further apart than the kernel allows. A highlight of a thousandth of a pixel is neither missed nor noisy.
+  Nodes and kernel are products in u and v, so two matrix products give all pixels of a rectangle.
 - `record_inside`: a few nodes on the sensor about each pixel. The light is smooth there on the scale of the kernel.
 - `record_in_window`: over (u, v) about each pixel, along limb and terminator. What is visible and lit is one interval of u
   whose ends are known, and the light is smooth up to them.
@@ -12,13 +19,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading, shading
 from matcam.forward.integral.blur import BlurTerms
-from matcam.forward.integral.scene import Scene
+from matcam.material.material import Material
 from matcam.numerics.quadrature import graded_nodes, nodes_in_panels
+from matcam.sample.shape import Curved, Element
 
 # Orders of the Gauss-Legendre panels about a pixel, and their cuts about a squeezed lobe, in the lobe's width there
 _ORDER_V, _ORDER_V_RIDGE = 9, 7
@@ -26,6 +36,54 @@ _ORDER_U, _ORDER_U_RIDGE = 10, 6
 _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
+
+
+class Scene(eqx.Module):
+    """A material on a curved sample under a distant lamp of irradiance 1; radiance is in 1/sr.
+
+    Attributes:
+        material: the material.
+        sample: the sample.
+        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the elements asked for.
+    """
+
+    material: Material
+    sample: Curved
+    lamp_angle: jax.Array
+
+    def seen(self, element: Element) -> Shading:
+        """Return the angles under which a piece of surface sees lamp and camera."""
+        light = (jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle))
+        return shading(element.normal, element.tangent, light, element.view)
+
+    def sent(self, element: Element) -> jax.Array:
+        """Return rho cos_i cos_o area, channels last.
+
+        It is the light of a piece of surface per unit of its coordinates.
+        """
+        seen = self.seen(element)
+        light = self.material.reflected(seen)
+        if light.ndim == (seen.cos_i * seen.cos_o).ndim:
+            light = light[..., None]
+        return light * (element.area[..., None] if jnp.ndim(element.area) else element.area)
+
+    def flat_field(self, element: Element) -> jax.Array:
+        """Return the same for a surface of radiance 1 all over.
+
+        It has no channels, and light need not reach it.
+        """
+        return self.seen(element).cos_o * element.area
+
+    def channels(self) -> int:
+        """Return the count of channels."""
+        at_centre = Scene(self.material, self.sample, jnp.zeros(()))
+        return jax.eval_shape(lambda: at_centre.sent(self.sample.surface(jnp.zeros(()), jnp.zeros(())))).shape[-1]
+
+
+@jax.jit
+def highlight_x(sample: Curved, lamp_angle: jax.Array) -> jax.Array:
+    """Return the position of the highlight on the x axis, px."""
+    return sample.surface(sample.highlight(lamp_angle), jnp.zeros(())).x
 
 
 class HighlightPanels(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
-from matcam.forward.integral.scene import highlight_x
+from matcam.forward.integral.integrals import highlight_x
 from matcam.numerics.interpolate import POINTS
 from matcam.sample.shape import Curved
 

@@ -17,13 +17,14 @@ from matcam.core.jax import AnyArray, jax, jnp
 from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.integrals import (
     HighlightPanels,
+    Scene,
     WindowPanels,
+    highlight_x,
     record_around,
     record_in_window,
     record_inside,
 )
 from matcam.forward.integral.plan import IntegrationPlan, PlanPart, RecordPlaces
-from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.material.material import Material
 from matcam.numerics.interpolate import POINTS, interpolated, lagrange_basis
 

@@ -16,14 +16,13 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import BlurTerms, groups_of, imaging_of
-from matcam.forward.integral.integrals import HighlightPanels, record_around
-from matcam.forward.integral.scene import Scene, highlight_x
+from matcam.forward.integral.integrals import HighlightPanels, Scene, highlight_x, record_around
 from matcam.forward.peaks.peak_tables import tabulated_peak
 from matcam.forward.peaks.tangent_plane import line_record, lobe_record
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import MixtureNDF, SlopeDistribution
-from matcam.material.ndf.epd import EPD
+from matcam.material.ndf.power_lobes import EPD
 from matcam.rigs import Rig
 from matcam.sample.shape import Curved, Flat
 

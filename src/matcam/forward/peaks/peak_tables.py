@@ -27,7 +27,7 @@ from matcam.camera.pixel import BoxPixel
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
-from matcam.material.ndf.epd import EPD
+from matcam.material.ndf.power_lobes import EPD
 from matcam.rigs import Rig
 
 FILE = "data/epd_peak.npz"

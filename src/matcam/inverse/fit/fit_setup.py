@@ -107,7 +107,7 @@ class FitSetup:
             raise ArgumentError(f"every must be a whole number in [1, 30], got {self.every!r}")
         checks.within("bend", self.bend, 0, 10)
         if self.noise is not None:
-            self.noise.checked()
+            self.noise.check()
 
     def with_(self, **changes: Any) -> FitSetup:
         """Return the same setup with other fields.

@@ -41,7 +41,7 @@ from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
 from matcam.numerics.interpolate import lagrange_basis
 from matcam.rigs import Rig
-from matcam.sample.sphere import Sphere
+from matcam.sample.curved import Sphere
 
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""

@@ -38,11 +38,11 @@ class SlopeDistribution(eqx.Module):
         """
 
     @abstractmethod
-    def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
+    def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
         """Return Smith's Lambda of light and view.
 
         Args:
-            seen: light and view as the surface sees them, both above the horizon.
+            shading: light and view as the surface sees them, both above the horizon.
         """
 
     @property
@@ -126,9 +126,9 @@ class NDF(SlopeDistribution):
         """Return P22, the same in every direction."""
         return self.slope_density(along**2 + across**2)
 
-    def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
+    def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
         """Return Smith's Lambda of light and view, each of its angle alone."""
-        return self.smith_lambda(seen.cos_i), self.smith_lambda(seen.cos_o)
+        return self.smith_lambda(shading.cos_i), self.smith_lambda(shading.cos_o)
 
     @property
     def finest(self) -> jax.Array:
@@ -206,12 +206,12 @@ class StretchedSlopes(SlopeDistribution):
         stretched2 = (along / self.alpha_along) ** 2 + (across / self.alpha_across) ** 2
         return self.unit_density(stretched2) / (self.alpha_along * self.alpha_across)
 
-    def lambdas(self, seen: Shading) -> tuple[jax.Array, jax.Array]:
+    def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
         """Return Smith's Lambda at each direction's projected roughness."""
-        (x, y), (offset_x, offset_y) = _tangents(seen)
+        (x, y), (offset_x, offset_y) = _tangents(shading)
         return tuple(  # type: ignore[return-value]
             self._lambda(cos, offset_x + sign * x, offset_y + sign * y)
-            for cos, sign in ((seen.cos_i, 1), (seen.cos_o, -1))
+            for cos, sign in ((shading.cos_i, 1), (shading.cos_o, -1))
         )
 
     def _lambda(self, cos: jax.Array, along: jax.Array, across: jax.Array) -> jax.Array:
@@ -231,18 +231,18 @@ def checked_alphas(alpha_along: ArrayLike, alpha_across: ArrayLike) -> tuple[jax
     return along, across
 
 
-def _tangents(seen: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
     """Return (part, offset): light and view along the surface's tangents are offset + part and offset - part."""
-    slope2 = seen.slope_along**2 + seen.slope_across**2
+    slope2 = shading.slope_along**2 + shading.slope_across**2
     mirror = slope2 == 0  # there the half vector's azimuth counts as 0
     slope = jnp.sqrt(jnp.where(mirror, 1.0, slope2))
     cos_phi, sin_phi = (
-        jnp.where(mirror, 1.0, seen.slope_along / slope),
-        jnp.where(mirror, 0.0, seen.slope_across / slope),
+        jnp.where(mirror, 1.0, shading.slope_along / slope),
+        jnp.where(mirror, 0.0, shading.slope_across / slope),
     )
     cos_h = jax.lax.rsqrt(1 + slope2)
-    away = jnp.sin(seen.theta_d) * jnp.cos(seen.phi_d) * cos_h
-    beside = jnp.sin(seen.theta_d) * jnp.sin(seen.phi_d)
-    offset = jnp.cos(seen.theta_d) * cos_h
+    away = jnp.sin(shading.theta_d) * jnp.cos(shading.phi_d) * cos_h
+    beside = jnp.sin(shading.theta_d) * jnp.sin(shading.phi_d)
+    offset = jnp.cos(shading.theta_d) * cos_h
     part = away * cos_phi - beside * sin_phi, away * sin_phi + beside * cos_phi
-    return part, (offset * seen.slope_along, offset * seen.slope_across)
+    return part, (offset * shading.slope_along, offset * shading.slope_across)

@@ -1,4 +1,7 @@
-"""BRDFs in RGL's adaptive parameterisation as materials (Dupuy & Jakob 2018; files/rgl.py has the fields).
+"""Measured BRDFs as materials: tables on the MERL grid, and RGL's adaptive parameterisation.
+
+A table is interpolated linearly, and what it is missing stays missing. The adaptive parameterisation is that of Dupuy & Jakob
+(2018; files/rgl.py has its fields).
 
 The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, azimuth from that of the light
 where the material is isotropic. A map that flattens the density `vndf` carries it to the point s at which `rgb` is tabulated:
@@ -15,6 +18,7 @@ so that what is stored on the flattened square is found where that renderer find
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import equinox as eqx
@@ -23,11 +27,97 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError
+from matcam.core.grid import GRID_SHAPE, checked_table, sampling_of, theta_h_edges
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
-from matcam.material.material import Material, above_horizon
+from matcam.material.material import Material, above_horizon, theta_h_of
 
 _HALF_PI = np.pi / 2
+
+
+class Tabulated(Material):
+    """Interpolate a BRDF table on the MERL grid.
+
+    It is linear in (sqrt theta_h, theta_d, phi_d).
+
+    - Values sit at the centre or the edge of their cells, as the table's `sampling` says.
+    - phi_d + pi is phi_d (reciprocity), so the last phi_d and the first are neighbours.
+    - Below the first theta_h the first value holds: through theta_h = 0 the table continues at phi_d + pi, which is the
+      same. Beyond the last theta_h and theta_d the last value holds.
+    - A missing cell (NaN) stays missing: the result is NaN wherever the nearest sampling point is. Elsewhere missing
+      neighbours are left out, and the weights of the others are scaled up to 1.
+
+    Args:
+        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as `read_merl` reads.
+
+    Attributes:
+        values: the table, 1/sr, shape (90, 90, 180, channels).
+        shift: place of a value in its cell, in cells: 0.5 for "centre", 0 for "edge".
+
+    Raises:
+        ArgumentError: the table has other dimensions or another shape.
+
+    Source:
+        Matusik et al. (2003), "A Data-Driven Reflectance Model": the grid.
+
+    Example:
+        >>> from matcam.core.grid import brdf_table
+        >>> grey = matcam.material.Tabulated(brdf_table(np.full((90, 90, 180, 3), 0.25), "centre"))
+        >>> np.asarray(grey.brdf(0.1, 0.5, 1.0))
+        array([0.25, 0.25, 0.25])
+    """
+
+    values: jax.Array
+    shift: float = eqx.field(static=True)
+
+    def __init__(self, table: xr.DataArray):
+        checked = checked_table(table)
+        self.values = jnp.asarray(checked.values, dtype=jnp.float64)
+        self.shift = {"centre": 0.5, "edge": 0.0}[sampling_of(checked)]
+
+    @eqx.filter_jit
+    def reflected(self, shading: Shading) -> jax.Array:
+        """Return the interpolated BRDF times both cosines, 1/sr."""
+        shading, above = above_horizon(shading)
+        brdf = self._interpolate(theta_h_of(shading), jnp.asarray(shading.theta_d), jnp.asarray(shading.phi_d))
+        return jnp.where(above[..., None], brdf * (shading.cos_i * shading.cos_o)[..., None], 0.0)
+
+    @property
+    def finest(self) -> jax.Array:
+        """Width of the first theta_h cell, rad."""
+        return jnp.asarray(theta_h_edges()[1])
+
+    def _interpolate(self, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array) -> jax.Array:
+        n_h, n_d, n_p = GRID_SHAPE
+        peak = theta_h == 0
+        root = jnp.where(peak, 0.0, jnp.sqrt(jnp.where(peak, 1.0, theta_h / (np.pi / 2))))
+        place_h = jnp.clip(root * n_h - self.shift, 0, n_h - 1)
+        place_d = jnp.clip(theta_d * n_d / (np.pi / 2) - self.shift, 0, n_d - 1)
+        place_p = jnp.mod(phi_d / np.pi, 1.0) * n_p - self.shift
+        low = [jnp.floor(place) for place in (place_h, place_d, place_p)]
+        rest = [place - floor for place, floor in zip((place_h, place_d, place_p), low, strict=True)]
+        i_h, i_d, i_p = (floor.astype(int) for floor in low)
+
+        total = weights = missing = jnp.zeros(())
+        for up in product((0, 1), repeat=3):
+            # out-of-range neighbours weigh 0; any entry will do
+            at = jnp.minimum(i_h + up[0], n_h - 1), jnp.minimum(i_d + up[1], n_d - 1), jnp.mod(i_p + up[2], n_p)
+            value = self.values[at]
+            share = jnp.ones(())
+            nearest = jnp.ones((), dtype=bool)
+            for fraction, above in zip(rest, up, strict=True):
+                share = share * (fraction if above else 1 - fraction)
+                nearest = nearest & ((fraction > 0.5) if above else (fraction <= 0.5))
+            known = jnp.isfinite(value)
+            share = jnp.where(known, share[..., None], 0.0)
+            total = total + share * jnp.where(known, value, 0.0)
+            weights = weights + share
+            missing = missing + jnp.where(nearest[..., None] & ~known, 1.0, 0.0)
+        return jnp.where(missing > 0, jnp.nan, total / jnp.where(weights > 0, weights, 1.0))
+
+    def __repr__(self) -> str:
+        sampling = "edge" if self.shift == 0 else "centre"
+        return f"Tabulated({' x '.join(map(str, self.values.shape))}, sampling={sampling!r})"
 
 
 class Blend(NamedTuple):
@@ -43,8 +133,8 @@ class Blend(NamedTuple):
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
         """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the grid's axes that are left."""
-        picked = grids[(self.slices, *(a[:, None] for a in at))]
-        return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (picked.ndim - 2)) * picked, axis=1)
+        values = grids[(self.slices, *(a[:, None] for a in at))]
+        return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 
 
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
@@ -102,7 +192,7 @@ class Warp(eqx.Module):
         self.conditional = jnp.asarray(along / total[:, None, None])
         self.marginal = jnp.asarray(down / total[:, None])
 
-    def flattened(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def flatten(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Map (x, y), shape (points,) each, to the flattened square.
 
         A point without any density around it goes to its cell's start.
@@ -128,22 +218,22 @@ class Warp(eqx.Module):
         """
         density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
         slices, rows, columns = density.shape
-        found_x, found_y, found = (np.empty((slices, y.size, x.size)) for _ in range(3))
+        at_x, at_y, density_there = (np.empty((slices, y.size, x.size)) for _ in range(3))
         for s in range(slices):
             whole = conditional[s, :, -1]
             i = np.clip(np.searchsorted(marginal[s], y, side="right") - 1, 0, rows - 2)
             t = _within(whole[i], whole[i + 1], y - marginal[s, i])
-            found_y[s] = ((i + t) / (rows - 1))[:, None]
+            at_y[s] = ((i + t) / (rows - 1))[:, None]
             t = t[:, None]
             row = (1 - t) * conditional[s, i] + t * conditional[s, i + 1]
             values = (1 - t) * density[s, i] + t * density[s, i + 1]
             for k in range(y.size):
-                wanted = x * row[k, -1]
-                j = np.clip(np.searchsorted(row[k], wanted, side="right") - 1, 0, columns - 2)
-                share = _within(values[k, j], values[k, j + 1], wanted - row[k, j])
-                found_x[s, k] = (j + share) / (columns - 1)
-                found[s, k] = (1 - share) * values[k, j] + share * values[k, j + 1]
-        return found_x, found_y, found
+                area = x * row[k, -1]
+                j = np.clip(np.searchsorted(row[k], area, side="right") - 1, 0, columns - 2)
+                share = _within(values[k, j], values[k, j + 1], area - row[k, j])
+                at_x[s, k] = (j + share) / (columns - 1)
+                density_there[s, k] = (1 - share) * values[k, j] + share * values[k, j + 1]
+        return at_x, at_y, density_there
 
 
 def _running(values: np.ndarray) -> np.ndarray:
@@ -204,12 +294,12 @@ class Adaptive(Material):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
             raise ArgumentError(f"fields must be a Dataset such as read_rgl's, got {type(fields).__name__}")
 
-        def numbers(name: str) -> np.ndarray:
+        def array(name: str) -> np.ndarray:
             return fields[name].values.astype(np.float64)
 
-        self.azimuths, self.angles = jnp.asarray(numbers("phi_i")), jnp.asarray(numbers("theta_i"))
-        self.ndf, self.sigma = jnp.asarray(numbers("ndf")), jnp.asarray(numbers("sigma"))
-        vndf, values = numbers("vndf"), numbers("spectra" if "spectra" in fields else "rgb")
+        self.azimuths, self.angles = jnp.asarray(array("phi_i")), jnp.asarray(array("theta_i"))
+        self.ndf, self.sigma = jnp.asarray(array("ndf")), jnp.asarray(array("sigma"))
+        vndf, values = array("vndf"), array("spectra" if "spectra" in fields else "rgb")
         self.warp = Warp(vndf.reshape(-1, *vndf.shape[2:]))
         self.values = jnp.moveaxis(jnp.asarray(values.reshape(-1, *values.shape[2:])), 1, -1)
         self.jacobian = bool(fields["jacobian"].values[0])
@@ -221,17 +311,17 @@ class Adaptive(Material):
             )
 
     @eqx.filter_jit
-    def reflected(self, seen: Shading) -> jax.Array:
+    def reflected(self, shading: Shading) -> jax.Array:
         """Return the interpolated BRDF times both cosines, 1/sr."""
-        seen, above = above_horizon(seen)
+        shading, above = above_horizon(shading)
         shape = above.shape
-        flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in seen))
+        flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in shading))
         theta_i, phi_i, theta_m, phi_m = self._directions(flat)
-        turned = phi_m if self.mirrored else phi_m - phi_i
-        place = (turned + np.pi) / (2 * np.pi)
+        azimuth = phi_m if self.mirrored else phi_m - phi_i
+        place = (azimuth + np.pi) / (2 * np.pi)
         u, v = jnp.sqrt(theta_m / _HALF_PI), place - jnp.floor(place)
         light = blend((self.azimuths, self.angles), phi_i, theta_i)
-        outgoing = bilinear(self.values, light, *self.warp.flattened(light, u, v))
+        outgoing = bilinear(self.values, light, *self.warp.flatten(light, u, v))
         if self.jacobian:
             facets = bilinear(self.ndf, None, u, v)
             area = bilinear(self.sigma, None, jnp.sqrt(theta_i / _HALF_PI), (phi_i + np.pi) / (2 * np.pi))
@@ -239,22 +329,24 @@ class Adaptive(Material):
         outgoing = (outgoing * flat.cos_i[:, None]).reshape(*shape, -1)
         return jnp.where(above[..., None], outgoing, 0.0)
 
-    def _directions(self, seen: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    def _directions(self, shading: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return angles and azimuths of light and half vector, within the tabulated range."""
-        slope = jnp.hypot(seen.slope_along, seen.slope_across)
+        slope = jnp.hypot(shading.slope_along, shading.slope_across)
         none = slope == 0
         safe = jnp.where(none, 1.0, slope)
-        c, s = jnp.where(none, 1.0, seen.slope_along / safe), jnp.where(none, 0.0, seen.slope_across / safe)
+        c, s = jnp.where(none, 1.0, shading.slope_along / safe), jnp.where(none, 0.0, shading.slope_across / safe)
         theta_m = jnp.arctan(slope)
         # the light, first with the half vector in the x-z plane (angles.azimuth_difference), then turned to its azimuth
-        x = jnp.cos(theta_m) * jnp.sin(seen.theta_d) * jnp.cos(seen.phi_d) + jnp.sin(theta_m) * jnp.cos(seen.theta_d)
-        y = jnp.sin(seen.theta_d) * jnp.sin(seen.phi_d)
+        x = jnp.cos(theta_m) * jnp.sin(shading.theta_d) * jnp.cos(shading.phi_d) + jnp.sin(theta_m) * jnp.cos(
+            shading.theta_d
+        )
+        y = jnp.sin(shading.theta_d) * jnp.sin(shading.phi_d)
         i_x, i_y, m_x, m_y = c * x - s * y, s * x + c * y, c, s
         if self.mirrored >= 2:
             flip_y = jnp.where(i_y < 0, 1.0, -1.0)
             flip_x = jnp.where(i_x < 0, 1.0, -1.0) if self.mirrored == 4 else flip_y
             i_x, i_y, m_x, m_y = i_x * flip_x, i_y * flip_y, m_x * flip_x, m_y * flip_y
-        theta_i = jnp.arctan2(jnp.hypot(i_x, i_y), seen.cos_i)
+        theta_i = jnp.arctan2(jnp.hypot(i_x, i_y), shading.cos_i)
         return theta_i, jnp.arctan2(i_y, i_x), theta_m, jnp.arctan2(m_y, m_x)
 
     @property
