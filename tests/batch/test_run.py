@@ -27,6 +27,7 @@ from matcam.batch.recipe import Options, Recipe
 from matcam.batch.run import correct_all
 from matcam.cli.app import app
 from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.workspace import Workspace
 from matcam.io import read_netcdf
 from tests.batch import simple
 from tests.batch.tables import write_database, write_table
@@ -401,7 +402,7 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
     assert done.exit_code == 0, done.output
     asked.pop("watch")
-    assert asked.pop("workspace").folder is not None  # the user's, which keeps rules on disk
+    assert asked.pop("workspace") is Workspace.user()
     assert asked == {
         "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "masking": None, "radius": 100.0,
         "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "force": True,

@@ -1,7 +1,8 @@
 """The contents of a file, and of a table, that can be seen without any model of the material.
 
 Grids, gaps, reciprocity, albedo, a camera's parameters, and the trace of a camera in a table. A camera widens a lobe in the
-plane of light and view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A lamp's disc widens it across instead.
+plane of light and view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A lamp's disc
+widens it across instead.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The table that a rig records of a material: every cell of the MERL grid as its pixels see it (docs/model.md 3).
 
-One picture of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. It shows each cell twice: at azimuth
-pi - phi_d about the half vector, and opposite. The two records, divided by the cosine of the light there, make the cell's value:
-their mean. Which places those are, and how to integrate them, depends on the rig alone: a workspace keeps the plan for the next
-material. Cells on one pixel share its noise (docs/model.md 8).
+One picture of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. It shows each cell twice: at
+azimuth pi - phi_d about the half vector, and opposite. The cell's value is the mean of the two records, each divided by the
+cosine of the light there. Which places those are, and how to integrate them, depends on the rig alone: a workspace keeps the
+plan for the next material. Cells on one pixel share its noise (docs/model.md 8).
 """
 
 from __future__ import annotations

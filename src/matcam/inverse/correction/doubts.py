@@ -5,9 +5,9 @@ not, something is wrong: lens, lamp or family. It need not be the parameter that
 been with it counts as uncertainty, several times over.
 
 The lobe: the record is linear in D. So after a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is one linear least-squares
-problem (docs/model.md 8). It is solved together with small changes of the fit's own parameters, strengths free in every slice. How
-much the b_k may vary is learnt from the data, by the evidence of the linear model. Where the family explains the data they stay
-close to 0 and cost nothing. Where not, what the pixels cannot resolve of them becomes uncertainty.
+problem (docs/model.md 8). It is solved together with small changes of the fit's own parameters, strengths free in every
+slice. How much the b_k may vary is learnt from the data, by the evidence of the linear model. Where the family explains the
+data they stay close to 0 and cost nothing. Where not, what the pixels cannot resolve of them becomes uncertainty.
 """
 
 from __future__ import annotations
