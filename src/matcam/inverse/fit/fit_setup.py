@@ -168,14 +168,14 @@ class FitSetup:
     @cached_property
     def problem(self) -> FitProblem:
         """Return the least-squares problem."""
-        sampling = sampling_of(self.tables[0])
+        layout, sampling = self.layout, sampling_of(self.tables[0])  # the layout first: it checks the arguments
         if self.rig is None:
             cells, operator = perfect_operator(sampling, self.every, self.radius, self.workspace)
         else:
             cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
         radius = self.radius if self.rig is None else sphere_radius(self.rig)
         batch = (self.workspace or default_workspace()).batch
-        return FitProblem(fit_data(self.tables, cells), cells, operator, self.layout, self.prior, radius, batch)
+        return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius, batch)
 
     @cached_property
     def layout(self) -> Layout:
