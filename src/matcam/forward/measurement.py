@@ -140,7 +140,7 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
-    """Return the table of a material itself, as no camera has blurred it.
+    """Return a material's own table, which no camera has blurred.
 
     Args:
         material: the material.
