@@ -22,12 +22,12 @@ from .inverse.fit.fit_setup import fit
 from .inverse.fresnel_term import fresnel
 from .inverse.recoverability import limits
 from .inverse.rival_fits import rivals
-from .material.metals import metal
 from .material.microfacet import Microfacet
 from .material.ndf.beckmann import Beckmann
 from .material.ndf.gaussian_lobe import GaussianNDF
 from .material.ndf.ggx import GGX
 from .material.ndf.power_lobes import EPD, SGD
+from .material.optical_constants import metal
 from .material.reflectance import Conductor, Dielectric, Schlick, fresnel_conductor
 from .rigs import Rig
 from .sample.curved import Cylinder, Sphere

@@ -70,7 +70,7 @@ def command(
         use_compilation_cache()
         from matcam.files.merl import read_merl
         from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
-        from matcam.material.metals import metals
+        from matcam.material.optical_constants import metals
 
         if metal is not None:
             metals(metal)  # an unknown name should cost nothing

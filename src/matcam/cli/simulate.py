@@ -136,8 +136,8 @@ def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Make the metal with the lobe that the options describe; its description names the source of n and k."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.core.registry import family_ndf
-    from matcam.material.metals import metal
     from matcam.material.microfacet import Microfacet
+    from matcam.material.optical_constants import metal
     from matcam.material.reflectance import Conductor
 
     n, k, source = metal(lobe["metal"], CHANNEL_WAVELENGTHS, *([lobe["source"]] if lobe["source"] else []))

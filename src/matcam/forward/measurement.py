@@ -34,9 +34,9 @@ from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
 from matcam.material.material import Material
-from matcam.material.metals import metal
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
+from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
 from matcam.rigs import CellValue, Rig, merl
 from matcam.sample.curved import Sphere

@@ -22,9 +22,9 @@ from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, fre
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking, g2
-from matcam.material.metals import metal as metal_index
-from matcam.material.metals import metals
 from matcam.material.ndf.distribution import NDF
+from matcam.material.optical_constants import metal as metal_index
+from matcam.material.optical_constants import metals
 from matcam.material.reflectance import fresnel_conductor
 from matcam.rigs import Rig
 

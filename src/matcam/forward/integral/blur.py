@@ -145,7 +145,7 @@ def kernel_error(rig: Rig) -> float:
 
 
 class Imaging(NamedTuple):
-    """What turns light into a record: a sample and the blur of the rig that photographs it."""
+    """Hold what turns light into a record: a sample and its rig's blur."""
 
     sample: Curved
     blur: Blur
