@@ -1,7 +1,10 @@
 """What all tests share: where the real data lie, and how hypothesis is run."""
 
+import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import hypothesis
@@ -9,6 +12,11 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED = REPOSITORY.parent / "shared"
+
+_CACHE = "MATCAM_TESTS_CACHE"
+_OWNER = _CACHE not in os.environ
+# one cache for this run's processes, thrown away at its end: a program that one of them has compiled is compiled
+os.environ["XDG_CACHE_HOME"] = os.environ.setdefault(_CACHE, tempfile.mkdtemp(prefix="matcam-tests-") if _OWNER else "")
 
 hypothesis.settings.register_profile(
     "matcam",
@@ -18,6 +26,20 @@ hypothesis.settings.register_profile(
     suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture],
 )
 hypothesis.settings.load_profile("matcam")
+
+
+def pytest_sessionfinish():
+    if _OWNER:
+        shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once():
+    """Programs that take long to compile are shared between the test processes and the commands that they start."""
+    from matcam.core.jax import jax, use_compilation_cache
+
+    use_compilation_cache()
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
 @pytest.fixture(scope="session")

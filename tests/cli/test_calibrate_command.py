@@ -19,7 +19,6 @@ pytestmark = pytest.mark.xdist_group("strips")  # one worker: one compiled progr
 @pytest.fixture
 def calibrate(capsys, monkeypatch, tmp_path):
     """Run the command in a folder of its own: (code, standard output, standard error)."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / ".cache"))
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
 

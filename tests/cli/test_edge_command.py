@@ -14,8 +14,8 @@ from tests.oracle import slanted_edge as oracle
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory):
-    return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "100"}
+def environment():
+    return {**os.environ, "COLUMNS": "100"}
 
 
 @pytest.fixture

@@ -16,11 +16,6 @@ from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
 
 
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
 @pytest.fixture(scope="module")
 def merl_file(tmp_path_factory):
     """A GGX lobe in the cells that a fit of every sixth slice reads, the rest missing."""

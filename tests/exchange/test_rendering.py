@@ -55,10 +55,10 @@ def test_the_command(coloured, tmp_path, capsys):
     for words, said in (
         ([coloured, "-o", done], "exists"),
         ([coloured, coloured, "-o", str(tmp_path / "b.exr")], "holds one sphere"),
-        ([coloured, coloured, coloured], "one file is rendered"),
+        ([coloured, coloured, coloured], "one file can be rendered"),
         ([coloured, "-o", str(tmp_path / "b.gif")], "must end in"),
         ([coloured, "-o", str(tmp_path / "b.png"), "--exposure", "0"], "--exposure must be above 0"),
-        ([coloured, "-o", str(tmp_path / "b.png"), "--lamp-angle", "200"], "lamp_angle must lie in"),
+        ([coloured, "-o", str(tmp_path / "b.png"), "--lamp-angle", "200"], "--lamp-angle must lie in"),
         ([str(tmp_path / "sky.exr"), "-o", str(tmp_path / "b.png")], "cannot be evaluated"),
     ):
         assert _run(["render", *words]) == 2
