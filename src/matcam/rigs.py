@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.uncertainty import Provenance
+from matcam.camera.profile import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp

@@ -5,7 +5,7 @@ from importlib import resources
 import pytest
 from jinja2 import UndefinedError
 
-from matcam.figures.run_index import write_run_index
+from matcam.figures.pages import write_run_index
 from matcam.figures.style import write_page
 
 HOSTILE = "<script>alert('\"&')</script>"

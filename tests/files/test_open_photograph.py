@@ -130,12 +130,12 @@ def test_a_picture_larger_than_memory_is_refused_before_it_is_decoded(tmp_path, 
     (tmp_path / "a.png").write_bytes(imagecodecs.png_encode(picture))
     (tmp_path / "a.jpg").write_bytes(imagecodecs.jpeg8_encode(picture))
     tifffile.imwrite(tmp_path / "a.tif", picture)
-    monkeypatch.setattr(picture_size, "memory", lambda: 100_000)
+    monkeypatch.setattr(picture_size, "available_memory", lambda: 100_000)
     for name in ("a.png", "a.jpg", "a.tif"):
         with pytest.raises(FileFormatError, match="300 x 200 px needs"):
             open_photograph(tmp_path / name)
     monkeypatch.undo()
-    assert picture_size.memory() > 1 << 28
+    assert picture_size.available_memory() > 1 << 28
     # a header may promise anything
     png = bytearray(imagecodecs.png_encode(picture))
     png[16:24] = struct.pack(">II", 1_000_000, 1_000_000)

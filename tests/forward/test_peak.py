@@ -28,7 +28,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.core.registry import ONE_WIDTH
 from matcam.forward import texture_contrast
-from matcam.forward.peaks.tangent_plane import lobe_record
+from matcam.forward.peaks.peak import lobe_record
 from matcam.forward.prediction import predict
 from tests.golden import rows
 

@@ -17,13 +17,13 @@ import numpy as np
 import xarray as xr
 
 from matcam.camera.camera import Camera
-from matcam.camera.uncertainty import Provenance
+from matcam.camera.profile import Provenance
 from matcam.core.errors import FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.core.io import plain
 from matcam.core.workspace import Workspace
 from matcam.exchange.inspection import lobe_widths
-from matcam.figures.correction_page import write_correction_page
+from matcam.figures.pages import write_correction_page
 from matcam.files.merl import read_merl
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest

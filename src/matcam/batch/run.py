@@ -31,7 +31,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
 from matcam.core.registry import FAMILIES
 from matcam.core.workspace import Workspace
-from matcam.figures.run_index import INLINE, write_run_index
+from matcam.figures.pages import INLINE, write_run_index
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking

@@ -1,5 +1,5 @@
 from .bracketing import RadianceEstimate, expose_bracket, merge_bracket
+from .profile import Provenance, Uncertainty
 from .sensor import PixelNoise
-from .uncertainty import Provenance, Uncertainty
 
 __all__ = ["PixelNoise", "Provenance", "RadianceEstimate", "Uncertainty", "expose_bracket", "merge_bracket"]

@@ -13,8 +13,8 @@ from matcam.camera import kernel as effective
 from matcam.camera import profile
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
+from matcam.camera.profile import Provenance, Uncertainty
 from matcam.camera.sensor import Sensor
-from matcam.camera.uncertainty import Provenance, Uncertainty
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import write_json

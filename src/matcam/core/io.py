@@ -11,6 +11,7 @@ import contextlib
 import json
 import math
 import os
+import stat
 import tempfile
 from collections.abc import Collection, Iterable, Iterator
 from importlib import metadata
@@ -79,8 +80,11 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
     `what` says what it should be ("a picture"): then a folder is refused, too.
     """
     try:
-        if what and path.is_dir():
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode) and what:
             raise FileFormatError(f"{path}: is a folder, not {what}")
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # it may have no end, or nobody who writes to it
+            raise FileFormatError(f"{path}: is a pipe or a device, not a file: copy what it gives into a file first")
         yield
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None

@@ -100,7 +100,8 @@ def open_photograph(path: str | Path) -> Photograph:
     FileFormatError naming the file where it is missing, unknown, damaged, or larger than memory allows.
     """
     path = Path(path)
-    exif = read_exif(path)
+    with reading(path, "a picture"):
+        exif = read_exif(path)
     if exif.dng or (path.suffix.lower() in SUFFIXES and path.is_file()):
         mosaic = read_raw(path)
         return Photograph(mosaic.values, mosaic.cfa, mosaic.saturation, True, exif)

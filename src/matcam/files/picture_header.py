@@ -10,14 +10,15 @@ directory is damaged says nothing; its pixels decide.
 
 from __future__ import annotations
 
-import os
 import struct
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from matcam.core.errors import FileFormatError
+from matcam.core.memory import available_memory
 
-_SHARE = 0.5  # of the memory, that one decoded picture may take
+_SHARE = 0.5  # of the available memory, that one picture may take
+_WORKING = 24  # bytes for each pixel: a plane of light in float64, its mask, and two copies on the way
 _MOST_SEGMENTS = 200
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
@@ -30,25 +31,13 @@ _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
 
 
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int) -> None:
-    """Refuse a picture, of `depth` bytes to a sample, that does not fit into memory (FileFormatError)."""
-    needed, there = height * width * channels * depth, memory()
+    """Refuse a picture that does not fit into memory with its working copies (FileFormatError)."""
+    needed, there = height * width * (channels * depth + _WORKING), available_memory()
     if needed > _SHARE * there:
         raise FileFormatError(
             f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; of the {there / 2**30:.1f} GiB of "
             f"memory here half may be used"
         )
-
-
-def memory() -> int:
-    """Return the bytes that this process may use at most."""
-    most = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    try:
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        return most if limit == resource.RLIM_INFINITY else min(most, limit)
-    except ImportError:  # not a Unix
-        return most
 
 
 def png_size(start: bytes) -> tuple[int, int, int, int]:

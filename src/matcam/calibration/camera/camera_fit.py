@@ -22,7 +22,7 @@ from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.measured import MeasuredOptics
 from matcam.camera.optics.pupil import DiffractionOptics
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.uncertainty import Provenance, Uncertainty
+from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
 

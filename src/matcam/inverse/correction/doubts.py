@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from matcam.camera.profile import Uncertainty
 from matcam.camera.sensor import PixelNoise
-from matcam.camera.uncertainty import Uncertainty
 from matcam.core.jax import jax, jnp
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_data import cell_variance, estimate_noise, huber_weights, standardised_residual, whitening

@@ -1,0 +1,92 @@
+"""How much memory this process may still use: of the machine, of its control group, and by its own limit."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+_GROUPS = Path("/sys/fs/cgroup")
+
+
+def available_memory() -> int:
+    """Return the bytes that this process may still ask for.
+
+    Returns:
+        The least of the machine's available memory, what the control groups (versions 1 and 2) of this process leave, and
+        its own address-space limit.
+    """
+    return max(min(_of_machine(), *_of_groups(), _of_process()), 0)
+
+
+def _physical() -> int:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not a Unix
+        return 1 << 33
+
+
+def _of_machine() -> int:
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        pass
+    return _physical()
+
+
+def _own_limit() -> int:
+    try:
+        import resource
+    except ImportError:  # not a Unix
+        return 1 << 62
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return 1 << 62 if limit == resource.RLIM_INFINITY else limit
+
+
+def _of_process() -> int:
+    limit = _own_limit()
+    if limit >= 1 << 62:
+        return limit
+    try:
+        used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return limit
+    return limit - used
+
+
+def _of_groups() -> list[int]:
+    return [limit - used for limit, used in _groups()] or [1 << 62]
+
+
+def _groups() -> list[tuple[int, int]]:
+    """Return limit and usage, bytes, of every control group that this process is in and that has a limit."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return []
+    found = []
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers not in ("", "memory") and "memory" not in controllers.split(","):
+            continue
+        root = _GROUPS if not controllers else _GROUPS / "memory"
+        names = (
+            ("memory.max", "memory.current") if not controllers else ("memory.limit_in_bytes", "memory.usage_in_bytes")
+        )
+        folder = root / path.lstrip("/")
+        for group in (folder, *folder.parents):
+            if root not in (group, *group.parents):
+                break
+            pair = [_number(group / name) for name in names]
+            if pair[0] is not None and pair[1] is not None:
+                found.append((pair[0], pair[1]))
+    return found
+
+
+def _number(path: Path) -> int | None:
+    try:
+        text = path.read_text(encoding="ascii").strip()
+        return int(text) if text.isdigit() and int(text) < 1 << 60 else None
+    except (OSError, ValueError):
+        return None

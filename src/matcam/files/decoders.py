@@ -1,0 +1,237 @@
+"""Decode labelled arrays, apart: what runs in a process of its own (apart.py) to read NetCDF-4 and Zarr.
+
+Nothing here trusts its file. Before any value is read, these are refused by name: links and storage in other files, groups,
+filters and codecs beyond a short list (others are loaded as plugins), and arrays larger than four times the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import warnings
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core.errors import ArgumentError, FileFormatError
+
+_MOST_TIMES, _MOST_VARIABLES, _SPARE = 4, 256, 1 << 16
+_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
+"""HDF5's own filters by number. Any other is a plugin."""
+_CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
+_NUMBERS = {
+    "bool",
+    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+    "float16",
+    "float32",
+    "float64",
+}
+_TEXTS = {"string", "fixed_length_utf32"}
+_DESCRIPTION = "zarr.json"
+_DESCRIPTION_BYTES = 1 << 20
+_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
+_LOCAL_HEADER = 30  # bytes, without its name and extra field
+
+
+def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
+    """Refuse arrays that are larger than their file could hold.
+
+    FileFormatError where arrays of these shapes and types take more than four times the file's bytes together: damaged, or
+    compressed beyond what is trusted.
+    """
+    if len(variables) > _MOST_VARIABLES:
+        raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
+    total = 0
+    for name, (shape, kind) in variables.items():
+        # text and lists of any length say nothing of their size: eight bytes each
+        each = np.dtype(kind).itemsize if isinstance(kind, np.dtype) else 8
+        total += math.prod(shape) * max(each, 1)
+        if total > _MOST_TIMES * size + _SPARE:
+            raise FileFormatError(
+                f"{path}: variable {name!r:.60} of {' x '.join(map(str, shape))} values does not fit into {size} bytes: "
+                "damaged, or compressed beyond what is trusted"
+            )
+
+
+def one_line(error: Exception) -> str:
+    """Return a library's complaint as one line, cut short."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
+
+
+def decode_netcdf(path: Path) -> dict[str, Any]:
+    """Return the variables and attributes of a NetCDF-4 file as plain arrays."""
+    import h5netcdf
+    import h5py
+
+    try:
+        with h5py.File(path, "r", locking=False) as stored:
+            _check_hdf5(path, stored)
+            with h5netcdf.File(stored) as file:
+                variables = {
+                    name: {"dims": v.dimensions, "values": v[...], "attrs": dict(v.attrs)}
+                    for name, v in file.variables.items()
+                }
+                return {"variables": variables, "attrs": dict(file.attrs)}
+    except FileFormatError:
+        raise
+    except Exception as error:  # the library raises whatever its C code returned
+        raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
+
+
+def _check_hdf5(path: Path, file: Any) -> None:
+    import h5py
+
+    shapes: dict[str, tuple[tuple[int, ...], Any]] = {}
+    for index, name in enumerate(file):
+        if index > _MOST_VARIABLES:
+            raise FileFormatError(f"{path}: more than {_MOST_VARIABLES} variables: damaged, or not a result")
+        link = file.get(name, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            raise FileFormatError(
+                f"{path}: {name!r:.60} is a link to another file, {link.filename!r:.80}: not followed"
+            )
+        if not isinstance(link, h5py.HardLink):
+            raise FileFormatError(f"{path}: {name!r:.60} is a symbolic link: not followed")
+        variable = file[name]
+        if isinstance(variable, h5py.Group):
+            raise FileFormatError(f"{path}: {name!r:.60} is a group; results have variables only")
+        if not isinstance(variable, h5py.Dataset):
+            continue  # a named type, which no variable needs to be read
+        if variable.external:
+            raise FileFormatError(
+                f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}: not read"
+            )
+        if variable.is_virtual:
+            raise FileFormatError(f"{path}: variable {name!r:.60} is put together from other files: not read")
+        creation = variable.id.get_create_plist()
+        for number in range(creation.get_nfilters()):
+            code = creation.get_filter(number)[0]
+            if code not in _FILTERS:
+                raise FileFormatError(
+                    f"{path}: variable {name!r:.60} is compressed by filter {code}; known: {', '.join(_FILTERS.values())}"
+                )
+        shapes[name] = (variable.shape or (), variable.dtype)
+        if variable.chunks:  # a chunk is decoded whole, however little of it belongs to the array
+            shapes[f"{name} (chunk)"] = (variable.chunks, variable.dtype)
+    # nothing is read before this: a damaged dimension is filled with as many values as it says
+    size = path.stat().st_size
+    check_stored_sizes(path, size, {name: v for name, v in shapes.items() if not name.endswith(" (chunk)")})
+    check_stored_sizes(path, size, {name: v for name, v in shapes.items() if name.endswith(" (chunk)")})
+
+
+def decode_zarr(path: Path) -> dict[str, Any]:
+    """Return the variables and attributes of a Zarr in one zip file as plain arrays."""
+    try:
+        import zarr
+        from zarr import storage
+    except ImportError:
+        raise ArgumentError("Zarr needs an extra: pip install 'matcam[scale]'") from None
+    try:
+        _check_zarr(path)
+        with storage.ZipStore(path, mode="r") as store, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            group = zarr.open_group(store, mode="r", zarr_format=3, use_consolidated=False)
+            variables = {
+                name: {
+                    "dims": list(getattr(array.metadata, "dimension_names", None) or ()),
+                    "values": array[...],
+                    "attrs": dict(array.attrs),
+                }
+                for name, array in group.arrays()
+            }
+            return {"variables": variables, "attrs": dict(group.attrs)}
+    except FileFormatError:
+        raise
+    except Exception as error:  # zip, JSON and codecs each have their own errors
+        raise FileFormatError(f"{path}: not a Zarr in a zip file that can be read: {one_line(error)}") from None
+
+
+def _check_zarr(path: Path) -> None:
+    """Check the zip's list of members, then every description, before anything is decoded."""
+    size = path.stat().st_size
+    _check_directory(path, size)
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if any(m.compress_type != zipfile.ZIP_STORED or max(m.file_size, m.compress_size) > size for m in members):
+            raise FileFormatError(f"{path}: damaged, or compressed by zip: members are stored as they are (zip -0)")
+        _check_members(path, size, members)
+        described = {}
+        for member in members:
+            if member.filename.endswith((".zarray", ".zgroup", ".zattrs", ".zmetadata")):
+                raise FileFormatError(f"{path}: {member.filename!r:.60} is of Zarr version 2; version 3 is read")
+            if member.filename.rsplit("/", 1)[-1] == _DESCRIPTION:
+                if member.file_size > _DESCRIPTION_BYTES:
+                    raise FileFormatError(f"{path}: {member.filename!r:.60} of {member.file_size} bytes: damaged")
+                described[member.filename] = json.loads(archive.read(member))
+        broken = archive.testzip()
+    if broken:
+        raise FileFormatError(f"{path}: damaged: {broken} is not what was written")
+    if described.get(_DESCRIPTION, {}).get("node_type") != "group":
+        raise FileFormatError(f"{path}: no zarr.json of a group at its root: not a Zarr of version 3")
+    shapes, chunks = {}, {}
+    for name, document in described.items():
+        if document.get("zarr_format") != 3:
+            raise FileFormatError(f"{path}: {name!r:.60} is not of Zarr version 3")
+        if document.get("node_type") == "array":
+            _check_codecs(path, name, document)
+            width = _width(document["data_type"])
+            shapes[name] = (tuple(document["shape"]), width)
+            chunks[f"{name} (chunk)"] = (tuple(document["chunk_grid"]["configuration"]["chunk_shape"]), width)
+        elif name != _DESCRIPTION:
+            raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group; results have variables only")
+    check_stored_sizes(path, size, shapes)
+    check_stored_sizes(path, size, chunks)
+
+
+def _check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
+    kind = document["data_type"]
+    kind = kind["name"] if isinstance(kind, dict) else kind
+    if kind not in _NUMBERS | _TEXTS:
+        raise FileFormatError(f"{path}: {name!r:.60} holds values of type {kind!r:.40}; numbers and text are read")
+    if document["chunk_grid"]["name"] != "regular":
+        raise FileFormatError(f"{path}: {name!r:.60} has no regular chunks")
+    if document.get("storage_transformers"):
+        raise FileFormatError(f"{path}: {name!r:.60} has storage transformers: not supported")
+    for codec in document["codecs"]:
+        used = codec["name"] if isinstance(codec, dict) else codec
+        if used not in _CODECS:
+            raise FileFormatError(f"{path}: {name!r:.60} is coded by {used!r:.40}; known: {', '.join(sorted(_CODECS))}")
+
+
+def _width(kind: Any) -> np.dtype | None:
+    """Return a type of the width of one value; None for text of any length."""
+    if isinstance(kind, dict):
+        length = kind.get("configuration", {}).get("length_bytes")
+        return np.dtype(f"V{int(length)}") if length else None
+    return np.dtype(kind) if kind in _NUMBERS else None
+
+
+def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> None:
+    """Refuse members that overlap or stand twice: many that share the same bytes are a bomb."""
+    end = 0
+    for member in sorted(members, key=lambda m: m.header_offset):
+        if member.header_offset < end:
+            raise FileFormatError(f"{path}: damaged: member {member.filename!r:.60} overlaps the one before it")
+        end = member.header_offset + _LOCAL_HEADER + len(member.filename.encode()) + member.compress_size
+    if end > size:
+        raise FileFormatError(f"{path}: damaged: its members end at byte {end} of {size}")
+    names = [member.filename for member in members]
+    if len(set(names)) < len(names):
+        raise FileFormatError(f"{path}: damaged: a member stands in it twice")
+
+
+def _check_directory(path: Path, size: int) -> None:
+    """Check where the zip's list of members lies, because memory is asked for as much of it as it claims."""
+    with path.open("rb") as file:
+        file.seek(max(0, size - _LONGEST_END))
+        end = file.read()
+    at = end.rfind(b"PK\5\6")
+    if at < 0 or len(end) < at + 22:
+        raise FileFormatError(f"{path}: not a zip file")
+    length, start = struct.unpack_from("<II", end, at + 12)
+    if length + start > size:
+        raise FileFormatError(f"{path}: damaged: its list of members, {length} bytes at byte {start}, is not within it")

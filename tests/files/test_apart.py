@@ -1,0 +1,117 @@
+"""Files are decoded in a process of its own: whatever a decoder does there, here it is an error of one line, or an answer."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.files import apart
+from matcam.files.apart import Limits, read_apart, reading_limits
+
+HERE = "tests.files.misbehaving"
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "a.file"
+    path.write_bytes(b"abc")
+    return path
+
+
+def one_line(error):
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_an_answer_comes_back_as_it_was(path, alone, monkeypatch):
+    if alone:
+        monkeypatch.setattr(apart, "_CAN_FORK", False)
+    answer = read_apart(f"{HERE}:everything", path, scale=2.0)
+    np.testing.assert_array_equal(answer["floats"], np.arange(12.0).reshape(3, 4) * 2)
+    np.testing.assert_array_equal(answer["fortran"], np.arange(12).reshape(3, 4))
+    np.testing.assert_array_equal(answer["strided"], [0, 2, 4, 6, 8, 10])
+    assert answer["empty"].shape == (0, 3)
+    assert answer["empty"].dtype == np.float32
+    assert answer["scalar"] == 2.5
+    assert answer["flags"].tolist() == [True, False]
+    assert answer["text"].tolist() == ["red", "green"]
+    assert answer["objects"].tolist() == ["a", "bc"]
+    assert answer["nothing"] is None
+    assert answer["list"] == [1, "two", 3.5, float("inf"), [True]]
+    assert answer["process"] != os.getpid()
+
+
+def test_a_trusted_file_is_decoded_here(path):
+    with reading_limits(None):
+        assert read_apart(f"{HERE}:everything", path)["process"] == os.getpid()
+    assert read_apart(f"{HERE}:everything", path)["process"] != os.getpid()
+
+
+@pytest.mark.parametrize("decoder", ["hang", "spin"])
+def test_a_decoder_that_never_ends_is_killed(path, decoder):
+    begin = time.monotonic()
+    with reading_limits(Limits(seconds=1.0)), pytest.raises(FileFormatError) as error:
+        read_apart(f"{HERE}:{decoder}", path)
+    assert time.monotonic() - begin < 5
+    assert str(path) in one_line(error)
+    assert "more than 1 s" in one_line(error)
+
+
+def test_a_decoder_that_crashes_takes_nothing_with_it(path):
+    with pytest.raises(FileFormatError, match="crashed") as error:
+        read_apart(f"{HERE}:crash", path)
+    assert str(path) in one_line(error)
+    assert read_apart(f"{HERE}:everything", path)["scalar"] == 2.5
+
+
+def test_a_decoder_that_fills_the_memory_is_stopped(path):
+    with reading_limits(Limits(memory=1 << 28)), pytest.raises(FileFormatError, match="256 MiB") as error:
+        read_apart(f"{HERE}:fill", path)
+    assert str(path) in one_line(error)
+
+
+def test_a_decoder_cannot_write(path):
+    with pytest.raises(FileFormatError):
+        read_apart(f"{HERE}:write", path)
+    assert not path.with_name("a.file.written").exists() or not path.with_name("a.file.written").stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("decoder", "kind", "text"),
+    [
+        ("refuse", FileFormatError, "byte 7 is wrong"),
+        ("argue", ArgumentError, "sampling must be centre or edge"),
+        ("complain", FileFormatError, "damaged: two lines"),
+        ("pickled", FileFormatError, "damaged: an answer cannot hold object"),
+    ],
+)
+def test_errors_come_back_as_they_were(path, decoder, kind, text):
+    with pytest.raises(kind, match=text) as error:
+        read_apart(f"{HERE}:{decoder}", path)
+    one_line(error)
+
+
+def test_the_nursery_may_die(path):
+    read_apart(f"{HERE}:everything", path)
+    os.kill(apart._nursery.process.pid, signal.SIGKILL)
+    apart._nursery.process.wait()
+    assert read_apart(f"{HERE}:everything", path)["scalar"] == 2.5
+
+
+def test_threads_read_side_by_side(path):
+    answers = []
+
+    def read():
+        answers.extend(read_apart(f"{HERE}:everything", path)["floats"].sum() for _ in range(10))
+
+    threads = [threading.Thread(target=read) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert answers == [66.0] * 40

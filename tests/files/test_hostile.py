@@ -1,0 +1,216 @@
+"""Files made to harm: each is refused in one line that names what it does, and nothing of it is followed, run or filled in."""
+
+import io
+import json
+import os
+import pickle
+import struct
+import zipfile
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from matcam import read_merl
+from matcam.core.errors import FileFormatError, MatcamError
+from matcam.exchange.contents import read_contents
+from matcam.files.formats import identify
+from matcam.files.photographs import open_photograph
+from matcam.io import read_netcdf, read_samples, read_zarr, write_netcdf, write_zarr
+
+SECRET = np.arange(4.0) + 1000
+
+
+@pytest.fixture
+def result():
+    return xr.Dataset({"raw": ("theta_d", np.arange(4.0))}, coords={"channel": ["R", "G"]})
+
+
+def refused(read, path, words):
+    with pytest.raises(MatcamError) as caught:
+        read(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(path) in message
+    assert words in message, message
+
+
+def hdf5(path, make):
+    with h5py.File(path, "w") as file:
+        file["x"] = np.arange(4.0)
+        make(file)
+    return path
+
+
+class TestHDF5:
+    def test_values_in_another_file(self, tmp_path):
+        (tmp_path / "secret").write_bytes(SECRET.tobytes())
+
+        def make(file):
+            file.create_dataset("stolen", (4,), "<f8", external=[(str(tmp_path / "secret"), 0, 32)])
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "stored in another file")
+
+    def test_links_to_another_file(self, tmp_path):
+        hdf5(tmp_path / "victim.nc", lambda file: None)
+
+        def make(file):
+            file["stolen"] = h5py.ExternalLink(str(tmp_path / "victim.nc"), "/x")
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "link to another file")
+
+    def test_arrays_put_together_from_other_files(self, tmp_path):
+        hdf5(tmp_path / "victim.nc", lambda file: None)
+
+        def make(file):
+            layout = h5py.VirtualLayout((4,), "<f8")
+            layout[:] = h5py.VirtualSource(str(tmp_path / "victim.nc"), "x", (4,))
+            file.create_virtual_dataset("stolen", layout)
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "put together from other files")
+
+    def test_symbolic_links(self, tmp_path):
+        def make(file):
+            file["loop"] = h5py.SoftLink("/loop")
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "symbolic link")
+
+    def test_a_group_that_holds_itself(self, tmp_path):
+        def make(file):
+            group = file.create_group("g")
+            group["again"] = group
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "is a group")
+
+    def test_a_bomb_of_zeros(self, tmp_path):
+        def make(file):
+            file.create_dataset("zeros", (1 << 27,), "<f8", chunks=(1 << 20,), compression="gzip")
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "does not fit into")
+
+    def test_a_chunk_larger_than_its_array(self, tmp_path):
+        def make(file):
+            file.create_dataset("zeros", (4,), "<f8", maxshape=(None,), chunks=(1 << 27,), compression="gzip")
+
+        refused(read_netcdf, hdf5(tmp_path / "a.nc", make), "does not fit into")
+
+    def test_from_four_threads(self, result, tmp_path):
+        from concurrent.futures import ThreadPoolExecutor
+
+        write_netcdf(tmp_path / "a.nc", result)
+        with ThreadPoolExecutor(4) as pool:
+            for back in pool.map(read_netcdf, [tmp_path / "a.nc"] * 24):
+                xr.testing.assert_identical(back, result)
+
+
+class Harm:
+    """What a pickle may do when it is loaded."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+def zip_of(path, members):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content if isinstance(content, bytes) else json.dumps(content))
+    return path
+
+
+GROUP = {"zarr_format": 3, "node_type": "group", "attributes": {}}
+
+
+def array(**changes):
+    return {
+        "zarr_format": 3, "node_type": "array", "shape": [4], "data_type": "float64", "fill_value": 0.0,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [4]}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}], "attributes": {}, "dimension_names": ["x"],
+    } | changes  # fmt: skip
+
+
+class TestZarr:
+    def test_a_whole_one_is_read(self, tmp_path):
+        path = zip_of(
+            tmp_path / "a.zarr.zip", {"zarr.json": GROUP, "raw/zarr.json": array(), "raw/c/0": SECRET.tobytes()}
+        )
+        np.testing.assert_array_equal(read_zarr(path)["raw"], SECRET)
+
+    def test_version_2_with_a_pickle(self, tmp_path):
+        """numcodecs' pickle filter runs whatever its chunk says."""
+        chunk = io.BytesIO()
+        pickle.dump(np.array([Harm(str(tmp_path / "harm"))], dtype=object), chunk)
+        described = {
+            "zarr_format": 2, "shape": [1], "chunks": [1], "dtype": "|O", "order": "C", "fill_value": None, "compressor": None,
+            "filters": [{"id": "pickle", "protocol": 5}],
+        }  # fmt: skip
+        path = tmp_path / "a.zarr.zip"
+        zip_of(path, {".zgroup": {"zarr_format": 2}, "raw/.zarray": described, "raw/0": chunk.getvalue()})
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.comment = b"zarr.json"
+        assert identify(path) == "zarr"
+        refused(read_zarr, path, "version 2")
+        assert not (tmp_path / "harm").exists()
+
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"codecs": [{"name": "numcodecs.pickle"}]}, "coded by 'numcodecs.pickle'"),
+            ({"data_type": "object"}, "values of type 'object'"),
+            ({"shape": [1 << 40]}, "does not fit into"),
+            ({"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1 << 40]}}}, "does not fit into"),
+            ({"chunk_grid": {"name": "rectilinear", "configuration": {}}}, "no regular chunks"),
+            ({"storage_transformers": [{"name": "other"}]}, "storage transformers"),
+            ({"zarr_format": 2}, "not of Zarr version 3"),
+        ],
+    )
+    def test_arrays_beyond_the_list(self, tmp_path, changes, words):
+        path = zip_of(
+            tmp_path / "a.zarr.zip", {"zarr.json": GROUP, "raw/zarr.json": array(**changes), "raw/c/0": b"\0" * 32}
+        )
+        refused(read_zarr, path, words)
+
+    def test_no_root(self, tmp_path):
+        refused(
+            read_zarr,
+            zip_of(tmp_path / "a.zarr.zip", {"raw/zarr.json": array()}),
+            "no zarr.json of a group at its root",
+        )
+
+    def test_members_that_overlap(self, result, tmp_path):
+        write_zarr(tmp_path / "a.zarr.zip", result)
+        content = bytearray((tmp_path / "a.zarr.zip").read_bytes())
+        first = content.index(b"PK\1\2")
+        second = content.index(b"PK\1\2", first + 1)
+        content[second + 42 : second + 46] = content[first + 42 : first + 46]  # the place of its bytes
+        (tmp_path / "b.zarr.zip").write_bytes(content)
+        refused(read_zarr, tmp_path / "b.zarr.zip", "overlaps")
+
+
+@pytest.mark.parametrize(
+    "read", [identify, read_contents, open_photograph, read_merl, read_netcdf, read_zarr, read_samples]
+)
+def test_what_is_no_file_is_not_opened(tmp_path, read):
+    """Nobody will ever write into the pipe; the device never ends."""
+    os.mkfifo(tmp_path / "a.nc")
+    refused(read, tmp_path / "a.nc", "is a pipe or a device")
+    (tmp_path / "b.nc").symlink_to("/dev/zero")
+    refused(read, tmp_path / "b.nc", "is a pipe or a device")
+
+
+def test_a_picture_whose_working_copies_do_not_fit(tmp_path):
+    """389 kB that would take 7 GB."""
+    header = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 60_000, 60_000, 8, 0, 0, 0, 0)
+    (tmp_path / "a.png").write_bytes(header + b"\0" * 389_000)
+    refused(open_photograph, tmp_path / "a.png", "GiB")
+
+
+def test_a_table_without_values(tmp_path):
+    path = tmp_path / "a.binary"
+    path.write_bytes(struct.pack("<3i", 90, 90, 180))
+    with pytest.raises(FileFormatError):
+        read_merl(path)
