@@ -5,8 +5,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from matcam import rigs
-from matcam import GGX, Conductor, Flat, Microfacet, Rig, convert, measure, write_merl
+from matcam import GGX, Conductor, Flat, Microfacet, Rig, convert, measure, rigs, write_merl
 
 
 def seconds(call) -> float:

@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from matcam import rigs
-from matcam import GGX, Microfacet
+from matcam import GGX, Microfacet, rigs
 from matcam.core.grid import below_horizon, merl_grid
 from matcam.forward.measurement import table_values
 

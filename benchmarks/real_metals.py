@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from matcam import rigs
-from matcam import fit, fresnel_conductor, metal, read_merl, rivals
+from matcam import fit, fresnel_conductor, metal, read_merl, rigs, rivals
 from matcam.material import metals
 
 MATERIALS = {"chrome": "Cr", "steel": "Fe", "ss440": "Fe", "tungsten-carbide": "W", "nickel": "Ni", "brass": "brass"}
