@@ -49,7 +49,7 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> 
     """
     with replacing(path, force=force) as temporary:
         try:
-            data.to_netcdf(temporary, engine="h5netcdf", format="NETCDF4")
+            data.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
         except RuntimeError as error:  # what the library makes of a full disk
             raise OutputError(f"output {path} cannot be written: {one_line(error)} (disk full?)") from error
 
