@@ -40,7 +40,8 @@ def refused(read, path, words):
 
 def hdf5(path, code=""):
     """Make a file by h5py, in a process of its own: two HDF5 libraries need not agree in one."""
-    script = f"import h5py, numpy as np\nwith h5py.File({str(path)!r}, 'w') as file:\n    file['x'] = np.arange(4.0)\n    {code}"
+    script = f"import h5py, numpy as np\nwith h5py.File({str(path)!r}, 'w') as file:\n    file['x'] = np.arange(4.0)\n"
+    script += f"    {code}\n"
     subprocess.run([sys.executable, "-c", script], check=True)
     return path
 

@@ -70,7 +70,7 @@ def decode_netcdf(path: Path) -> dict[str, Any]:
     try:
         with h5py.File(path, "r", locking=False) as stored:
             _check_hdf5(path, stored)
-            with h5netcdf.File(stored) as file:
+            with h5netcdf.File(stored, phony_dims="sort") as file:
                 variables = {
                     name: {"dims": v.dimensions, "values": v[...], "attrs": dict(v.attrs)}
                     for name, v in file.variables.items()
