@@ -39,7 +39,7 @@ from matcam.core import errors
 from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
 
-_KINDS = "biufcU"
+_KINDS = "biufcSU"
 """NumPy's kinds of numbers and text that an answer may hold."""
 _LONGEST_ANSWER = 64 << 20  # bytes of JSON
 
@@ -220,7 +220,7 @@ def _written(write: Callable[[Any], Any], message: dict[str, Any], arrays: list[
     write(struct.pack("<Q", len(text)) + text)
     for array in arrays:
         if array.nbytes:
-            write(array.reshape(-1).view(np.uint8).data if array.dtype.kind != "U" else array.tobytes())
+            write(array.reshape(-1).view(np.uint8).data if array.dtype.kind not in "SU" else array.tobytes())
 
 
 # -- the child ---------------------------------------------------------------------------------------------------------------
