@@ -72,14 +72,22 @@ def decode_netcdf(path: Path) -> dict[str, Any]:
             _check_hdf5(path, stored)
             with h5netcdf.File(stored, phony_dims="sort") as file:
                 variables = {
-                    name: {"dims": v.dimensions, "values": v[...], "attrs": dict(v.attrs)}
+                    name: {"dims": v.dimensions, "values": v[...], "attrs": _texts(v.attrs)}
                     for name, v in file.variables.items()
                 }
-                return {"variables": variables, "attrs": dict(file.attrs)}
+                return {"variables": variables, "attrs": _texts(file.attrs)}
     except FileFormatError:
         raise
     except Exception as error:  # the library raises whatever its C code returned
         raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
+
+
+def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return attributes with text as text: one character alone is stored as a byte."""
+    return {
+        name: value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        for name, value in attributes.items()
+    }
 
 
 def _check_hdf5(path: Path, file: Any) -> None:
