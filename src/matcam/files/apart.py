@@ -70,12 +70,6 @@ def reading_limits(limits: Limits | None) -> Iterator[None]:
         _limits.reset(token)
 
 
-def start() -> None:
-    """Start the nursery now, so that the first file need not wait for it."""
-    if _CAN_FORK:
-        _nursery.start()
-
-
 def read_apart(
     decoder: str, path: Path, *, seconds: float = 60.0, libraries: tuple[str, ...] = (), **options: Any
 ) -> Any:
@@ -274,10 +268,6 @@ class _Nursery:
         self.process: subprocess.Popen[bytes] | None = None
         self.owner = 0
         self.channel: socket.socket | None = None
-
-    def start(self) -> None:
-        with self.lock:
-            self._start()
 
     def _start(self) -> socket.socket:
         alive = self.process is not None and self.process.poll() is None

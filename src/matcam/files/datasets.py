@@ -19,10 +19,9 @@ import xarray as xr
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
 from matcam.files.apart import read_apart
-from matcam.files.decoders import one_line
+from matcam.files.decoders import DESCRIPTION, one_line
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_DESCRIPTION = "zarr.json"
 _SECONDS, _BYTES_A_SECOND = 10.0, 20e6
 """Time that a file may take to be decoded: so many seconds, and one more for so many bytes."""
 
@@ -118,7 +117,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         data.to_zarr(store, zarr_format=3, consolidated=False, encoding=plain)
     # by way of memory, because a zip cannot replace what was written to it, and the attributes are written twice
     with replacing(path, force=force) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as packed:
-        for name in sorted(members, key=lambda name: (not name.endswith(_DESCRIPTION), name)):
+        for name in sorted(members, key=lambda name: (not name.endswith(DESCRIPTION), name)):
             packed.writestr(name, members[name].to_bytes())
 
 

@@ -31,7 +31,7 @@ _NUMBERS = {
     "float64",
 }
 _TEXTS = {"string", "fixed_length_utf32"}
-_DESCRIPTION = "zarr.json"
+DESCRIPTION = "zarr.json"
 _DESCRIPTION_BYTES = 1 << 20
 _LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
 _LOCAL_HEADER = 30  # bytes, without its name and extra field
@@ -171,14 +171,14 @@ def _check_zarr(path: Path) -> None:
         for member in members:
             if member.filename.endswith((".zarray", ".zgroup", ".zattrs", ".zmetadata")):
                 raise FileFormatError(f"{path}: {member.filename!r:.60} is of Zarr version 2; version 3 is read")
-            if member.filename.rsplit("/", 1)[-1] == _DESCRIPTION:
+            if member.filename.rsplit("/", 1)[-1] == DESCRIPTION:
                 if member.file_size > _DESCRIPTION_BYTES:
                     raise FileFormatError(f"{path}: {member.filename!r:.60} of {member.file_size} bytes: damaged")
                 described[member.filename] = json.loads(archive.read(member))
         broken = archive.testzip()
     if broken:
         raise FileFormatError(f"{path}: damaged: {broken} is not what was written")
-    if described.get(_DESCRIPTION, {}).get("node_type") != "group":
+    if described.get(DESCRIPTION, {}).get("node_type") != "group":
         raise FileFormatError(f"{path}: no zarr.json of a group at its root: not a Zarr of version 3")
     shapes, chunks = {}, {}
     for name, document in described.items():
@@ -189,7 +189,7 @@ def _check_zarr(path: Path) -> None:
             width = _width(document["data_type"])
             shapes[name] = (tuple(document["shape"]), width)
             chunks[f"{name} (chunk)"] = (tuple(document["chunk_grid"]["configuration"]["chunk_shape"]), width)
-        elif name != _DESCRIPTION:
+        elif name != DESCRIPTION:
             raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group; results have variables only")
     check_stored_sizes(path, size, shapes)
     check_stored_sizes(path, size, chunks)
