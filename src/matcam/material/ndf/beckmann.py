@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import cot_of
-from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_alphas
+from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes
 
 
 class Beckmann(SlopeNDF, MixtureNDF):
@@ -84,12 +84,6 @@ class AnisotropicBeckmann(StretchedSlopes):
         True
     """
 
-    alpha_along: jax.Array
-    alpha_across: jax.Array
-
-    def __init__(self, alpha_along: ArrayLike, alpha_across: ArrayLike):
-        self.alpha_along, self.alpha_across = checked_alphas(alpha_along, alpha_across)
-
     def unit_density(self, slope2: jax.Array) -> jax.Array:
         """Return exp(-slope^2) / pi."""
         return jnp.exp(-slope2) / jnp.pi
@@ -97,9 +91,6 @@ class AnisotropicBeckmann(StretchedSlopes):
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
         """Return Beckmann's closed form of Lambda."""
         return beckmann_lambda(nu)
-
-    def __repr__(self) -> str:
-        return f"AnisotropicBeckmann(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
 
 
 def beckmann_lambda(nu: jax.Array) -> jax.Array:

@@ -182,8 +182,15 @@ class StretchedSlopes(SlopeDistribution):
     alpha^2 = alpha_along^2 cos^2 phi + alpha_across^2 sin^2 phi (Heitz 2014).
     """
 
-    alpha_along: eqx.AbstractVar[jax.Array]
-    alpha_across: eqx.AbstractVar[jax.Array]
+    alpha_along: jax.Array
+    alpha_across: jax.Array
+
+    def __init__(self, alpha_along: ArrayLike, alpha_across: ArrayLike):
+        self.alpha_along = _roughness("alpha_along", alpha_along)
+        self.alpha_across = _roughness("alpha_across", alpha_across)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
 
     @abstractmethod
     def unit_density(self, slope2: jax.Array) -> jax.Array:
@@ -224,11 +231,9 @@ class StretchedSlopes(SlopeDistribution):
         return jnp.minimum(self.alpha_along, self.alpha_across)
 
 
-def checked_alphas(alpha_along: ArrayLike, alpha_across: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Return two roughnesses in (0, 1]; ArgumentError otherwise."""
-    along = checks.scalar("alpha_along", checks.within("alpha_along", alpha_along, 0, 1, open_low=True))
-    across = checks.scalar("alpha_across", checks.within("alpha_across", alpha_across, 0, 1, open_low=True))
-    return along, across
+def _roughness(name: str, alpha: ArrayLike) -> jax.Array:
+    """Return a roughness in (0, 1]; ArgumentError otherwise."""
+    return checks.scalar(name, checks.within(name, alpha, 0, 1, open_low=True))
 
 
 def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:

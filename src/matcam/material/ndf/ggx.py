@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import cot_of
-from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_alphas
+from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes
 
 _MIXTURE_NODES = 56
 
@@ -93,12 +93,6 @@ class AnisotropicGGX(StretchedSlopes):
         True
     """
 
-    alpha_along: jax.Array
-    alpha_across: jax.Array
-
-    def __init__(self, alpha_along: ArrayLike, alpha_across: ArrayLike):
-        self.alpha_along, self.alpha_across = checked_alphas(alpha_along, alpha_across)
-
     def unit_density(self, slope2: jax.Array) -> jax.Array:
         """Return 1 / (pi (1 + slope^2)^2)."""
         return 1 / (jnp.pi * (1 + slope2) ** 2)
@@ -106,9 +100,6 @@ class AnisotropicGGX(StretchedSlopes):
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
         """Return GGX's closed form of Lambda."""
         return ggx_lambda(nu)
-
-    def __repr__(self) -> str:
-        return f"AnisotropicGGX(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
 
 
 def ggx_lambda(nu: jax.Array) -> jax.Array:
