@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from matcam import BoxPixel, Camera, GaussianOptics, read_merl, rigs
-from matcam.files.float_pictures import DEFLATE_LIMIT
 from matcam.files.photographs import read_photograph
+from matcam.files.picture_header import DEFLATE_LIMIT
 from matcam.io import read_exr, read_float_tiff, read_sidecar, write_exr, write_float_tiff, write_sidecar
 from tests.files.mutations import mutated, refusal, survives
 
@@ -41,7 +41,7 @@ READERS = {
 
 
 @pytest.mark.parametrize("name", READERS)
-@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_small_files(tmp_path, name, count):
     write, suffix, read, header = READERS[name]
     write(tmp_path / f"a{suffix}")

@@ -17,6 +17,7 @@ from typer.core import TyperCommand
 
 from matcam.core.errors import MatcamError
 from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
+from matcam.files import formats
 
 if TYPE_CHECKING:
     from matcam.rigs import Rig
@@ -154,6 +155,12 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and translate the message of its error."""
+        values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
+        modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
+        if modules:
+            from matcam.files.apart import start_reader
+
+            start_reader(modules)
         try:
             return super().invoke(ctx)
         except MatcamError as error:
