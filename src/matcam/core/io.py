@@ -92,6 +92,15 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
+def check_within(path: Path, folder: Path) -> None:
+    """Refuse a file of a folder that is a link to elsewhere: who fills a folder must not choose among the reader's files.
+
+    FileFormatError where following the links of `path` leads out of `folder`.
+    """
+    if path.is_symlink() and not (target := path.resolve()).is_relative_to(folder.resolve()):
+        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
+
+
 def write_columns(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
     """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable.
 
