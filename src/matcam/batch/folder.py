@@ -18,14 +18,14 @@ from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import SETTINGS_FORMAT
 from matcam.batch.store import open_rows, whole_rows
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.io import check_output, check_within, read_json, reading, write_json
+from matcam.core.io import check_name, check_output, check_within, read_json, reading, write_json
 from matcam.files.datasets import read_netcdf
 
 SETTINGS = "settings.json"
 _INDEX, _FAILED, _CAMERA, _ZARR, _LOCK = "index.html", "failed.json", "camera.json", "run.zarr", ".lock"
 _RESERVED = {Path(name).stem for name in (_INDEX, _FAILED, _CAMERA, SETTINGS)}
 _WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # what some network file systems answer
-_TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)")
+_TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.old)?")
 
 
 class RunFolder:
@@ -92,6 +92,7 @@ class RunFolder:
                     inside = sorted(p for p in path.iterdir() if p.suffix.lower() == ".binary" and p.name[0] != ".")
             for file in inside:
                 try:
+                    check_name(file)
                     if file != path:
                         check_within(file, path)
                 except FileFormatError as error:

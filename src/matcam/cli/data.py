@@ -61,7 +61,7 @@ def merl(
             show.say(fetched[-1], quiet=json)
         except DownloadError as error:
             failed.append(str(error))
-            typer.echo(f"matcam: {error}", err=True)
+            show.remark(str(error))
     if json:
         show.as_json({"files": fetched, "failed": failed})
     if not failed:

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
 from matcam.files.apart import read_apart
 from matcam.files.picture_header import LARGEST, check_memory, check_promised, picture_memory
@@ -161,7 +161,11 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
     channels = {name: np.ascontiguousarray(planes[..., i]) for i, name in enumerate(names)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with replacing(path, force=force) as temporary:
-        OpenEXR.File(header, channels).write(str(temporary))
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as error:  # what the library makes of a full disk
+            reason = " ".join(str(error).split()).rpartition('". ')[2].rstrip(".")
+            raise OutputError(f"output {path} cannot be written: {reason:.100}") from None
 
 
 def read_exr(path: str | Path) -> np.ndarray:
