@@ -45,6 +45,8 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values that float32
     cannot hold.
     """
+    if np.ma.is_masked(picture):
+        raise ArgumentError("picture must not be masked: use .filled(np.nan) where values are missing")
     given = np.asarray(picture)
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
