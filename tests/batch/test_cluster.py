@@ -1,5 +1,6 @@
 """The same jobs on Dask: a real scheduler, real workers, one of them killed; and clusters that must not be used."""
 
+import contextlib
 import json
 import os
 import signal
@@ -186,6 +187,16 @@ def test_workers_that_it_starts_itself(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_what_is_started_here_listens_here_alone():
+    with contextlib.ExitStack() as stack:
+        scheduler = ClusterExecutor("local:1")._client(stack).cluster.scheduler
+        assert scheduler.address.startswith("tcp://127.0.0.1:")
+        listening = [listener.getsockname() for listener in scheduler.http_server._sockets.values()]
+        assert {host for host, _ in listening} == {"127.0.0.1"}
+        assert 8787 not in {port for _, port in listening}
+        assert all(worker.startswith("tcp://127.0.0.1:") for worker in scheduler.workers)
+
+
 def test_a_file_that_kills_every_worker(tmp_path):
     """Dask tries it on several workers; in the end it is listed, and the others are done."""
     database = write_database(tmp_path / "in", ["a", "poison"])

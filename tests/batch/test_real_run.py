@@ -25,7 +25,7 @@ def test_results_do_not_depend_on_the_workers(stand_in, tmp_path):
     database = tmp_path / "in"
     database.mkdir()
     for material in ("gold-metallic-paint", "nickel"):
-        (database / f"{material}.binary").symlink_to(stand_in(material))
+        (database / f"{material}.binary").hardlink_to(stand_in(material))
     (database / "short.binary").write_bytes(stand_in("nickel").read_bytes()[:1000])
     worst = 0.0
     for workers in (1, 2):

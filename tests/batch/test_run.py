@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 from matcam import Cylinder, Rig, read_merl, rigs
 from matcam.batch import job, run
+from matcam.batch.executors import local
 from matcam.batch.executors.local import ProcessExecutor, WorkerError
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, attempt
@@ -293,9 +294,7 @@ def test_a_full_disk(tmp_path, database, limit):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert outcome.trace is None
     assert "cannot be written" in outcome.reason
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left <= {"a.binary"}  # whole, and without a record nobody takes the material for finished
-    assert all((tmp_path / name).stat().st_size == 34992012 for name in left)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_fault_of_ours_is_traced(tmp_path, monkeypatch):
@@ -320,6 +319,68 @@ def test_a_worker_that_hangs_is_killed(database, tmp_path):
     ended = {outcome.source.stem: outcome.reason for outcome in ProcessExecutor(1, time_limit=12.0).outcomes(jobs)}
     assert ended == {"poison": f"{jobs[0].source}: the worker that held it died (no result after 12 s)", "a": None}
     assert (tmp_path / "a.json").exists()
+
+
+def test_a_run_has_a_time_limit(database, tmp_path, monkeypatch):
+    asked = []
+
+    def outcomes(executor, jobs):
+        asked.append(executor.time_limit)
+        yield from ()
+
+    monkeypatch.setattr(ProcessExecutor, "outcomes", outcomes)
+    for limit in ({}, {"time_limit": 7.5}):
+        correct_all([database], rigs.merl(), tmp_path / "out", corrector=simple.brighter, **limit)
+    assert asked == [3600.0, 7.5]
+    with pytest.raises(ArgumentError, match="time_limit must lie in"):
+        correct_all([database], rigs.merl(), tmp_path / "out", time_limit=0)
+
+
+def test_a_worker_that_hangs_before_its_first_job(database, tmp_path, monkeypatch):
+    monkeypatch.setattr(local, "_START_LIMIT", 0.05)
+    with pytest.raises(WorkerError, match=r"no result after 0\.05 s"):
+        correct_all([database], rigs.merl(), tmp_path / "out", workers=1, corrector=simple.brighter)
+
+
+@pytest.mark.parametrize("name", ["a\udcff", "a\nb", "a\x1b[31m"])
+def test_a_name_that_is_no_text_fails_alone(tmp_path, here, name):
+    database = write_database(tmp_path / "in", ["a"])
+    os.link(database / "a.binary", os.fsencode(database / f"{name}.binary"))
+    done = correct_all([database], rigs.merl(), tmp_path / "out", corrector=simple.brighter)
+    assert [path.name for path in done.corrected] == ["a.binary"]
+    (reason,) = [failure.reason for failure in done.failures]
+    assert reason.endswith("its name is not plain text: rename it")
+    assert reason.isprintable()
+    assert len(json.loads((tmp_path / "out" / "failed.json").read_text())["failed"]) == 1
+    assert "rename it" in (tmp_path / "out" / "index.html").read_text()
+
+
+_ENDED = """
+import functools, os, signal, sys
+from matcam.batch import job, recipe
+from matcam.cli import main
+from tests.batch import simple
+
+write = job.write_netcdf
+def write_and_end(*arguments, **options):
+    write(*arguments, **options)
+    os.kill(os.getpid(), signal.SIGTERM)
+job.write_netcdf = write_and_end
+recipe.Recipe = functools.partial(recipe.Recipe, corrector=simple.brighter)
+main()
+"""
+
+
+def test_a_correction_that_is_ended_leaves_nothing(database, tmp_path):
+    """SIGTERM between two files of a single table: none of them stays, and the exit code says why."""
+    done = subprocess.run(
+        [sys.executable, "-c", _ENDED, "correct", database / "a.binary", "-o", tmp_path / "a.binary"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY / "src"), str(REPOSITORY)])},
+        stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    assert done.stderr.splitlines()[-1] == "matcam: interrupted; nothing half-written was left"
+    assert done.returncode == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_workers_that_cannot_start(tmp_path, database, monkeypatch):
@@ -397,7 +458,8 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     asked = {}
     monkeypatch.setattr(run, "correct_all", record)
     options = (
-        "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --no-pages --zarr --fit-camera"
+        "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --no-pages --zarr --fit-camera "
+        "--time-limit 60"
     )
     done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
     assert done.exit_code == 0, done.output
@@ -405,7 +467,8 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     assert asked.pop("workspace") is Workspace.user()
     assert asked == {
         "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "masking": None, "radius": 100.0,
-        "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "force": True,
+        "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "time_limit": 60.0,
+        "force": True,
     }  # fmt: skip
 
 

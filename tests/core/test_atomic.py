@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from matcam.core.errors import OutputError
-from matcam.core.io import check_output, replacing
+from matcam.core.io import all_or_nothing, check_output, one_by_one, replacing, where_written
 
 
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -66,3 +66,55 @@ def test_folder_without_permission(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="Permission denied"), replacing(tmp_path / "a.txt"):
         pass
+
+
+def write(path, text="new", **options):
+    with replacing(path, **options) as temporary:
+        temporary.write_text(text)
+
+
+def test_files_appear_together(tmp_path):
+    with all_or_nothing():
+        write(tmp_path / "a.txt")
+        with all_or_nothing():  # belongs to the outer one
+            write(tmp_path / "b.txt")
+        assert not list(tmp_path.glob("[!.]*"))
+        assert where_written(tmp_path / "a.txt").read_text() == "new"
+        with pytest.raises(OutputError, match="asked for twice"):
+            write(tmp_path / "a.txt")
+        write(tmp_path / "a.txt", "newer", force=True)
+        with one_by_one():
+            write(tmp_path / "c.txt")
+        assert (tmp_path / "c.txt").exists()
+    assert sorted(os.listdir(tmp_path)) == ["a.txt", "b.txt", "c.txt"]
+    assert (tmp_path / "a.txt").read_text() == "newer"
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_or_none_of_them(tmp_path, error):
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(error), all_or_nothing():
+        write(tmp_path / "a.txt", force=True)
+        write(tmp_path / "b.txt")
+        raise error
+    assert os.listdir(tmp_path) == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "old"
+
+
+def test_a_name_that_cannot_be_had_undoes_the_others(tmp_path):
+    """The third becomes a folder while the files are written."""
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(OutputError, match=r"c\.txt cannot be written"), all_or_nothing():
+        write(tmp_path / "a.txt", force=True)
+        write(tmp_path / "b.txt")
+        write(tmp_path / "c.txt")
+        (tmp_path / "c.txt").mkdir()
+    assert sorted(os.listdir(tmp_path)) == ["a.txt", "c.txt"]
+    assert (tmp_path / "a.txt").read_text() == "old"
+
+
+@pytest.mark.parametrize("name", ["a\n.txt", "\x1b]0;title\x07.txt", "a\udcff.txt", "a\u202etxt.exe"])
+def test_a_name_that_is_no_text(tmp_path, name):
+    with pytest.raises(OutputError, match="has a name that is not plain text") as caught:
+        check_output(tmp_path / name)
+    assert str(caught.value).isprintable()

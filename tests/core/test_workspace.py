@@ -1,11 +1,14 @@
 """What a workspace keeps, what it lets go, and that a broken disk is no harm."""
 
+import os
 import pickle
 
 import numpy as np
 import pytest
 
-from matcam.core.errors import ArgumentError
+from matcam.core import jax as jax_module
+from matcam.core import workspace as workspace_module
+from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.workspace import Workspace, default_workspace, user_cache_folder
 
 
@@ -20,7 +23,7 @@ class Counted:
         return {"a": np.arange(3.0)}
 
 
-def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path):
+def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path, caplog):
     make = Counted()
     workspace = Workspace(tmp_path)
     for _ in range(2):
@@ -29,12 +32,67 @@ def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path):
     (file,) = tmp_path.glob("*.npz")
     file.write_bytes(b"not an archive")
     workspace.store("rig", make)
+    assert caplog.messages == [f"matcam: {file.name} in the cache is damaged: it is made again"]
     assert make.calls == 2
     workspace.store("another rig", make)
     assert make.calls == 3
     # another process finds them
     pickle.loads(pickle.dumps(workspace)).store("another rig", make)
     assert make.calls == 3
+
+
+def test_no_flipped_bit_is_believed(tmp_path, caplog, monkeypatch):
+    """Each of 1,200 is noticed: the arrays are those that were made, and then the file is whole again."""
+    random = np.random.default_rng(7)
+    arrays = {"weights": random.random((5, 7)), "places": np.arange(11), "none": np.zeros((0, 3))}
+    store = Workspace(tmp_path).store
+    store("rig", lambda: arrays)
+    (file,) = tmp_path.glob("*.npz")
+    whole = file.read_bytes()
+
+    def full(path, **options):
+        raise OutputError("output cannot be written: full")
+
+    with monkeypatch.context() as context:
+        context.setattr(workspace_module, "replacing", full)  # a flip is not mended before the next one
+        for bit in random.choice(8 * len(whole), 1200, replace=False).tolist():
+            damaged = bytearray(whole)
+            damaged[bit // 8] ^= 1 << bit % 8
+            file.write_bytes(damaged)
+            assert store("rig", lambda: arrays) is arrays, bit
+        assert len(caplog.messages) == 1200
+        for cut in (0, 1, 31, 32, 33, len(whole) - 1):
+            file.write_bytes(whole[:cut])
+            assert store("rig", lambda: arrays) is arrays
+    store("rig", lambda: arrays)
+    assert file.read_bytes() == whole
+    found = store("rig", lambda: pytest.fail("made again"))
+    assert found.keys() == arrays.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert (found[name].dtype, found[name].shape) == (array.dtype, array.shape)
+
+
+def test_another_s_file_is_not_believed(tmp_path):
+    make = Counted()
+    for name in ("rig", "another rig"):
+        Workspace(tmp_path).store(name, make)
+    first, second = tmp_path.glob("*.npz")
+    first.write_bytes(second.read_bytes())
+    for name in ("rig", "another rig"):
+        Workspace(tmp_path).store(name, make)
+    assert make.calls == 3
+
+
+def test_the_cache_of_compiled_functions_has_a_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(jax_module, "_LARGEST_CACHE", 1000)
+    for age, name in enumerate(("new", "middle", "old")):
+        (tmp_path / name).write_bytes(bytes(400))
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    (tmp_path / "empty").touch()
+    jax_module._trim(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"new", "middle"}
+    jax_module._trim(tmp_path / "none")
 
 
 def test_another_version_of_the_package_makes_its_own(tmp_path, monkeypatch):

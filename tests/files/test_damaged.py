@@ -4,19 +4,31 @@ RGL, CSV and Zarr have theirs beside their other tests. NetCDF is read by the HD
 on a damaged file before it gives up: see docs/exchange.md.
 """
 
+import imagecodecs
 import numpy as np
 import pytest
 
 from matcam import BoxPixel, Camera, GaussianOptics, read_merl, rigs
-from matcam.files.float_pictures import DEFLATE_LIMIT
-from matcam.files.photographs import read_photograph
+from matcam.files.photographs import open_photograph, read_photograph
+from matcam.files.picture_header import DEFLATE_LIMIT
 from matcam.io import read_exr, read_float_tiff, read_sidecar, write_exr, write_float_tiff, write_sidecar
 from tests.files.mutations import mutated, refusal, survives
+from tests.files.test_open_photograph import COUNTS, write_dng
 
 
 def _picture(path):
     picture = np.random.default_rng(1).random((64, 48, 3)).astype(np.float32)
     {".exr": write_exr, ".tif": write_float_tiff}[path.suffix](path, picture)
+
+
+def _codes(path):
+    codes = np.random.default_rng(1).integers(0, 65536, (64, 48, 3), dtype=np.uint16)
+    encode = imagecodecs.png_encode if path.suffix == ".png" else imagecodecs.jpeg8_encode
+    path.write_bytes(encode(codes if path.suffix == ".png" else (codes >> 8).astype(np.uint8)))
+
+
+def _raw(path):
+    write_dng(path, COUNTS)
 
 
 def _profile(path):
@@ -35,13 +47,16 @@ READERS = {
     "exr": (_picture, ".exr", read_exr, 400),
     "tiff": (_picture, ".tif", read_float_tiff, 300),
     "photograph": (_picture, ".tif", read_photograph, 300),
+    "png": (_codes, ".png", open_photograph, 60),
+    "jpeg": (_codes, ".jpg", open_photograph, 700),
+    "raw": (_raw, ".dng", open_photograph, 400),
     "camera profile": (_profile, ".json", Camera.load, 200),
     "picture sidecar": (_sidecar, ".json", read_sidecar, 300),
 }
 
 
 @pytest.mark.parametrize("name", READERS)
-@pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_small_files(tmp_path, name, count):
     write, suffix, read, header = READERS[name]
     write(tmp_path / f"a{suffix}")

@@ -99,6 +99,7 @@ def test_fields_that_make_no_brdf_are_not_written(real_data, tmp_path):
         (less, "vndf must not be negative"),
         (nothing, "above 0 for every direction"),
         (fields.isel(column=slice(8)), "must be square"),
+        (fields.assign(sigma=fields["sigma"].where(fields["sigma"] < 0.5, 0)), "sigma must be above 0"),
         (fields.isel(channel=[0]), "3 channels"),
         (fields["rgb"], "a Dataset"),
     ):

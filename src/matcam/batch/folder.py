@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -16,15 +17,15 @@ import filelock
 from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import SETTINGS_FORMAT
 from matcam.batch.store import open_rows, whole_rows
-from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import check_output, read_json, reading, write_json
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.io import check_name, check_output, check_within, read_json, reading, write_json
 from matcam.files.datasets import read_netcdf
 
 SETTINGS = "settings.json"
 _INDEX, _FAILED, _CAMERA, _ZARR, _LOCK = "index.html", "failed.json", "camera.json", "run.zarr", ".lock"
 _RESERVED = {Path(name).stem for name in (_INDEX, _FAILED, _CAMERA, SETTINGS)}
 _WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # what some network file systems answer
-_TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)")
+_TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.old)?")
 
 
 class RunFolder:
@@ -49,6 +50,7 @@ class RunFolder:
         lock = filelock.FileLock(self.path / _LOCK)
         try:
             self.path.mkdir(parents=True, exist_ok=True)
+            self._check_links()
             lock.acquire(timeout=0)
         except filelock.Timeout:
             raise OutputError(
@@ -64,6 +66,15 @@ class RunFolder:
         finally:
             lock.release()
 
+    def _check_links(self) -> None:
+        """Refuse links among the run's files: what it reads and writes lies in its folder. OutputError names the first."""
+        for folder, folders, files in os.walk(self.path):
+            for name in (*folders, *files):
+                if (path := Path(folder, name)).is_symlink():
+                    raise OutputError(f"output {path} is a symbolic link in a run's folder: remove it")
+            if folder == str(self.path):  # the only folder that a run makes
+                folders[:] = [name for name in folders if name == _ZARR]
+
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
         """Find the tables that `paths` name, and the file that each becomes in this folder.
 
@@ -73,21 +84,28 @@ class RunFolder:
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}
+        refused = []
         for path in given:
             inside = [path]
             if path.is_dir():
                 with reading(path):
                     inside = sorted(p for p in path.iterdir() if p.suffix.lower() == ".binary" and p.name[0] != ".")
             for file in inside:
+                try:
+                    check_name(file)
+                    if file != path:
+                        check_within(file, path)
+                except FileFormatError as error:
+                    refused.append(Outcome(file, 0.0, str(error)))
+                    continue
                 found.setdefault(file.resolve(), file)
-        if not found:
+        if not found and not refused:
             raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: no *.binary in there")
         namesakes: dict[str, list[Path]] = {}
         for file in found.values():
             # some file systems do not tell upper from lower case
             namesakes.setdefault(file.stem.casefold(), []).append(file)
         outputs: dict[Path, Path] = {}
-        refused = []
         for stem, files in namesakes.items():
             for file in files:
                 output = self.path / f"{file.stem}.binary"

@@ -15,7 +15,16 @@ from typing import Any, NamedTuple
 from matcam.batch.recipe import Recipe
 from matcam.batch.store import StoreRow
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
-from matcam.core.io import check_output, plain, read_json, reading, write_json
+from matcam.core.io import (
+    all_or_nothing,
+    check_name,
+    check_output,
+    plain,
+    read_json,
+    reading,
+    where_written,
+    write_json,
+)
 from matcam.core.workspace import Workspace
 from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf
@@ -151,6 +160,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         raise ArgumentError(
             f"this worker has matcam {version}, the run was started by {job.recipe.version}: install the same"
         )
+    check_name(job.source)
     for path in job.files:
         check_output(path, force=job.force, inputs=[job.source])
     started = time.perf_counter()
@@ -162,9 +172,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     if workspace is not None:
         options = options._replace(workspace=workspace)
     done = job.recipe.corrector(table, job.recipe.rig, options)
-    with _WRITING:
-        if job.force:  # an old record must not vouch for new files
-            job.record.unlink(missing_ok=True)
+    with _WRITING, all_or_nothing():
         write_merl(job.output, done.table["brdf"], force=job.force)
         write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force)
         if job.recipe.page:
@@ -175,9 +183,11 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
             job.row.write(done.table)
         document = {"file": str(job.source), **done.document, "input": before._asdict()}
         if job.key is not None:
-            sizes = {path.name: path.stat().st_size for path in job.files[:-1]}
+            sizes = {path.name: where_written(path).stat().st_size for path in job.files[:-1]}
             document["run"] = {"settings": job.key, "files": sizes, "seconds": time.perf_counter() - started}
         write_json(job.record, plain(document), force=job.force)
+        if job.force:  # an old record must not vouch for new files
+            job.record.unlink(missing_ok=True)
     return document
 
 

@@ -29,6 +29,7 @@ from matcam.camera.camera import Camera
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
+from matcam.core.io import one_by_one
 from matcam.core.registry import FAMILIES
 from matcam.core.workspace import Workspace
 from matcam.figures.pages import INLINE, write_run_index
@@ -110,6 +111,7 @@ def correct_all(
     pages: bool = True,
     zarr: bool = False,
     fit_camera: bool = False,
+    time_limit: float = 3600.0,
     force: bool = False,
     watch: Callable[[Progress], None] = lambda progress: None,
     corrector: Corrector = correct_table,
@@ -143,6 +145,8 @@ def correct_all(
         zarr: whether to write all materials to one Zarr besides, run.zarr. Default: False.
         fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
             corrected with that blur and its covariance, kept as camera.json. Default: False.
+        time_limit: time after which a worker process that is still at one material is killed, and the material has
+            failed, s. Threads and clusters have none. Default: 3600.
         force: whether to replace what is in the folder and correct everything again. Default: False.
         watch: function that is called with a `Progress` at the start and after each material. Default: does nothing.
         corrector: function (table, rig, options) that corrects one table; it must stand at the top of a module, because
@@ -175,13 +179,14 @@ def correct_all(
     checks.choice("masking", masking, MASKINGS)
     checks.within("glare", glare, 0, 0.5)
     checks.choice("sampling", sampling, SAMPLINGS)
-    executor = _executor(workers, cluster)
+    checks.positive("time_limit", time_limit, "s")
+    executor = _executor(workers, cluster, time_limit)
     recipe = Recipe(rig, Options(ndf, masking, glare, workspace), sampling, pages, corrector)
     _check_picklable(recipe)
     settings = recipe.settings(fit_camera=fit_camera)
     folder = RunFolder(Path(output))
     outputs, refused = folder.outputs(paths)
-    with folder.locked():
+    with folder.locked(), one_by_one():
         key = settings_key(settings)
         jobs = [Job(source, target, recipe, force=True, key=key) for source, target in outputs.items()]
         ours = folder.check(settings, jobs, force=force)
@@ -239,7 +244,7 @@ def _run_jobs(
     return replace(run, corrected=tuple(corrected), failures=tuple(failures))
 
 
-def _executor(workers: int | None, cluster: str | None) -> Executor:
+def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Executor:
     """Choose who does the jobs."""
     if cluster is not None:
         chosen = ClusterExecutor(cluster)
@@ -247,10 +252,10 @@ def _executor(workers: int | None, cluster: str | None) -> Executor:
             raise ArgumentError("workers are of this machine, cluster says where others are: give one of them")
         return chosen
     if workers is None:
-        return ThreadExecutor() if has_gpu() else ProcessExecutor(available_cores())
+        return ThreadExecutor() if has_gpu() else ProcessExecutor(available_cores(), time_limit)
     if type(workers) is not int or not 1 <= workers <= 1024:
         raise ArgumentError(f"workers must be a whole number in [1, 1024], got {workers!r}")
-    return ProcessExecutor(workers)
+    return ProcessExecutor(workers, time_limit)
 
 
 def _check_picklable(recipe: Recipe) -> None:

@@ -14,10 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
+from matcam.core.io import read_json
+from matcam.files.decoders import DESCRIPTION, check_codecs
 
 _ROW, _DONE = "material", "corrected"
+_MOST_ROWS = 10_000_000
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     "brdf": (float, {"units": "1/sr", "long_name": "BRDF freed from the camera"}),
     "brdf_std": (float, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
@@ -40,7 +43,7 @@ class StoreRow(NamedTuple):
     def write(self, data: xr.Dataset) -> None:
         """Write a corrected table as this row. OutputError if that fails."""
         try:
-            group = _zarr().open_group(self.store, mode="r+", zarr_format=3)
+            group = _zarr().open_group(self.store, mode="r+", zarr_format=3, use_consolidated=False)
             group[_DONE][self.row] = False
             for name in _VALUES:
                 group[name][self.row] = data[name].values
@@ -59,7 +62,8 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not know it
-            group = zarr.open_group(store, mode="a", zarr_format=3)
+            _check_store(store)
+            group = zarr.open_group(store, mode="a", zarr_format=3, use_consolidated=False)
             if _ROW not in group:
                 if any(True for _ in group):
                     raise OutputError(f"output {store} is not the Zarr of a run: choose another folder")
@@ -75,7 +79,19 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
 
 def whole_rows(store: Path) -> np.ndarray:
     """Return which rows hold a corrected table, bool."""
-    return np.asarray(_zarr().open_group(store, mode="r", zarr_format=3)[_DONE][:])
+    return np.asarray(_zarr().open_group(store, mode="r", zarr_format=3, use_consolidated=False)[_DONE][:])
+
+
+def _check_store(store: Path) -> None:
+    """Check the arrays of a store before anything of it is decoded. OutputError for what no run has written."""
+    for described in sorted(store.glob(f"*/{DESCRIPTION}")):
+        try:
+            document = read_json(described, "an array of a run's Zarr")
+            check_codecs(store, described.parent.name, document)
+            if document["shape"][0] > _MOST_ROWS and described.parent.name in (_ROW, _DONE):
+                raise FileFormatError(f"{described}: {document['shape'][0]} materials")
+        except (FileFormatError, KeyError, TypeError, IndexError) as error:
+            raise OutputError(f"output {store} is not the Zarr of a run: {error}") from None
 
 
 def _create_arrays(group: Any, sampling: Sampling) -> None:

@@ -1,14 +1,18 @@
 """The command line: `matcam`. One file per command; each parses, calls the library, shows progress, writes.
 
-Exit codes: 0; 1 some inputs failed; 2 bad input; 70 a fault of ours (with traceback); 130 interrupted.
+Exit codes: 0; 1 some inputs failed; 2 bad input; 70 a fault of ours (with traceback); 130 interrupted (143 by SIGTERM).
 """
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
+import signal
 import sys
 import traceback
-from typing import Any
+from pathlib import Path
+from typing import Any, TextIO
 
 BAD_INPUT = 2
 FAULT = 70
@@ -22,11 +26,61 @@ OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
     gc.set_threshold(50_000, 20, 50)  # a short life with much importing and tracing: collecting rarely saves a tenth
+    sys.stdout, sys.stderr = (stream or _nowhere() for stream in (sys.stdout, sys.stderr))
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a locale without a sign for degrees gets its escape
+            stream.reconfigure(errors="backslashreplace")
+    _end_on_signals()
     try:
         code = _run(arguments)
     except KeyboardInterrupt:  # while the commands themselves were being loaded
-        code = _complain(_INTERRUPTION, INTERRUPTED)
+        code = _interrupted()
+    if error := _unwritable():
+        code = _output_failed(error, code)
     sys.exit(code)
+
+
+_ended_by: list[int] = []
+"""The signal by which the system asked this process to end."""
+
+
+def _end_on_signals() -> None:
+    """Take the system's wish to end this process for Ctrl-C: whatever is half done is removed."""
+
+    def end(number: int, frame: Any) -> None:
+        _ended_by.append(number)
+        raise KeyboardInterrupt
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup's wish stands
+            signal.signal(number, end)
+
+
+def _interrupted() -> int:
+    return _complain(_INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
+
+
+def _unwritable() -> OSError | None:
+    """Return what standard output answers, if it cannot be written."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        return error
+    return None
+
+
+def _nowhere() -> TextIO:
+    """Return a stream for output that nobody can have."""
+    return Path(os.devnull).open("w", encoding="utf-8")
+
+
+def _output_failed(error: OSError, code: int) -> int:
+    """Return the code to exit with when standard output could not be written; a reader that has gone is no failure."""
+    sys.stdout = _nowhere()  # Python would complain once more at exit
+    if isinstance(error, BrokenPipeError):
+        return code
+    return _complain(f"standard output cannot be written: {error.strerror}", BAD_INPUT)
 
 
 def _run(arguments: list[str] | None) -> int:
@@ -34,6 +88,7 @@ def _run(arguments: list[str] | None) -> int:
     import typer
 
     from matcam.cli.app import app
+    from matcam.cli.show import broken_output
     from matcam.core.errors import MatcamError
 
     # typer carries a click of its own, and does not export this one
@@ -49,22 +104,30 @@ def _run(arguments: list[str] | None) -> int:
         context = f" (see {error.ctx.command_path} --help)" if error.ctx else ""
         return _complain(f"{_one_line(error.format_message())}{context}", BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort):
-        return _complain(_INTERRUPTION, INTERRUPTED)
+        return _interrupted()
     except MatcamError as error:
         return _complain(_in_options(_one_line(str(error))), BAD_INPUT)
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader has gone; Python would complain once more at exit
-        return 0
+    except BrokenPipeError as error:
+        return _output_failed(error, 0)
     except MemoryError:
         return _complain("not enough memory", BAD_INPUT)
-    except Exception:
+    except SystemExit:  # Rich's answer to a reader of the help who has gone
+        return 0
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is None:  # typer prints its help itself
+            return _output_failed(error, 0)
         traceback.print_exc()
         return _complain("this is a fault of matcam, not of your input; please report it with the lines above", FAULT)
-    return result if isinstance(result, int) else 0
+    code = result if isinstance(result, int) else 0
+    error = broken_output()
+    return code if error is None else _output_failed(error, code)
 
 
 def _complain(message: str, code: int) -> int:
-    print(f"matcam: {message}", file=sys.stderr)
+    from matcam.core.io import printable
+
+    with contextlib.suppress(OSError):
+        print(f"matcam: {printable(message)}", file=sys.stderr)
     return code
 
 

@@ -45,11 +45,18 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Decode files in this process, without limits of time and memory.")
+    ] = False,
 ) -> None:
-    pass
+    if trust:
+        from matcam.files.apart import reading_limits
+
+        context.with_resource(reading_limits(None))
 
 
 for _name, _module in {

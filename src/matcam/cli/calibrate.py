@@ -119,6 +119,7 @@ def command(
 def _files(given: list[Path]) -> list[Path]:
     """Return the pictures, a folder's by name."""
     from matcam.core.errors import FileFormatError
+    from matcam.core.io import check_within
     from matcam.files.photographs import PICTURES
 
     files: list[Path] = []
@@ -129,6 +130,8 @@ def _files(given: list[Path]) -> list[Path]:
         inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
         if not inside:
             raise FileFormatError(f"{path}: no pictures in this folder ({', '.join(PICTURES[:6])}, camera raw)")
+        for file in inside:
+            check_within(file, path)
         files += inside
     return files
 

@@ -63,6 +63,9 @@ def command(
             "--fit-camera", help="Fit the camera's blur jointly to a few materials of a run, and use it for all."
         ),
     ] = False,
+    time_limit: Annotated[
+        float, typer.Option("--time-limit", help="Time for one material of a run, s; what takes longer has failed.")
+    ] = 3600.0,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -117,7 +120,7 @@ def command(
 
         run = correct_all(
             paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, zarr=zarr,
-            fit_camera=fit_camera, force=force, watch=show_progress, workspace=workspace, **how,
+            fit_camera=fit_camera, time_limit=time_limit, force=force, watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip
     _print_run(run, json)
     if run.failures:

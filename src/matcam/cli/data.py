@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from matcam.cli import show
-from matcam.cli.options import AsJson, Command
+from matcam.cli import OPTIONS, show
+from matcam.cli.options import AsJson, Command, Force
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -33,6 +33,7 @@ def merl(
         ),
     ] = None,
     listing: Annotated[bool, typer.Option("--list", help="List the 100 materials.")] = False,
+    force: Force = False,
     json: AsJson = False,
 ) -> int:
     """Fetch measured MERL files (35 MB each, CC BY-SA 4.0) and check each against its published SHA-256.
@@ -40,6 +41,7 @@ def merl(
     Example: `matcam data merl chrome nickel -o merl`
     """
     from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
+    from matcam.core.io import one_by_one
     from matcam.files.downloads import fetch_merl, merl_checksums
 
     known = merl_checksums()
@@ -56,12 +58,12 @@ def merl(
     fetched, failed = [], []
     for name in materials:
         try:
-            with show.counting(name) as progress:
-                fetched.append(str(fetch_merl(name, output, source, progress)))
+            with one_by_one(), show.counting(name) as progress:
+                fetched.append(str(fetch_merl(name, output, source, progress, force=force)))
             show.say(fetched[-1], quiet=json)
-        except DownloadError as error:
-            failed.append(str(error))
-            typer.echo(f"matcam: {error}", err=True)
+        except (DownloadError, OutputError) as error:
+            failed.append(str(error).replace("force=True", OPTIONS["force=True"]))
+            show.remark(failed[-1])
     if json:
         show.as_json({"files": fetched, "failed": failed})
     if not failed:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +41,7 @@ def command(
 
 
 def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) -> None:
+    from matcam.core.io import where_written
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
 
@@ -52,7 +54,10 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
     show.say("2. What to expect of this rig:")
     predict.command([0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=loss, force=force)
     show.say("3. Its Fresnel term, as recorded and corrected for the camera:")
-    fresnel.command(table, metal="Cr", output=term, force=force)
+    with tempfile.TemporaryDirectory() as folder:  # the table bears its name only when all is done
+        named = Path(folder, table.name)
+        named.symlink_to(where_written(table).absolute())
+        fresnel.command(named, metal="Cr", output=term, force=force)
     show.say("4. The paper's figures:")
     figures.command([], output=output, vector="svg", force=force)
     show.say(f"Done. Open {term} first.")

@@ -16,7 +16,9 @@ import typer
 from typer.core import TyperCommand
 
 from matcam.core.errors import MatcamError
+from matcam.core.io import all_or_nothing
 from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
+from matcam.files import formats
 
 if TYPE_CHECKING:
     from matcam.rigs import Rig
@@ -153,9 +155,16 @@ class Command(TyperCommand):
     """Run a command; errors speak of its options."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, and translate the message of its error."""
+        """Run the command, whose files appear together at its end; translate the message of its error."""
+        values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
+        modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
+        if modules:
+            from matcam.files.apart import start_reader
+
+            start_reader(modules)
         try:
-            return super().invoke(ctx)
+            with all_or_nothing():
+                return super().invoke(ctx)
         except MatcamError as error:
             error.args = (in_options(str(error), self), *error.args[1:])
             raise

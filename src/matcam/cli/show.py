@@ -1,23 +1,34 @@
-"""Output of the commands: results and tables to standard output, progress and remarks to standard error."""
+"""Output of the commands: results and tables to standard output, progress and remarks to standard error.
+
+Texts may come from files: characters that a terminal obeys are printed as their escapes, and nothing in them is markup.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
+import re
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from matcam.core.io import plain
+from matcam.core.io import UNPRINTABLE, plain, printable
 
 _SECONDS = 30.0
 
 
+_broken: list[OSError] = []
+"""What standard output answered when it could not be written."""
+
+
 def as_json(result: Any) -> None:
     """Print a result as one JSON document; NaN and infinity become null."""
-    print(json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+    # JSON has no other controls than those between its lines; what a terminal obeys is an escape of JSON, too
+    _print("\n".join(re.sub(UNPRINTABLE, lambda found: f"\\u{ord(found[0]):04x}", line) for line in text.split("\n")))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -25,26 +36,44 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    drawn = Table(
-        *(head[:1]), box=box.SIMPLE_HEAD, title=title or None, title_justify="left", title_style="bold", pad_edge=False
-    )
-    for name in head[1:]:
-        drawn.add_column(name, justify="right")
+    named = Text(printable(title)) if title else None
+    drawn = Table(box=box.SIMPLE_HEAD, title=named, title_justify="left", title_style="bold", pad_edge=False)
+    for number, name in enumerate(head):
+        drawn.add_column(Text(printable(name)), justify="right" if number else "left")
     for row in rows:
-        drawn.add_row(*row)
-    Console(file=sys.stdout, highlight=False).print(drawn)
+        drawn.add_row(*(Text(printable(cell)) for cell in row))
+    with io.StringIO() as drawing:
+        colours = "auto" if sys.stdout.isatty() else None
+        Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty(), color_system=colours).print(drawn)
+        _print(drawing.getvalue(), end="")
 
 
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line of the result, unless standard output belongs to JSON."""
     if not quiet:
-        print(text)
+        _print("\n".join(map(printable, text.split("\n"))))
 
 
 def remark(text: str) -> None:
     """Print a line to standard error: what was left out, or failed without ending the work."""
-    print(f"matcam: {text}", file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print(f"matcam: {printable(text)}", file=sys.stderr)
+
+
+def _print(text: str, end: str = "\n") -> None:
+    """Print to standard output; where that cannot be written, go on: the files are worth more."""
+    if not _broken:
+        try:
+            print(text, end=end, flush=True)
+        except OSError as error:
+            _broken.append(error)
+
+
+def broken_output() -> OSError | None:
+    """Return what standard output answered when it could not be written; None if it could."""
+    return _broken[0] if _broken else None
 
 
 @contextlib.contextmanager
@@ -54,8 +83,9 @@ def working(what: str) -> Iterator[None]:
         yield
         return
     from rich.console import Console
+    from rich.text import Text
 
-    with Console(stderr=True).status(what):
+    with Console(stderr=True).status(Text(printable(what))):
         yield
 
 
@@ -66,14 +96,14 @@ def counting(what: str) -> Iterator[Any]:
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         DownloadColumn(),
         TransferSpeedColumn(),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task(what, total=None)
+        task = progress.add_task(printable(what), total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
@@ -94,7 +124,7 @@ def tallying(what: str) -> Iterator[Any]:
     )
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),

@@ -74,7 +74,16 @@ def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     return value
 
 
+def not_masked(name: str, value: Any) -> None:
+    """Refuse a masked array: NumPy would use the values behind its mask."""
+    if np.ma.is_masked(value):
+        raise ArgumentError(
+            f"{name} must not be masked: use .filled(np.nan) where values are missing, or leave them out"
+        )
+
+
 def _as_float64(name: str, value: ArrayLike) -> np.ndarray:
+    not_masked(name, value)
     try:
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

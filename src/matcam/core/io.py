@@ -11,9 +11,11 @@ import contextlib
 import json
 import math
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Collection, Iterable, Iterator
+from contextvars import ContextVar
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +33,8 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     not set.
     """
     path = Path(path)
+    if re.search(UNPRINTABLE, path.name):
+        raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another")
     for source in inputs:
         if path.exists() and Path(source).exists() and path.samefile(source):
             raise OutputError(f"output {path} is the input itself: choose another name")
@@ -53,6 +57,9 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
     The temporary name keeps the suffix, because writers choose their format by it.
     """
     path = check_output(path, force=force, inputs=inputs)
+    staged = _staged.get()
+    if staged is not None and path in staged and not force:
+        raise OutputError(f"output {path} is asked for twice: give two names")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
@@ -66,11 +73,84 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
+        if staged is None:
+            temporary.replace(path)
+        else:
+            if path in staged:
+                staged.pop(path).unlink(missing_ok=True)
+            staged[path] = temporary
     except OSError as error:
         raise OutputError(f"output {path} cannot be written: {error.strerror or error}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        if staged is None or staged.get(path) != temporary:
+            temporary.unlink(missing_ok=True)
+
+
+_staged: ContextVar[dict[Path, Path] | None] = ContextVar("staged", default=None)
+"""Name -> temporary file, of the files that are to appear together."""
+
+
+@contextlib.contextmanager
+def all_or_nothing() -> Iterator[None]:
+    """Let the files that are written inside appear together at its end, or none of them.
+
+    Inside another, they belong to that one. Files of other threads do not take part.
+    """
+    if _staged.get() is not None:
+        yield
+        return
+    staged: dict[Path, Path] = {}
+    token = _staged.set(staged)
+    try:
+        yield
+        _publish(staged)
+    finally:
+        _staged.reset(token)
+        for temporary in staged.values():
+            temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def one_by_one() -> Iterator[None]:
+    """Let each file that is written inside appear at once, as without `all_or_nothing`."""
+    token = _staged.set(None)
+    try:
+        yield
+    finally:
+        _staged.reset(token)
+
+
+def where_written(path: Path) -> Path:
+    """Return where the content of an output lies now: under its name, or waiting for it."""
+    return (_staged.get() or {}).get(path, path)
+
+
+def _publish(staged: dict[Path, Path]) -> None:
+    """Give all files their names; where one cannot have it, none has, and those that were replaced are back."""
+    renamed: list[tuple[Path, Path, Path | None]] = []
+    try:
+        for path, temporary in staged.items():
+            old = temporary.with_name(f"{temporary.name}.old") if path.exists() else None
+            renamed.append((path, temporary, old))
+            if old is not None:
+                with contextlib.suppress(OSError):  # where there are no links, what was replaced is gone
+                    os.link(path, old)
+            temporary.replace(path)
+    except BaseException as error:
+        for path, temporary, old in reversed(renamed):
+            if temporary.exists():
+                continue
+            if old is None:
+                path.unlink(missing_ok=True)
+            elif old.exists():
+                old.replace(path)
+        if isinstance(error, OSError):
+            raise OutputError(f"output {renamed[-1][0]} cannot be written: {error.strerror or error}") from None
+        raise
+    finally:
+        for *_, old in renamed:
+            if old is not None:
+                old.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -90,6 +170,30 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         raise FileFormatError(f"{path}: no such file") from None
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+"""Characters that move a terminal's cursor or change its state, and bytes of a name that are no text."""
+
+
+def printable(text: str) -> str:
+    """Return text without characters that a terminal obeys, or that are no characters: each as its escape."""
+    return re.sub(UNPRINTABLE, lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def check_name(path: Path) -> None:
+    """Refuse an input whose name could not be written down. FileFormatError."""
+    if re.search(UNPRINTABLE, path.name):
+        raise FileFormatError(f"{printable(str(path))}: its name is not plain text: rename it")
+
+
+def check_within(path: Path, folder: Path) -> None:
+    """Refuse a file of a folder that is a link to elsewhere: who fills a folder must not choose among the reader's files.
+
+    FileFormatError where following the links of `path` leads out of `folder`.
+    """
+    if path.is_symlink() and not (target := path.resolve()).is_relative_to(folder.resolve()):
+        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
 
 
 def write_columns(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -112,7 +216,11 @@ def user_cache_folder() -> Path:
         return Path(root) / "matcam"
     import pooch  # a fifth of a second that only programs should cost
 
-    return pooch.os_cache("matcam")
+    try:
+        folder = pooch.os_cache("matcam")
+    except RuntimeError:  # without a home there is no folder that is this user's alone
+        folder = Path()
+    return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # which cannot be made: nothing is kept
 
 
 if TYPE_CHECKING:
@@ -128,7 +236,8 @@ def write_json(path: str | Path, document: dict[str, Any], *, force: bool = Fals
     """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        # what is no text, such as a byte of a file's name, is an escape in JSON, too
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def read_json(path: str | Path, what: str) -> Any:

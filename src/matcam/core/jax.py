@@ -6,6 +6,9 @@ are 1e3 to 1e6 times brighter than what surrounds them.
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +24,9 @@ AnyArray = jax.Array | np.ndarray
 FloatArray = npt.NDArray[np.float64]
 
 
+_LARGEST_CACHE = 1 << 30  # bytes of compiled functions
+
+
 def is_concrete(value: object) -> bool:
     """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
     return not isinstance(value, jax.core.Tracer)
@@ -29,8 +35,27 @@ def is_concrete(value: object) -> bool:
 def use_compilation_cache() -> None:
     """Keep compiled functions in the user's cache folder between runs.
 
-    A program may choose this for its user; a library must not.
+    A program may choose this for its user; a library must not. What was used longest ago is removed where the folder holds more
+    than a limit: each shape of a picture has functions of its own.
     """
-    jax.config.update("jax_compilation_cache_dir", str(user_cache_folder() / "jax"))
+    folder = user_cache_folder() / "jax"
+    _trim(folder)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _trim(folder: Path) -> None:
+    """Remove the oldest files of a cache that has grown beyond its limit, and empty ones, which a killed process left."""
+    # JAX's own limit is not used: it fails for good where a process was killed between two of its writes
+    try:
+        with os.scandir(folder) as entries:
+            files = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
+        total = sum(status.st_size for status, _ in files)
+        files.sort(key=lambda file: max(file[0].st_atime, file[0].st_mtime))
+        for status, path in files:
+            if total > _LARGEST_CACHE or not status.st_size:
+                os.unlink(path)  # noqa: PTH108
+                total -= status.st_size
+    except OSError:  # there is none, or another process is at it
+        return

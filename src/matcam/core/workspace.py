@@ -10,8 +10,9 @@ basis, a lens model) are constants, whoever asks: they stay in `functools.cache`
 from __future__ import annotations
 
 import hashlib
+import io
+import logging
 import threading
-import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
@@ -26,6 +27,8 @@ from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.io import replacing, user_cache_folder
 
 T = TypeVar("T")
+_SEAL = hashlib.sha256().digest_size
+_log = logging.getLogger("matcam")
 
 
 @dataclass(frozen=True)
@@ -124,8 +127,9 @@ class Workspace:
     def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return the arrays that `make` returned for this description before, from disk, or call it.
 
-        The file's name is a hash of the description and of the package's version. A file that cannot be read is made again, and
-        one that cannot be written is not: a full disk must not stop a fit.
+        The file's name is a hash of the description and of the package's version. It ends in a SHA-256 of both and of its
+        content, so that a file that is damaged, or another's, is not believed: it is made again, and one line is logged. One
+        that cannot be written is not: a full disk must not stop a fit.
 
         Args:
             description: text that holds all that the arrays depend on.
@@ -136,23 +140,45 @@ class Workspace:
         """
         if self.folder is None:
             return make()
-        name = hashlib.sha256(f"{metadata.version('matcam')}\n{description}".encode()).hexdigest()[:32]
-        path = self.folder / f"{name}.npz"
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return {key: file[key] for key in file.files}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            pass  # not there, or not whole: made again
+        key = f"{metadata.version('matcam')}\n{description}".encode()
+        path = self.folder / f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
+        stored = _stored(path, key)
+        if stored is not None:
+            return stored
         arrays = make()
+        packed = io.BytesIO()
+        np.savez(packed, **arrays)  # type: ignore[arg-type]
         try:
-            with replacing(path, force=True) as temporary:
-                np.savez(temporary, **arrays)  # type: ignore[arg-type]
+            with replacing(path, force=True) as temporary, temporary.open("wb") as file:
+                file.write(packed.getbuffer())
+                file.write(_seal(key, packed.getbuffer()))
             by_age = sorted(self.folder.glob("*.npz"), key=lambda p: p.stat().st_mtime)
             for old in by_age[: max(len(by_age) - self.files, 0)]:
                 old.unlink(missing_ok=True)
         except (OutputError, OSError):
             pass
         return arrays
+
+
+def _seal(key: bytes, content: memoryview | bytes) -> bytes:
+    """Return what a file ends in: the SHA-256 of its key and content."""
+    digest = hashlib.sha256(len(key).to_bytes(8, "little") + key)
+    digest.update(content)
+    return digest.digest()
+
+
+def _stored(path: Path, key: bytes) -> dict[str, np.ndarray] | None:
+    """Return the arrays of a file; None where it is not there, or not what was written under this key."""
+    try:
+        whole = memoryview(path.read_bytes())
+    except OSError:
+        return None
+    content, seal = whole[:-_SEAL], whole[-_SEAL:]
+    if len(whole) <= _SEAL or _seal(key, content) != seal:
+        _log.warning("matcam: %s in the cache is damaged: it is made again", path.name)
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 @cache

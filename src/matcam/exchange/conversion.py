@@ -13,7 +13,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
-from matcam.core.io import check_output, write_json
+from matcam.core.io import check_output, check_within, write_json
 from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.parameterisation import SQUARE, adaptive_grid
@@ -150,6 +150,7 @@ def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
     beside = sidecar_path(source)
     if not beside.exists() or beside == sidecar_path(target):
         return {}
+    check_within(beside, source.resolve().parent)
     document = read_sidecar(beside)
     document["picture"]["file"] = target.name
     write_json(sidecar_path(target), document, force=force)

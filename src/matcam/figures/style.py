@@ -63,8 +63,11 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
     """Write a figure without a date, so that the same data give the same file. `dpi` is a PNG's."""
     path = check_picture(path, force=force)
     metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
-    with styled(), replacing(path, force=force) as temporary:
-        figure.savefig(temporary, dpi=dpi, metadata=metadata)
+    drawn = io.BytesIO()  # on a full disk Matplotlib would raise what it likes
+    with styled():
+        figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
+    with replacing(path, force=force) as temporary:
+        temporary.write_bytes(drawn.getbuffer())
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
@@ -101,4 +104,4 @@ def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, f
     )
     text = environment.get_template(template).render(content)
     with replacing(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")  # a folder's name may be no text

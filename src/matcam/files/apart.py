@@ -27,7 +27,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -37,18 +37,21 @@ import numpy as np
 
 from matcam.core import errors
 from matcam.core.errors import FileFormatError
+from matcam.core.io import reading
 from matcam.core.memory import available_memory
 
 _KINDS = "biufcSU"
 """NumPy's kinds of numbers and text that an answer may hold."""
 _LONGEST_ANSWER = 64 << 20  # bytes of JSON
+_SECONDS, _BYTES_A_SECOND = 10.0, 20e6
+"""Time that a file may take to be decoded: so many seconds, and one more for so many bytes."""
 
 
 class Limits(NamedTuple):
     """Say what reading one file may cost.
 
     Attributes:
-        seconds: wall-clock time; None: what each decoder is given. Default: None.
+        seconds: wall-clock time; None: 10 s, and 1 s more for every 20 MB of the file. Default: None.
         memory: bytes beyond what the decoder's process has at its start; None: half of what is available now. Default: None.
     """
 
@@ -70,9 +73,21 @@ def reading_limits(limits: Limits | None) -> Iterator[None]:
         _limits.reset(token)
 
 
-def read_apart(
-    decoder: str, path: Path, *, seconds: float = 60.0, libraries: tuple[str, ...] = (), **options: Any
-) -> Any:
+def files_are_trusted() -> bool:
+    """Tell whether files are decoded in this process, without limits."""
+    return _limits.get() is None
+
+
+def start_reader(modules: Sequence[str]) -> None:
+    """Start the process that will read files, in the background, and let it import these modules."""
+    if _CAN_FORK and not files_are_trusted():
+        with contextlib.suppress(OSError):  # whoever then reads a file will say what is wrong
+            ours, theirs = socket.socketpair()
+            with ours, theirs:
+                _nursery.send({"module": "", "libraries": list(modules)}, theirs)
+
+
+def read_apart(decoder: str, path: Path, *, libraries: tuple[str, ...] = (), **options: Any) -> Any:
     """Call `decoder` ("package.module:function") on a file in a process of its own.
 
     `libraries` are those that it imports. Its answer may be made of None, truth values, numbers, text, lists, dicts with text
@@ -83,7 +98,10 @@ def read_apart(
     module, name = decoder.split(":")
     if limits is None:
         return _call(module, name, path, options)
-    seconds = seconds if limits.seconds is None else limits.seconds
+    seconds = limits.seconds
+    if seconds is None:
+        with reading(path):
+            seconds = _SECONDS + path.stat().st_size / _BYTES_A_SECOND
     # half at most: this process will hold the answer too, and work on it
     memory = limits.memory if limits.memory is not None else available_memory() // 2
     request = {"module": module, "name": name, "path": str(path.absolute()), "options": options,
@@ -91,12 +109,12 @@ def read_apart(
     begin = time.monotonic()
     try:
         if not _CAN_FORK:
-            return _answer(_from_process(request), path)
+            return _answer(_from_process(request), path, memory)
         ours, theirs = socket.socketpair()
         with ours:
             with theirs:
                 _nursery.send(request, theirs)
-            return _answer(_from_socket(ours, begin + seconds + 1.0), path)
+            return _answer(_from_socket(ours, begin + seconds + 1.0), path, memory)
     except EOFError:
         if time.monotonic() - begin >= seconds:
             raise FileFormatError(
@@ -154,7 +172,7 @@ def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
     return [array for v in inside for array in _layout(v)]
 
 
-def _answer(take: Callable[[int], bytearray], path: Path) -> Any:
+def _answer(take: Callable[[int], bytearray], path: Path, memory: int) -> Any:
     """Return the answer that `take` yields piece by piece; EOFError where it ends too early."""
     (length,) = struct.unpack("<Q", take(8))
     if length > _LONGEST_ANSWER:
@@ -164,7 +182,10 @@ def _answer(take: Callable[[int], bytearray], path: Path) -> Any:
         kind = getattr(errors, message["error"], FileFormatError)
         raise kind(message["text"])
     arrays = []
-    for dtype, shape in _layout(message["answer"]):
+    layout = _layout(message["answer"])
+    if sum(dtype.itemsize * math.prod(shape) for dtype, shape in layout) > memory:
+        raise FileFormatError(f"{path}: what it holds needs more than {memory / 2**20:.0f} MiB")
+    for dtype, shape in layout:
         if dtype.kind not in _KINDS:
             raise FileFormatError(f"{path}: values of type {dtype} are not supported")
         arrays.append(np.frombuffer(take(dtype.itemsize * math.prod(shape)), dtype).reshape(shape))
@@ -342,10 +363,10 @@ def _serve_by_forking(number: int) -> None:
         while len(text) < length and (piece := requests.recv(length - len(text))):
             text += piece
         request = json.loads(bytes(text))
-        for name in (request["module"], *request["libraries"]):  # once, for all children to come
+        for name in filter(None, (request["module"], *request["libraries"])):  # once, for all children to come
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
-        if os.fork() == 0:
+        if request["module"] and os.fork() == 0:
             requests.close()
             try:
                 signal.signal(signal.SIGCHLD, signal.SIG_DFL)

@@ -22,8 +22,6 @@ from matcam.files.apart import read_apart
 from matcam.files.decoders import DESCRIPTION, one_line
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_SECONDS, _BYTES_A_SECOND = 10.0, 20e6
-"""Time that a file may take to be decoded: so many seconds, and one more for so many bytes."""
 
 
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
@@ -79,8 +77,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
             start = file.read(len(_HDF5))
         if start != _HDF5:
             raise FileFormatError(f"{path}: not a NetCDF-4 file")
-        seconds = _SECONDS + path.stat().st_size / _BYTES_A_SECOND
-    stored = read_apart("matcam.files.decoders:decode_netcdf", path, seconds=seconds, libraries=("h5py", "h5netcdf"))
+    stored = read_apart("matcam.files.decoders:decode_netcdf", path, libraries=("h5py", "h5netcdf"))
     try:
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
     except Exception as error:  # labels that contradict each other
@@ -148,11 +145,9 @@ def read_zarr(path: str | Path) -> xr.Dataset:
     with reading(path):
         if path.is_dir():
             raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
-        seconds = _SECONDS + path.stat().st_size / _BYTES_A_SECOND
     stored = read_apart(
         "matcam.files.decoders:decode_zarr",
         path,
-        seconds=seconds,
         libraries=("zarr.storage",),
     )
     try:

@@ -185,7 +185,7 @@ def _check_zarr(path: Path) -> None:
         if document.get("zarr_format") != 3:
             raise FileFormatError(f"{path}: {name!r:.60} is not of Zarr version 3")
         if document.get("node_type") == "array":
-            _check_codecs(path, name, document)
+            check_codecs(path, name, document)
             width = _width(document["data_type"])
             shapes[name] = (tuple(document["shape"]), width)
             chunks[f"{name} (chunk)"] = (tuple(document["chunk_grid"]["configuration"]["chunk_shape"]), width)
@@ -195,7 +195,8 @@ def _check_zarr(path: Path) -> None:
     check_stored_sizes(path, size, chunks)
 
 
-def _check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
+def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
+    """Refuse an array of a Zarr, by its description, whose values or codecs are beyond a short list (FileFormatError)."""
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
     if kind not in _NUMBERS | _TEXTS:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
+import re
+import struct
+import time
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import DownloadError, unknown_name
+from matcam.core.io import reading, replacing
 
 MERL_SOURCE = "https://zenodo.org/records/8101681/files/BRDFDatabase.zip"
 """The MERL BRDF database as its owners publish it since 2023 (CC BY-SA 4.0, doi:10.5281/zenodo.8101680): one archive,
@@ -20,8 +27,12 @@ out of which single materials are read by HTTP range requests."""
 SOURCE_SETTING = "MATCAM_MERL_SOURCE"
 """Environment variable that names another source: an archive (ending in .zip) or a folder of NAME.binary files."""
 
-_TIMEOUT = 60  # s
-_BLOCK = 1 << 20  # bytes between two reports of progress
+_SIZE = 34_992_012  # bytes of every MERL file
+_TIMEOUT = 60  # s without a byte
+_DEADLINE = 1800.0  # s for one file, however it drips
+_BLOCK = 1 << 16  # bytes
+_TAIL = 1 << 17  # bytes at an archive's end, where its list of members is
+_MOST_AT_ONCE = 16 << 20  # bytes that a list of members may take
 
 
 @cache
@@ -32,17 +43,24 @@ def merl_checksums() -> dict[str, str]:
 
 
 def fetch_merl(
-    material: str, folder: str | Path, source: str | None = None, progress: Callable[[int, int], None] | None = None
+    material: str,
+    folder: str | Path,
+    source: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    force: bool = False,
 ) -> Path:
     """Fetch one published MERL file and check it.
 
-    A file that is there and is right is kept. Nothing is left under the final name where something goes wrong.
+    A file that is there and is right is kept. Nothing is left where something goes wrong, and no more is read than such a
+    file holds, whatever the server sends.
 
     Args:
         material: name as published, such as "chrome".
         folder: folder to put NAME.binary into.
         source: an archive (ending in .zip) or folder on another server. Default: None, `SOURCE_SETTING`, else `MERL_SOURCE`.
         progress: function that is called with (done, total) bytes. Default: None.
+        force: replace a file of that name that is not the published one (no unit). Default: False.
 
     Returns:
         Path of the file.
@@ -50,120 +68,175 @@ def fetch_merl(
     Raises:
         ArgumentError: the material is unknown; the message names the nearest.
         DownloadError: the file cannot be had, or is not, by its SHA-256, the published one.
+        OutputError: another file has its name and `force` is False, or it cannot be written.
     """
-    # pooch brings requests along: half a second that only a download should cost
-    import pooch
-    import requests
-
     checksums = merl_checksums()
     if material not in checksums:
         raise unknown_name("MERL material", material, checksums)
+    path = Path(folder) / f"{material}.binary"
+    if path.is_file() and _sha256(path) == checksums[material]:
+        return path
     source = source or os.environ.get(SOURCE_SETTING) or MERL_SOURCE
-    pooch.get_logger().setLevel("ERROR")  # it would talk beside our progress
-    downloader: Any
-    if source.endswith(".zip"):
-        url, downloader = f"{source}#{material}.binary", _ArchiveMember(source, f"{material}.binary", progress)
-    else:
-        url, downloader = f"{source.rstrip('/')}/{material}.binary", _WholeFile(progress)
+    with replacing(path, force=force) as temporary, temporary.open("wb") as output:
+        digest, done = hashlib.sha256(), 0
+        with closing(_pieces(source, material)) as pieces:
+            for piece in pieces:
+                digest.update(piece)
+                output.write(piece)
+                done += len(piece)
+                if progress:
+                    progress(done, _SIZE)
+        if digest.hexdigest() != checksums[material]:
+            raise DownloadError(f"{material}: what {source} sent is not the published file (SHA-256 differs)")
+    return path
+
+
+def _sha256(path: Path) -> str:
+    with reading(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _pieces(source: str, material: str) -> Iterator[bytes]:
+    """Yield a published file piece by piece, no more bytes than it has. DownloadError for whatever goes wrong."""
+    # half a second that only a download should cost
+    import requests
+    import urllib3
+
     try:
-        path = pooch.retrieve(
-            url,
-            known_hash=f"sha256:{checksums[material]}",
-            fname=f"{material}.binary",
-            path=folder,
-            downloader=downloader,
-        )
-    except requests.exceptions.RequestException as error:
-        raise DownloadError(f"{material}: cannot be fetched from {source}: {_one_line(error)}") from None
+        with requests.Session() as session:
+            web = _Web(session, time.monotonic() + _DEADLINE)
+            if source.endswith(".zip"):
+                yield from _member(web, source, f"{material}.binary")
+            else:
+                yield from _limited(web.stream(f"{source.rstrip('/')}/{material}.binary"), source)
+    except DownloadError as error:
+        raise DownloadError(f"{material}: {error}") from None
     except zipfile.BadZipFile:
-        raise DownloadError(f"{material}: {source} is not a zip archive") from None
-    except ValueError as error:
-        if "hash" not in str(error):
-            raise
-        raise DownloadError(f"{material}: what {source} sent is not the published file (SHA-256 differs)") from None
-    except OSError as error:
-        raise DownloadError(f"{material}: cannot be written to {folder}: {error.strerror or error}") from None
-    return Path(path)
+        raise DownloadError(f"{material}: {source} is not a zip archive, or is damaged") from None
+    except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
+        raise DownloadError(f"{material}: cannot be fetched from {source}: {_one_line(error)}") from None
+    except (EOFError, zlib.error, ValueError, OverflowError, struct.error, NotImplementedError, RuntimeError) as error:
+        raise DownloadError(f"{material}: cannot be fetched from {source}: {_one_line(error)}: damaged") from None
 
 
-class _WholeFile:
-    """Fetch a file that stands by itself on a web server, as a pooch downloader."""
-
-    def __init__(self, progress: Callable[[int, int], None] | None):
-        self.progress = progress
-
-    def __call__(self, url: str, output_file: str | Path, pooch: Any) -> None:
-        import requests
-
-        with requests.get(url, timeout=_TIMEOUT, stream=True) as reply, Path(output_file).open("wb") as output:
-            reply.raise_for_status()
-            size = int(reply.headers.get("Content-Length", 0))
-            for block in reply.iter_content(_BLOCK):
-                output.write(block)
-                if self.progress:
-                    self.progress(output.tell(), size)
+def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
+    done = 0
+    for piece in pieces:
+        done += len(piece)
+        if done > _SIZE:
+            raise DownloadError(f"{source} sends more than the {_SIZE} bytes of the published file")
+        yield piece
+    if done < _SIZE:
+        raise DownloadError(f"cannot be fetched from {source}: it broke off after {done} of {_SIZE} bytes")
 
 
-class _ArchiveMember:
-    """Take one member out of a remote zip archive, as a pooch downloader, by range requests."""
-
-    def __init__(self, archive: str, name: str, progress: Callable[[int, int], None] | None):
-        self.archive = archive
-        self.name = name
-        self.progress = progress
-
-    def __call__(self, url: str, output_file: str | Path, pooch: Any) -> None:
-        import remotezip
-        import requests
-        import urllib3
-
-        headers = {"Accept-Encoding": "identity"}
-
-        class Fetcher(remotezip.RemoteFetcher):
-            def get_file_size(self) -> int:
-                """Ask by a range request, too: some servers answer HEAD differently, or not at all."""
-                first = {**headers, "Range": "bytes=0-0"}
-                with session.get(self._url, headers=first, timeout=_TIMEOUT, stream=True) as reply:
-                    reply.raise_for_status()
-                    if reply.status_code != 206 or "Content-Range" not in reply.headers:
-                        raise remotezip.RangeNotSupported
-                    return int(reply.headers["Content-Range"].rsplit("/", 1)[-1])
-
-            def fetch(self, data_range: Any, stream: bool = False) -> Any:
-                """Raise what is no OSError, which zipfile would take for a damaged archive."""
-                try:
-                    return super().fetch(data_range, stream)
-                except requests.exceptions.RequestException as error:
-                    raise remotezip.RemoteIOError(str(error)) from None
-
-        try:
-            with (
-                requests.Session() as session,
-                remotezip.RemoteZip(
-                    self.archive,
-                    session=session,
-                    fetcher=Fetcher,
-                    support_suffix_range=False,
-                    headers=headers,
-                    timeout=_TIMEOUT,
-                ) as archive,
-            ):
-                member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == self.name), None)
-                if member is None:
-                    raise DownloadError(f"{self.archive} does not contain {self.name}")
-                with archive.open(member) as packed, Path(output_file).open("wb") as output:
-                    while block := packed.read(_BLOCK):
-                        output.write(block)
-                        if self.progress:
-                            self.progress(output.tell(), member.file_size)
-        except remotezip.RangeNotSupported:
+def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
+    """Yield one member of an archive."""
+    remote = _RemoteFile(web, source)
+    with zipfile.ZipFile(remote) as archive:  # type: ignore[arg-type]
+        member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == name), None)
+        if member is None:
+            raise DownloadError(f"{source} does not contain {name}")
+        if member.file_size != _SIZE:
             raise DownloadError(
-                f"{self.archive}: this server sends only the whole archive; fetch and unpack it yourself, or name a "
-                "folder of files"
-            ) from None
-        except (remotezip.RemoteZipError, urllib3.exceptions.HTTPError, EOFError, zlib.error) as error:
-            raise requests.exceptions.ConnectionError(str(error) or "the archive broke off") from None
+                f"{source} says that {name} has {member.file_size} bytes; the published one has {_SIZE}"
+            )
+        remote.end = min(remote.size, member.header_offset + member.compress_size + _BLOCK)
+        with archive.open(member) as packed:
+            yield from _limited(iter(lambda: packed.read(_BLOCK), b""), source)
+
+
+class _Web:
+    """Make requests that end at a deadline, and read no more of an answer than is asked for."""
+
+    def __init__(self, session: Any, deadline: float):
+        self.session, self.deadline = session, deadline
+
+    def stream(self, address: str, span: tuple[int, int] | None = None) -> Iterator[bytes]:
+        """Yield what a server answers, as it comes; `span`: only these bytes, first and last."""
+        headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={span[0]}-{span[1]}"} if span else {})
+        with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
+            reply.raise_for_status()
+            if span:
+                self._check_span(address, reply, span)
+            left = span[1] - span[0] + 1 if span else _SIZE + 1
+            read = getattr(
+                reply.raw, "read1", reply.raw.read
+            )  # what has come, so that a dripping server meets the deadline
+            while left > 0 and (piece := read(min(_BLOCK, left))):
+                left -= len(piece)
+                yield piece
+                if time.monotonic() > self.deadline:
+                    raise DownloadError(f"{address}: not finished after {_DEADLINE:g} s")
+
+    @staticmethod
+    def _check_span(address: str, reply: Any, span: tuple[int, int]) -> None:
+        """Check that these bytes are coming, and no others."""
+        if reply.status_code != 206:
+            raise DownloadError(
+                f"{address}: this server sends only the whole archive; fetch and unpack it yourself, or name a folder of files"
+            )
+        stated = reply.headers.get("Content-Range", "")
+        if not re.fullmatch(rf"bytes {span[0]}-[0-9]{{1,18}}/[0-9]{{1,18}}", stated):
+            raise DownloadError(f"{address}: answers a request for some bytes with {stated!r:.60}")
+
+    def size(self, address: str) -> int:
+        """Return a file's size, bytes: by a request for one byte, because some servers answer HEAD differently."""
+        headers = {"Accept-Encoding": "identity", "Range": "bytes=0-0"}
+        with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
+            reply.raise_for_status()
+            self._check_span(address, reply, (0, 0))
+            return int(reply.headers["Content-Range"].rpartition("/")[2])
+
+
+class _RemoteFile(io.RawIOBase):
+    """Read a file on a server as zipfile reads: its end from memory, the rest as a stream for as long as no place is left out.
+
+    Attributes:
+        size: of the file, bytes.
+        end: byte before which a stream ends.
+    """
+
+    def __init__(self, web: _Web, address: str):
+        self.web, self.address, self.size = web, address, web.size(address)
+        self.end, self._at, self._stream_at = self.size, 0, -1
+        self._stream: Iterator[bytes] = iter(())
+        self._waiting = b""
+        self._tail_at = max(0, self.size - _TAIL)
+        self._tail = b"".join(web.stream(address, (self._tail_at, self.size - 1))) if self.size else b""
+
+    def seekable(self) -> bool:
+        return True
+
+    def readable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        self._at = max(0, offset + (0, self._at, self.size)[whence])
+        return self._at
+
+    def read(self, size: int = -1) -> bytes:
+        size = max(0, self.size - self._at) if size < 0 else size
+        if size > _MOST_AT_ONCE:
+            raise DownloadError(f"{self.address}: its list of members takes {size} bytes: damaged")
+        place = self._at - self._tail_at
+        found = self._tail[place:][:size] if place >= 0 else self._streamed(size)
+        self._at += len(found)
+        return found
+
+    def _streamed(self, size: int) -> bytes:
+        if self._stream_at != self._at:
+            self._stream = self.web.stream(self.address, (self._at, max(self.end, self._at + size) - 1))
+            self._stream_at, self._waiting = self._at, b""
+        while len(self._waiting) < size and (piece := next(self._stream, b"")):
+            self._waiting += piece
+        found, self._waiting = self._waiting[:size], self._waiting[size:]
+        self._stream_at += len(found)
+        return found
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -14,29 +14,25 @@ OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
          -  chunks: int32 y, int32 size, then so many bytes
 
 Channels: "Y" for (H, W); "R", "G", "B" for three; "C0000", "C0001", ... for any other number (the format keeps them in
-alphabetical order). The whole skeleton is checked here before the library sees the file, because that trusts it and
-writes its complaints to the terminal.
+alphabetical order). The whole skeleton is checked here before the library sees the file, which trusts it. Files are
+decoded apart (picture_decoders.py).
 """
 
 from __future__ import annotations
 
-import logging
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
+from matcam.files.apart import read_apart
+from matcam.files.picture_header import LARGEST, check_memory, check_promised, picture_memory
 
-LARGEST = 1 << 29
-"""Values in one picture, at most (2 GiB): a header that promises more is taken for damaged."""
-DEFLATE_LIMIT = 1032
-"""What deflate makes of a byte at most (258 of every 2 bits): 1032."""
+_DECODERS = "matcam.files.picture_decoders"
 _MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
 """Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
@@ -49,6 +45,8 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values that float32
     cannot hold.
     """
+    if np.ma.is_masked(picture):
+        raise ArgumentError("picture must not be masked: use .filled(np.nan) where values are missing")
     given = np.asarray(picture)
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
@@ -62,18 +60,6 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     if np.any(lost):
         raise ArgumentError(f"picture must lie within float32's range, got {given[lost].flat[0]:g}")
     return stored
-
-
-def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
-    """Refuse a picture that its file cannot hold, before any memory is asked for it.
-
-    FileFormatError for one that nobody would store, or that `size` bytes cannot hold however well they are compressed.
-    """
-    values = height * width * channels
-    if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
-        raise FileFormatError(
-            f"{path}: header says {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
-        )
 
 
 def file_size(path: Path) -> int:
@@ -136,43 +122,11 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
         ...     matcam.io.read_float_tiff(Path(folder) / "a.tif")[0]
         array([0.25, 0.25, 0.25], dtype=float32)
     """
-    import tifffile
-
     path = Path(path)
-    size = file_size(path)
-    try:
-        with _quiet(), tifffile.TiffFile(path) as file:
-            if len(file.pages) != 1:
-                raise FileFormatError(f"{path}: {len(file.pages)} pages; one is read")
-            page = file.pages[0].aspage()
-            if page.dtype != np.float32:
-                raise FileFormatError(f"{path}: holds {page.dtype or 'unknown numbers'}; 32-bit floats are read")
-            shape = file.series[0].shape if file.is_shaped else page.shape
-            if len(shape) not in (2, 3) or page.planarconfig != 1:
-                raise FileFormatError(f"{path}: a picture of shape {shape}; (H, W) or (H, W, channels) is read")
-            height, width, channels = (*page.shape, 1)[:3]
-            check_promised(path, height, width, channels, size)
-            ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
-            if max(ends, default=0) > size or 0 in page.databytecounts:
-                raise FileFormatError(f"{path}: truncated: data up to byte {max(ends, default=0)}, the file has {size}")
-            return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
-    except FileFormatError:
-        raise
-    except Exception as error:  # a damaged file makes its reader throw nearly anything
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(f"{path}: not a TIFF file that can be read: {reason:.100}") from None
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the library, which logs what it then raises: one line is enough."""
-    logger = logging.getLogger("tifffile")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
+    file_size(path)
+    return read_apart(
+        f"{_DECODERS}:decode_float_tiff", path, libraries=("tifffile", "imagecodecs._zlib"), there=picture_memory()
+    )
 
 
 class _Skeleton(NamedTuple):
@@ -209,7 +163,11 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
     channels = {name: np.ascontiguousarray(planes[..., i]) for i, name in enumerate(names)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with replacing(path, force=force) as temporary:
-        OpenEXR.File(header, channels).write(str(temporary))
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as error:  # what the library makes of a full disk
+            reason = " ".join(str(error).split()).rpartition('". ')[2].rstrip(".")
+            raise OutputError(f"output {path} cannot be written: {reason:.100}") from None
 
 
 def read_exr(path: str | Path) -> np.ndarray:
@@ -232,15 +190,11 @@ def read_exr(path: str | Path) -> np.ndarray:
         ...     matcam.io.read_exr(Path(folder) / "a.exr")[0]
         array([0.25, 0.25, 0.25], dtype=float32)
     """
-    import OpenEXR
-
     path = Path(path)
     skeleton = _checked_skeleton(path)
-    try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
-        planes = [np.asarray(channels[name].pixels) for name in skeleton.channels]
-    except Exception as error:  # the library throws whatever its C++ threw
-        raise FileFormatError(f"{path}: damaged OpenEXR file: {str(error).splitlines()[0]:.100}") from None
+    check_memory(path, skeleton.height, skeleton.width, len(skeleton.channels), 4, picture_memory())
+    stored = read_apart(f"{_DECODERS}:decode_exr", path, libraries=("OpenEXR",), channels=skeleton.channels)
+    planes = [stored[name] for name in skeleton.channels]
     if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
         raise FileFormatError(f"{path}: damaged OpenEXR file: its channels are not what its header says")
     return planes[0] if skeleton.channels == ("Y",) else np.stack(planes, axis=-1)

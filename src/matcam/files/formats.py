@@ -6,10 +6,12 @@ called, so that the command line can print these lists without loading them.
 
 from __future__ import annotations
 
+import contextlib
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -225,6 +227,31 @@ def format_for(path: str | Path, *contents: str) -> Format:
         if set(contents) & set(form.holds) and name.endswith(form.suffixes):
             return form
     raise ArgumentError(f"{path}: the name must end in one of {', '.join(suffixes_for(*contents))}")
+
+
+_DECODERS = {
+    ".nc": ("matcam.files.decoders", "h5py", "h5netcdf"),
+    ".zip": ("matcam.files.decoders", "zarr.storage"),
+    ".exr": ("matcam.files.picture_decoders", "OpenEXR"),
+    **dict.fromkeys((".tif", ".tiff"), ("matcam.files.picture_decoders", "tifffile", "imagecodecs._zlib")),
+    ".png": ("matcam.files.picture_decoders", "imagecodecs._png"),
+    **dict.fromkeys((".jpg", ".jpeg"), ("matcam.files.picture_decoders", "imagecodecs._jpeg8")),
+    **dict.fromkeys(
+        (".arw", ".cr2", ".cr3", ".dng", ".nef", ".raf", ".rw2"), ("matcam.files.picture_decoders", "rawpy")
+    ),
+}
+"""Ending of a file's name -> what decodes such files apart."""
+_MOST_LOOKED_AT = 100
+
+
+def decoded_by(paths: Iterable[Path]) -> list[str]:
+    """Return the modules that will decode those of `paths` that exist, or what lies in them, by the files' names."""
+    suffixes = set()
+    for path in paths:
+        with contextlib.suppress(OSError, ValueError):  # the command will say so
+            inside = path.iterdir() if path.is_dir() else [path] if path.exists() else []
+            suffixes |= {file.suffix.lower() for file in islice(inside, _MOST_LOOKED_AT)}
+    return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})
 
 
 def _function(place: str) -> Callable[..., Any]:

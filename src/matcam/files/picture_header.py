@@ -16,10 +16,16 @@ from typing import BinaryIO, NamedTuple
 
 from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
+from matcam.files.apart import files_are_trusted
 
 _SHARE = 0.5  # of the available memory, that one picture may take
 _WORKING = 24  # bytes for each pixel: a plane of light in float64, its mask, and two copies on the way
+_UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any picture may take; beyond them, times its file
 _MOST_SEGMENTS = 200
+LARGEST = 1 << 29
+"""Values in one picture of floats, at most (2 GiB): a header that promises more is taken for damaged."""
+DEFLATE_LIMIT = 1032
+"""What deflate makes of a byte at most (258 of every 2 bits): 1032."""
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """PNG's colour types."""
@@ -30,13 +36,40 @@ _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
 """First bytes -> order; the last two are Olympus's and Panasonic's."""
 
 
-def check_memory(path: Path, height: int, width: int, channels: int, depth: int) -> None:
-    """Refuse a picture that does not fit into memory with its working copies (FileFormatError)."""
-    needed, there = height * width * (channels * depth + _WORKING), available_memory()
-    if needed > _SHARE * there:
+def picture_memory() -> int:
+    """Return the bytes that one picture with its working copies may take: half of what is available."""
+    return int(_SHARE * available_memory())
+
+
+def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
+    """Refuse a picture that does not fit, with its working copies, into `there` bytes (FileFormatError).
+
+    Unless files are trusted, refuse also a large one that takes more than a hundred times its file: no camera writes it.
+    """
+    decoded = height * width * channels * depth
+    needed = decoded + height * width * _WORKING
+    if needed > there:
         raise FileFormatError(
-            f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; of the {there / 2**30:.1f} GiB of "
-            f"memory here half may be used"
+            f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; of the memory here "
+            f"{there / 2**30:.1f} GiB may be used"
+        )
+    size = path.stat().st_size
+    if needed > _UNASKED and decoded > _MOST_TIMES * size and not files_are_trusted():
+        raise FileFormatError(
+            f"{path}: a picture of {width} x {height} px in {size} bytes is compressed beyond what is trusted, and needs "
+            f"{needed / 2**30:.1f} GiB"
+        )
+
+
+def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
+    """Refuse a picture that its file cannot hold, before any memory is asked for it.
+
+    FileFormatError for one that nobody would store, or that `size` bytes cannot hold however well they are compressed.
+    """
+    values = height * width * channels
+    if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
+        raise FileFormatError(
+            f"{path}: header says {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
         )
 
 

@@ -235,6 +235,10 @@ def _check_numbers(data: xr.Dataset, colour: str) -> None:
             raise ArgumentError(f"field {name} must have at least 2 x 2 values, got {data[name].shape[-2:]}")
         if data[name].values.min() < 0:
             raise ArgumentError(f"field {name} must not be negative, got {data[name].values.min():g}")
+    if data["sigma"].values.min() <= 0:
+        raise ArgumentError(
+            f"field sigma must be above 0: values are divided by it, got {data['sigma'].values.min():g}"
+        )
     for name in ("vndf", "luminance"):
         if not np.all(np.max(data[name].values, axis=(2, 3)) > 0):
             raise ArgumentError(f"field {name} must hold something above 0 for every direction of the light")

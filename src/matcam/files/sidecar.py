@@ -26,7 +26,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import checked_version, first_problem, read_json, write_json
@@ -43,8 +43,16 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
+def _not_a_folder(name: str) -> str:
+    if name in (".", ".."):
+        raise ValueError("is a folder: a picture lies beside its sidecar")
+    return name
+
+
 class _Picture(_Strict):
-    file: Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x00-\x1f]+$")]
+    file: Annotated[
+        str, Field(min_length=1, max_length=255, pattern=r"^[^/\\\x00-\x1f]+$"), AfterValidator(_not_a_folder)
+    ]
     shape: Annotated[list[Annotated[int, Field(ge=1)]], Field(min_length=2, max_length=3)]
     quantity: Literal["radiance", "electrons", "digital"]
     channel_wavelengths_m: list[_Positive] | None = None

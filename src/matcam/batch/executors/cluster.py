@@ -1,6 +1,9 @@
 """A Dask cluster: workers that it starts here, or a scheduler that runs somewhere. Needs the extra `matcam[scale]`.
 
 A task whose worker is lost is given to another one; if three workers are lost over the same file, that file has failed.
+Dask's messages are pickles: whoever reaches a scheduler or a worker runs code as the user who started it. What is started here
+listens on this machine alone; an address tls://... takes its certificates from Dask's configuration (docs/batch.md).
+
 Workers must see the run's folder and the inputs under the same names, and have the same versions of what computes; both
 are asked before any work.
 """
@@ -104,6 +107,8 @@ class ClusterExecutor(Executor):
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address=None,
+                    # it has a web server all the same, which would stand open to all on port 8787
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
                     env=one_core_environment(),
                     silence_logs="ERROR",
                     memory_limit=0,

@@ -35,6 +35,7 @@ from matcam.inverse.fit.lobe_slopes import RecordBatch
 _SPAWN = multiprocessing.get_context("spawn")
 _READY = "ready"
 _STARTS = 4  # workers that may die one after the other before they are ready
+_START_LIMIT = 300.0  # seconds for a worker to import what it needs
 _PATIENCE = 10.0  # seconds for a worker to remove its temporary files
 
 
@@ -91,16 +92,20 @@ class ProcessExecutor(Executor):
 
     def _next_events(self, workers: list[_Worker]) -> list[_Worker]:
         """Wait for workers that have sent something or died; kill those whose job exceeds the time limit."""
-        busy = [worker for worker in workers if worker.job is not None]
-        wait = None
-        if self.time_limit is not None and busy:
-            wait = max(0.0, min(worker.started for worker in busy) + self.time_limit - time.monotonic())
-        ready = connection.wait([worker.pipe for worker in workers], wait)
-        if self.time_limit is not None:
-            for worker in busy:
-                if worker.pipe not in ready and time.monotonic() - worker.started >= self.time_limit:
-                    worker.kill(f"no result after {self.time_limit:g} s")
+        limits = {worker: self._limit_of(worker) for worker in workers}
+        ends = [worker.started + limit for worker, limit in limits.items() if limit is not None]
+        ready = connection.wait(
+            [worker.pipe for worker in workers], max(0.0, min(ends) - time.monotonic()) if ends else None
+        )
+        for worker, limit in limits.items():
+            late = limit is not None and time.monotonic() - worker.started >= limit
+            if late and worker.pipe not in ready:
+                worker.kill(f"no result after {limit:g} s")
         return [worker for worker in workers if worker.pipe in ready]
+
+    def _limit_of(self, worker: _Worker) -> float | None:
+        """Return how long a worker may be silent: one that starts, one with a job; one without waits for nothing."""
+        return _START_LIMIT if not worker.ready else self.time_limit if worker.job is not None else None
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ class _Worker:
             self.process.start()
         theirs.close()
         self.job: Job | None = None
-        self.started = 0.0
+        self.started = time.monotonic()
         self.ready = False
         self._why_killed = ""
 

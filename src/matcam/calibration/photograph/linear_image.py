@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, linear_values
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 from matcam.core.remark import Remark
@@ -76,6 +77,7 @@ class LinearImage:
     remarks: tuple[Remark, ...] = ()
 
     def __post_init__(self) -> None:
+        checks.not_masked("values", self.values)
         values = np.asarray(self.values)
         if values.ndim != 2 or values.dtype.kind not in "uif":
             raise ArgumentError(f"values must be numbers of shape (height, width), got {values.dtype} {values.shape}")
@@ -310,6 +312,7 @@ def as_photograph(
 
     ArgumentError where it is no picture. what, colours: for its message, and how many colours there may be.
     """
+    checks.not_masked("image", image)
     values = np.asarray(image)
     if (
         values.dtype.kind not in "uif"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import ClassVar
 
 import equinox as eqx
@@ -88,12 +87,7 @@ class MeasuredOptics(Optics):
                 f"the measured MTF ends at {last:g} cycles/px with {float(self.values[-1]):g}, and is asked for at "
                 f"{float(jnp.max(f)):g}: append samples to where it reaches 0"
             )
-        knots = jnp.asarray(self.frequency)
-        piece = jnp.clip(jnp.searchsorted(knots, f, side="right") - 1, 0, knots.size - 2)
-        t = f - knots[piece]
-        coefficients = (_spline_basis(self.frequency) @ self.values)[:, piece]
-        inside = ((coefficients[0] * t + coefficients[1]) * t + coefficients[2]) * t + coefficients[3]
-        return jnp.where(f > last, 0.0, inside)
+        return jnp.where(f > last, 0.0, _spline(jnp.asarray(self.frequency), self.values, f))
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Return the line spread function, 1/px, by quadrature; optics only."""
@@ -128,12 +122,25 @@ class MeasuredOptics(Optics):
         return f"MeasuredOptics(frequency={list(self.frequency)}, mtf={self.values.tolist()})"
 
 
-@lru_cache(maxsize=16)
-def _spline_basis(frequency: tuple[float, ...]) -> np.ndarray:
-    """Return coefficients (4, pieces, samples) of the splines through each unit vector.
+@jax.jit
+def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
+    """Return the cubic spline through (x, y), shape (n,), n >= 4, whose third derivative is continuous next to the ends.
 
-    A spline is linear in the values that it goes through: with this map, their uncertainty passes through it.
+    Its slopes solve a tridiagonal system (de Boor 1978, chapter IV, "not-a-knot"), so that memory is linear in n; the solution
+    is linear in y, and derivatives pass through it.
     """
-    from scipy.interpolate import CubicSpline  # a quarter of a second that only measured curves should cost
-
-    return CubicSpline(frequency, np.eye(len(frequency))).c
+    width, rise = jnp.diff(x), jnp.diff(y) / jnp.diff(x)
+    first, last = x[2] - x[0], x[-1] - x[-3]
+    zero = jnp.zeros(1)
+    diagonal = jnp.concatenate([width[1:2], 2 * (width[:-1] + width[1:]), width[-2:-1]])
+    lower = jnp.concatenate([zero, width[1:], last[None]])
+    upper = jnp.concatenate([first[None], width[:-1], zero])
+    start = ((width[0] + 2 * first) * width[1] * rise[0] + width[0] ** 2 * rise[1]) / first
+    end = (width[-1] ** 2 * rise[-2] + (2 * last + width[-1]) * width[-2] * rise[-1]) / last
+    inner = 3 * (width[1:] * rise[:-1] + width[:-1] * rise[1:])
+    right = jnp.concatenate([start[None], inner, end[None]])
+    slope = jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, right[:, None])[:, 0]
+    piece = jnp.clip(jnp.searchsorted(x, at, side="right") - 1, 0, x.size - 2)
+    t, h, secant = at - x[piece], width[piece], rise[piece]
+    bend = (slope[piece] + slope[piece + 1] - 2 * secant) / h
+    return y[piece] + t * (slope[piece] + t * ((secant - slope[piece]) / h - bend + t * bend / h))

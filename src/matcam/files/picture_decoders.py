@@ -1,0 +1,142 @@
+"""Decode pictures, apart: what runs in a process of its own (apart.py) to read TIFF, PNG, JPEG, OpenEXR and camera raw.
+
+Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits), OpenEXR, and LibRaw
+(rawpy, extra `raw`), which gives the mosaic as the sensor counted it. `there` is the memory, in bytes, that the calling process
+has for the picture and its working copies: a picture that does not fit is refused before it is decoded.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promised, jpeg_size, png_size
+
+_TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_START = 26  # bytes: up to the size in a PNG
+
+
+def decode_photograph(path: Path, *, there: int) -> np.ndarray:
+    """Return the codes of a TIFF, PNG or JPEG, (height, width) or (height, width, 3), without an alpha channel."""
+    with path.open("rb") as file:
+        start = file.read(_START)
+    try:
+        picture = _decoded(path, start, there)
+    except FileFormatError:
+        raise
+    except Exception as error:  # decoders raise what they like on damaged files
+        raise FileFormatError(f"{path}: damaged picture: {' '.join(str(error).split())[:120]}") from None
+    if picture.ndim == 3 and picture.shape[2] in (2, 4):
+        picture = picture[..., : picture.shape[2] - 1]
+    if picture.ndim == 3 and picture.shape[2] == 1:
+        picture = picture[..., 0]
+    if picture.ndim not in (2, 3) or picture.size == 0 or (picture.ndim == 3 and picture.shape[2] != 3):
+        raise FileFormatError(f"{path}: a picture of shape {picture.shape} is neither grey nor red, green, blue")
+    if picture.dtype.kind not in "uif":
+        raise FileFormatError(f"{path}: samples of type {picture.dtype} are not supported")
+    return picture
+
+
+def _decoded(path: Path, start: bytes, there: int) -> np.ndarray:
+    if start[:4] in _TIFF:
+        import tifffile
+
+        with tifffile.TiffFile(path) as file:
+            page = file.pages[0].aspage()
+            check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize, there)
+            size = path.stat().st_size
+            ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+            if page.nbytes > DEFLATE_LIMIT * size or max(ends, default=0) > size:
+                raise FileFormatError(f"{path}: header says {page.shape}, more than its {size} bytes can hold: damaged")
+            picture = np.asarray(page.asarray())
+            planar = page.planarconfig == 2 and picture.ndim == 3
+        return np.moveaxis(picture, 0, -1) if planar else picture
+    import imagecodecs
+
+    if start[:8] == _PNG:
+        check_memory(path, *png_size(start), there)
+        return np.asarray(imagecodecs.png_decode(path.read_bytes()))
+    if start[:3] == _JPEG:
+        check_memory(path, *jpeg_size(path), there)
+        return np.asarray(imagecodecs.jpeg8_decode(path.read_bytes()))
+    raise FileFormatError(f"{path}: neither TIFF, PNG, JPEG, OpenEXR nor camera raw")
+
+
+def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    """Return height, width and channels; a page of separate colours begins with them."""
+    if len(shape) == 3 and shape[0] < shape[2]:
+        return shape[1], shape[2], shape[0]
+    return shape[0], shape[1], int(np.prod(shape[2:]))
+
+
+def decode_raw(path: Path, *, there: int) -> dict[str, Any]:
+    """Return the mosaic of a camera raw file as `values` above the black level, its `cfa` and its `saturation`."""
+    import rawpy
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            check_memory(path, raw.sizes.raw_height, raw.sizes.raw_width, 1, 4, there)
+            counts = None if raw.raw_image_visible is None else np.asarray(raw.raw_image_visible, dtype=np.float32)
+            pattern, names = raw.raw_pattern, raw.color_desc.decode("ascii", "replace")
+            black = np.asarray(raw.black_level_per_channel, dtype=np.float32)
+            white = float(raw.white_level)
+    except rawpy.LibRawFileUnsupportedError:
+        raise FileFormatError(f"{path}: unknown camera raw: LibRaw does not know this format or camera") from None
+    except rawpy.LibRawError as error:
+        what = error.args[0] if error.args else error
+        what = what.decode("ascii", "replace") if isinstance(what, bytes) else str(what)
+        raise FileFormatError(f"{path}: camera raw cannot be read: {what}") from None
+    if counts is None or counts.ndim != 2 or pattern is None or pattern.shape != (2, 2):
+        raise FileFormatError(f"{path}: its colours are no Bayer mosaic of 2 x 2 px; others are not supported")
+    cfa = "".join(names[i] for i in pattern.ravel())
+    if sorted(cfa) != ["B", "G", "G", "R"] or cfa[0] == cfa[3] != "G":
+        raise FileFormatError(f"{path}: its mosaic is {cfa}; red, green, green, blue is supported")
+    height, width = counts.shape
+    tile = black[pattern]
+    counts -= np.tile(tile, (height // 2 + 1, width // 2 + 1))[:height, :width]
+    return {"values": counts, "cfa": cfa, "saturation": white - float(tile.max())}
+
+
+def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
+    """Return a TIFF of 32-bit floats as it was written."""
+    import tifffile
+
+    size = path.stat().st_size
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # it logs what it then raises
+    try:
+        with tifffile.TiffFile(path) as file:
+            if len(file.pages) != 1:
+                raise FileFormatError(f"{path}: {len(file.pages)} pages; one is read")
+            page = file.pages[0].aspage()
+            if page.dtype != np.float32:
+                raise FileFormatError(f"{path}: holds {page.dtype or 'unknown numbers'}; 32-bit floats are read")
+            shape = file.series[0].shape if file.is_shaped else page.shape
+            if len(shape) not in (2, 3) or page.planarconfig != 1:
+                raise FileFormatError(f"{path}: a picture of shape {shape}; (H, W) or (H, W, channels) is read")
+            height, width, channels = (*page.shape, 1)[:3]
+            check_promised(path, height, width, channels, size)
+            check_memory(path, height, width, channels, 4, there)
+            ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
+            if max(ends, default=0) > size or 0 in page.databytecounts:
+                raise FileFormatError(f"{path}: truncated: data up to byte {max(ends, default=0)}, the file has {size}")
+            return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
+    except FileFormatError:
+        raise
+    except Exception as error:  # a damaged file makes its reader throw nearly anything
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(f"{path}: not a TIFF file that can be read: {reason:.100}") from None
+
+
+def decode_exr(path: Path, *, channels: list[str]) -> dict[str, np.ndarray]:
+    """Return channels of an OpenEXR file, whose skeleton has been checked, by name."""
+    import OpenEXR
+
+    try:
+        stored = OpenEXR.File(str(path), separate_channels=True).channels()
+        return {name: np.asarray(stored[name].pixels) for name in channels}
+    except Exception as error:  # the library throws whatever its C++ threw
+        raise FileFormatError(f"{path}: damaged OpenEXR file: {' '.join(str(error).split())[:100]}") from None

@@ -1,0 +1,116 @@
+"""No file reads another: links out of a folder are refused by name, and what they lead to goes nowhere."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from matcam import rigs
+from matcam.batch.run import correct_all
+from matcam.cli import _run
+from matcam.core.errors import FileFormatError, OutputError
+from matcam.exchange.conversion import convert
+from matcam.files.sidecar import read_sidecar, sidecar_path, write_sidecar
+from matcam.io import write_exr
+from tests.batch import simple
+from tests.batch.tables import write_database
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    return write_database(tmp_path_factory.mktemp("tables"), ["a", "b"])
+
+
+def corrected(paths, out, **options):
+    return correct_all(paths, rigs.merl(), out, workers=1, pages=False, corrector=simple.brighter, **options)
+
+
+def test_a_table_that_is_a_link(tables, tmp_path, monkeypatch):
+    """One that leads out of the folder fails alone; one that stays inside, and one that is named, are read."""
+    simple.work_in_this_process(monkeypatch)
+    folder = tmp_path / "in"
+    folder.mkdir()
+    shutil.copyfile(tables / "a.binary", folder / "a.binary")
+    (folder / "secret.binary").symlink_to(tables / "b.binary")
+    (folder / "inside.binary").symlink_to("a.binary")
+    done = corrected([folder], tmp_path / "out")
+    assert [failure.source.name for failure in done.failures] == ["secret.binary"]
+    assert f"secret.binary: is a link out of its folder, to {tables / 'b.binary'}" in done.failures[0].reason
+    assert not list((tmp_path / "out").glob("secret*"))
+    assert len(done.corrected) == 1
+    named = corrected([folder / "secret.binary"], tmp_path / "named")
+    assert (len(named.corrected), named.failures) == (1, ())
+
+
+@pytest.mark.parametrize("name", [".lock", "settings.json", "a.json", "a.nc", "run.zarr", "camera.json", "run.zarr/c"])
+def test_a_link_in_a_run_s_folder(tables, tmp_path, name):
+    victim, out = tmp_path / "victim", tmp_path / "out"
+    victim.write_text("mine")
+    (out / name).parent.mkdir(parents=True)
+    (out / name).symlink_to(victim)
+    with pytest.raises(OutputError, match="is a symbolic link in a run's folder") as caught:
+        corrected([tables], out, force=True)
+    assert str(out / name) in str(caught.value)
+    assert victim.read_text() == "mine"
+
+
+@pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"codecs": [{"name": "numcodecs.pickle"}]}, "coded by 'numcodecs.pickle'"),
+        ({"data_type": "object"}, "values of type 'object'"),
+        ({"shape": [1 << 40]}, "1099511627776 materials"),
+        ({"zarr_format": 2, "codecs": None}, "not the Zarr of a run"),
+    ],
+)
+def test_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch, change, words):
+    simple.work_in_this_process(monkeypatch)
+    corrected([tables / "a.binary"], tmp_path / "out", zarr=True)
+    described = tmp_path / "out" / "run.zarr" / "material" / "zarr.json"
+    described.write_text(json.dumps(json.loads(described.read_text()) | change))
+    with pytest.raises(OutputError, match="is not the Zarr of a run") as caught:
+        corrected([tables], tmp_path / "out", zarr=True)
+    assert words in str(caught.value)
+
+
+@pytest.fixture
+def sections():
+    about = rigs.merl().description()
+    return {
+        "picture": {
+            "file": "a.exr", "shape": [4, 5, 3], "quantity": "radiance", "axis_column_px": 2.0, "axis_row_px": 1.5,
+        },
+        "camera": about["camera"], "sample": about["sample"], "blur": about["blur"],
+        "lamp": {"angles_rad": [0.5], "radius_rad": 0.0}, "exposure": None, "material": {},
+    }  # fmt: skip
+
+
+def test_a_sidecar_that_is_a_link(tmp_path, sections):
+    """It would carry another's notes into the output."""
+    write_sidecar(tmp_path / "victim.json", **sections, notes="secret")
+    (tmp_path / "in").mkdir()
+    write_exr(tmp_path / "in" / "a.exr", np.ones((4, 5, 3)))
+    sidecar_path(tmp_path / "in" / "a.exr").symlink_to(tmp_path / "victim.json")
+    with pytest.raises(FileFormatError, match="is a link out of its folder"):
+        convert(tmp_path / "in" / "a.exr", tmp_path / "b.tif")
+    assert not list(tmp_path.glob("b.tif*"))
+
+
+@pytest.mark.parametrize("name", ["..", ".", "/etc/passwd", "../a.exr", "a\\b.exr", ""])
+def test_a_sidecar_that_names_a_path(tmp_path, sections, name):
+    write_sidecar(tmp_path / "a.json", **sections)
+    document = json.loads((tmp_path / "a.json").read_text())
+    document["picture"]["file"] = name
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    with pytest.raises(FileFormatError, match=r"field picture\.file"):
+        read_sidecar(tmp_path / "a.json")
+
+
+def test_photographs_that_are_links(tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "secret.png").write_bytes(b"secret")
+    (tmp_path / "in" / "a.png").symlink_to(tmp_path / "secret.png")
+    assert _run(["calibrate", str(tmp_path / "in"), "-o", str(tmp_path / "camera.json")]) == 2
+    assert "a.png: is a link out of its folder" in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""A disk that is full: every writer says so in one line, and leaves nothing and no half."""
+
+import resource
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+from matcam import BoxPixel, Camera, GaussianOptics, io
+from matcam.core.errors import OutputError
+from matcam.core.io import write_columns
+from matcam.figures.style import save
+
+PICTURE = np.random.default_rng(3).random((40, 50, 3))
+RESULT = xr.Dataset({"raw": ("theta_d", np.random.default_rng(4).random(5000))}, {"theta_d": np.arange(5000.0)})
+
+
+def figure(path):
+    axes = Figure().add_subplot()
+    axes.imshow(PICTURE)
+    save(axes.figure, path)
+
+
+def profile(path):
+    Camera(GaussianOptics(0.5), BoxPixel(0.5)).save(path)
+
+
+WRITERS = {
+    "a.exr": lambda path: io.write_exr(path, PICTURE),
+    "a.tif": lambda path: io.write_float_tiff(path, PICTURE),
+    "a.nc": lambda path: io.write_netcdf(path, RESULT),
+    "a.zarr.zip": lambda path: io.write_zarr(path, RESULT),
+    "a.csv": lambda path: write_columns(path, RESULT),
+    "a.json": profile,
+    "a.png": figure,
+    "a.pdf": figure,
+    "a.svg": figure,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk(tmp_path, name):
+    """A limit of the size of files stands in for it."""
+    WRITERS[name](tmp_path / name)  # whatever is imported and cached on the way
+    size = (tmp_path / name).stat().st_size
+    (tmp_path / name).unlink()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for share in (0.0, 0.5, 0.99):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (int(share * size), before[1]))
+        try:
+            with pytest.raises(OutputError) as caught:
+                WRITERS[name](tmp_path / name)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert f"{name} cannot be written: " in str(caught.value)
+        assert "\n" not in str(caught.value)
+        assert list(tmp_path.iterdir()) == []
