@@ -188,7 +188,7 @@ def test_sphere_before_a_near_camera():
 
 def test_lamp_spread():
     theta_d, radius = 1.1, 1e-3
-    rig = matcam.Rig(CAMERA, matcam.Sphere(RADIUS), radius)
+    rig = matcam.Rig(CAMERA, matcam.Sphere(RADIUS), lamp_radius=radius)
     spread = radius / 4, radius / (4 * np.cos(theta_d))
     assert [float(part) for part in rig.lamp_spread(np.array(theta_d))] == pytest.approx(spread, rel=1e-13)
     # the half vector's motion with the lamp's, per radian: half of it, and over the cosine out of the plane

@@ -22,6 +22,7 @@ from .inverse.fit.fit_setup import fit
 from .inverse.fresnel_term import fresnel
 from .inverse.recoverability import limits
 from .inverse.rival_fits import rivals
+from .lamp.lamps import DistantLamp, NearLamp
 from .material.microfacet import Microfacet
 from .material.ndf.beckmann import Beckmann
 from .material.ndf.gaussian_lobe import GaussianNDF
@@ -45,6 +46,7 @@ __all__ = [
     "DefocusOptics",
     "Dielectric",
     "DiffractionOptics",
+    "DistantLamp",
     "Flat",
     "GaussianNDF",
     "GaussianOptics",
@@ -53,6 +55,7 @@ __all__ = [
     "MatcamError",
     "MeasuredOptics",
     "Microfacet",
+    "NearLamp",
     "Rig",
     "Schlick",
     "Sensor",

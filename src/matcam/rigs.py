@@ -15,6 +15,7 @@ from matcam.camera.profile import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
 
@@ -32,7 +33,8 @@ class Rig(eqx.Module):
     Args:
         camera: the camera, with its uncertainty where that is known.
         sample: the shape that is photographed: `Sphere`, `Cylinder` or `Flat`.
-        lamp_radius: angular radius of the lamp's disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
+        lamp: the lamp: `DistantLamp` or `NearLamp`. Default: None, a distant point.
+        lamp_radius: short for a distant lamp with this angular radius, rad, [0, pi/8]. Default: None, `lamp` says it.
         jitter: standard deviation of the pictures' registration, px, [0, 10]. Default: 0. Raise it where several exposures
             are merged or the rig shakes.
         aperture: diameter of the lens's entrance pupil over its distance from the sample, no unit, [0, 1]. Default: 0, a
@@ -59,7 +61,7 @@ class Rig(eqx.Module):
 
     camera: Camera
     sample: Sample
-    lamp_radius: jax.Array
+    lamp: Lamp
     jitter: jax.Array
     aperture: jax.Array
     focus: jax.Array
@@ -70,8 +72,9 @@ class Rig(eqx.Module):
         self,
         camera: Camera,
         sample: Sample,
-        lamp_radius: ArrayLike = 0.0,
+        lamp: Lamp | None = None,
         *,
+        lamp_radius: ArrayLike | None = None,
         jitter: ArrayLike = 0.0,
         aperture: ArrayLike = 0.0,
         focus: ArrayLike = 0.0,
@@ -82,21 +85,45 @@ class Rig(eqx.Module):
             raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
         if not isinstance(sample, Sample):
             raise ArgumentError(f"sample must be a Sphere, Cylinder or Flat, got {type(sample).__name__}")
+        if lamp is not None and lamp_radius is not None:
+            raise ArgumentError("lamp_radius is short for DistantLamp(radius): give it or a lamp, not both")
+        if lamp is None:
+            lamp = DistantLamp(0.0 if lamp_radius is None else lamp_radius)
+        if not isinstance(lamp, Lamp):
+            raise ArgumentError(f"lamp must be a DistantLamp or NearLamp, got {type(lamp).__name__}")
 
         def number(name: str, value: ArrayLike, high: float, unit: str = "") -> jax.Array:
             return checks.scalar(name, checks.within(name, value, 0, high, unit))
 
         self.camera = camera
         self.sample = sample
-        self.lamp_radius = number("lamp_radius", lamp_radius, np.pi / 8, "rad")
+        self.lamp = lamp
         self.jitter = number("jitter", jitter, 10, "px")
         self.aperture = number("aperture", aperture, 1)
         self.focus = number("focus", focus, np.pi / 2, "rad")
         self.crop = None if crop is None else picture_shape("crop", crop)
         self.cell_value = checks.choice("cell_value", cell_value, CELL_VALUES)
 
+    @property
+    def lamp_radius(self) -> jax.Array:
+        """Return the angular radius of the lamp's disc, seen from the sample's centre, rad."""
+        return self.lamp.angular_radius
+
+    def px_per_rad(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the picture's shift per turn of the normal away from the half vector, px/rad.
+
+        Args:
+            theta_d: half the angle between lamp and camera as the highlight sees it, rad.
+
+        Returns:
+            Shift in the plane of camera and lamp and across it; infinite where the normal does not turn.
+        """
+        return self.sample.px_per_rad(theta_d, self.lamp.nearness)
+
     def lamp_spread(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the spread of the half vector over the lamp's disc, rad.
+
+        The highlight sees a near lamp's disc larger than the sample's centre does.
 
         Args:
             theta_d: difference angle, rad, any shape.
@@ -104,19 +131,21 @@ class Rig(eqx.Module):
         Returns:
             Standard deviations of the normal's angle in the plane of camera and lamp, and across it (docs/model.md 3).
         """
-        quarter = self.lamp_radius / 4
-        return quarter + jnp.zeros_like(theta_d), quarter / jnp.cos(theta_d)
+        quarter = self.lamp_radius / 4 * closeness(self.lamp.nearness, jnp.cos(theta_d))
+        return quarter, quarter / jnp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
         """Return the rig as plain numbers, as a picture's sidecar holds it.
 
         Returns:
-            Sections "camera", "sample" and "blur", and the lamp's radius; units stand in the names.
+            Sections "camera", "sample" and "blur", the lamp's angular radius and its distance (None: infinite); units
+            stand in the names.
         """
         sample: dict[str, Any] = {"kind": type(self.sample).__name__.lower()}
         if isinstance(self.sample, Curved):
             distance = None if self.sample.distant else float(self.sample.distance)
             sample |= {"radius_px": float(self.sample.radius), "distance_radii": distance}
+        far = self.lamp.distance if isinstance(self.lamp, NearLamp) else None
         return {
             "camera": self.camera.profile(),
             "sample": sample,
@@ -126,6 +155,7 @@ class Rig(eqx.Module):
                 "focus_rad": float(self.focus),
             },
             "lamp_radius_rad": float(self.lamp_radius),
+            "lamp_distance_radii": None if far is None else float(far),
         }
 
     def __repr__(self) -> str:
@@ -136,7 +166,8 @@ class Rig(eqx.Module):
         )
         more += f", crop={self.crop}" if self.crop else ""
         more += f", cell_value={self.cell_value!r}" if self.cell_value != "centre" else ""
-        return f"Rig({self.camera!r}, {self.sample!r}, lamp_radius={self.lamp_radius!s}{more})"
+        lamp = f"lamp_radius={self.lamp.radius!s}" if isinstance(self.lamp, DistantLamp) else f"lamp={self.lamp!r}"
+        return f"Rig({self.camera!r}, {self.sample!r}, {lamp}{more})"
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:

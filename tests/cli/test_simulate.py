@@ -29,6 +29,7 @@ def test_a_picture_with_all_that_is_needed_to_invert_it(tmp_path):
     assert about["sample"] == {"kind": "sphere", "radius_px": 40.0, "distance_radii": None}
     assert about["lamp"]["angles_rad"] == pytest.approx([np.pi / 3])
     assert about["lamp"]["radius_rad"] == pytest.approx(np.radians(0.25))
+    assert (about["lamp"]["azimuths_rad"], about["lamp"]["distance_radii"]) == ([0.0], None)
     assert (about["picture"]["axis_column_px"], about["picture"]["axis_row_px"]) == (16.0, 15.0)
     assert about["material"]["roughness"] == 0.05
     assert (tmp_path / "a.png").stat().st_size > 5000
@@ -60,6 +61,10 @@ def test_a_table_in_the_format_of_merl(tmp_path):
         (("-o", "a.exr", "--radius", 0.3), "radius must exceed the camera's blur"),
         (("-o", "a.exr", "--distance", 0.5), "--distance must lie in"),
         (("-o", "a.exr", "--lamp-angle", 200), "behind the sample"),
+        (("-o", "a.exr", "--azimuth", 400), "--azimuth must lie in [-360, 360] degrees, got 400"),
+        (("-o", "a.exr", "--lamp-distance", 0.5), "--lamp-distance must lie in (1, inf) radii"),
+        (("-o", "a.exr", "--lamp-distance", 20, "--sample-mm", 25), "--lamp-distance must lie in (1, inf) radii"),
+        (("-o", "a.exr", "--sample-mm", 25), "--sample-mm needs --lamp-distance"),
         (("-o", "a.exr", "--metal", "Unobtainium"), "Unobtainium"),
         (("-o", "a.exr", "--exposure", 100), "camera with a sensor"),
         (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),

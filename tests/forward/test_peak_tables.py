@@ -176,7 +176,7 @@ def test_refusals_name_the_range():
             0.1,
             r"half_width / sigma with an EPD lobe must lie in \[0, 2.5\], got 5",
         ),
-        (EPD(0.01, 1.0), Rig(merl.camera, Sphere(256), 0.01), 0.1, "lamp_radius with an EPD lobe"),
+        (EPD(0.01, 1.0), Rig(merl.camera, Sphere(256), lamp_radius=0.01), 0.1, "lamp_radius with an EPD lobe"),
         (
             EPD(0.01, 1.0),
             Rig(Camera(DiffractionOptics(8, 550e-9, 5e-6)), Sphere(256)),

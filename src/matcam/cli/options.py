@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from matcam.core.errors import MatcamError
+from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.io import all_or_nothing
 from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
 from matcam.files import formats
 
 if TYPE_CHECKING:
+    from matcam.lamp.lamps import Lamp
     from matcam.rigs import Rig
 
 _RENAMED = {
@@ -48,6 +49,7 @@ _PHRASES = {
 _SCALES = {
     "--lamp": (180 / math.pi, "degrees"),
     "--lamp-angle": (180 / math.pi, "degrees"),
+    "--azimuth": (180 / math.pi, "degrees"),
     "--pitch": (1e6, "um"),
     "--wavelength": (1e9, "nm"),
 }
@@ -70,6 +72,19 @@ LampRadius = Annotated[
     typer.Option(
         "--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc as seen from the sample, degrees."
     ),
+]
+LampDistance = Annotated[
+    float | None,
+    typer.Option(
+        "--lamp-distance",
+        metavar="RADII",
+        help="Distance of the lamp from the sample's centre, in radii of the sample; in mm with --sample-mm. "
+        "Default: infinite.",
+    ),
+]
+SampleMm = Annotated[
+    float | None,
+    typer.Option("--sample-mm", metavar="MM", help="Radius of the sample, mm: --lamp-distance is in mm then."),
 ]
 if TYPE_CHECKING:
     Family = str
@@ -128,6 +143,8 @@ def rig_of(
     distance: float | None = None,
     glare: float = 0.0,
     glare_radius: float = 30.0,
+    lamp_distance: float | None = None,
+    sample_mm: float | None = None,
     **more: Any,
 ) -> Rig:
     """Return the MERL rig, with what the user has replaced."""
@@ -148,7 +165,22 @@ def rig_of(
     size = 256.0 if radius is None else radius
     far = math.inf if distance is None else distance
     shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size, far)
-    return rigs.Rig(chosen, shape, math.radians(lamp_degrees), **more)
+    return rigs.Rig(chosen, shape, _lamp_of(math.radians(lamp_degrees), lamp_distance, sample_mm), **more)
+
+
+def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | None) -> Lamp:
+    """Return the lamp: near where its distance is given, in radii of the sample or, with the sample's radius, in mm."""
+    from matcam.core import checks
+    from matcam.lamp.lamps import DistantLamp, NearLamp
+
+    if distance is None:
+        if sample_mm is not None:
+            raise ArgumentError("--sample-mm needs --lamp-distance, whose unit it sets")
+        return DistantLamp(angular_radius)
+    if sample_mm is not None:
+        distance /= float(checks.positive("--sample-mm", sample_mm, "mm"))
+    DistantLamp(angular_radius)  # its range is the same
+    return NearLamp(distance, math.tan(angular_radius) * distance if distance > 1 else 0.0)
 
 
 class Command(TyperCommand):

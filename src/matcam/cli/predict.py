@@ -17,8 +17,10 @@ from matcam.cli.options import (
     Force,
     Glare,
     GlareRadius,
+    LampDistance,
     LampRadius,
     Radius,
+    SampleMm,
     rig_of,
 )
 
@@ -53,6 +55,8 @@ def command(
     radius: Radius = None,
     distance: Distance = None,
     lamp: LampRadius = 0.0,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
     glare: Glare = 0.0,
     glare_radius: GlareRadius = 30.0,
     map_: Annotated[
@@ -84,7 +88,7 @@ def command(
     from matcam.core.registry import family_ndf
     from matcam.forward.prediction import predict
 
-    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius)
+    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, lamp_distance, sample_mm)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
         lobes = [family_ndf(ndf, value, power) for value in values]

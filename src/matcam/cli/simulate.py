@@ -17,8 +17,10 @@ from matcam.cli.options import (
     Force,
     Glare,
     GlareRadius,
+    LampDistance,
     LampRadius,
     Radius,
+    SampleMm,
     Sampling,
     rig_of,
 )
@@ -53,13 +55,24 @@ def command(
     lamp_angle: Annotated[
         float, typer.Option("--lamp-angle", help="Angle between lamp and camera in a picture, degrees.")
     ] = 60.0,
-    sample: Annotated[Literal["sphere", "cylinder"], typer.Option("--sample", help="Shape of the sample.")] = "sphere",
+    azimuth: Annotated[
+        float,
+        typer.Option("--azimuth", help="Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up."),
+    ] = 0.0,
+    sample: Annotated[
+        Literal["sphere", "cylinder", "flat"],
+        typer.Option("--sample", help="Shape of the sample; flat: a table without any blur."),
+    ] = "sphere",
     cell: Annotated[
         Literal["centre", "edge", "mean"], typer.Option("--cell", help="What a cell of a table stands for.")
     ] = "centre",
     size: Annotated[
         tuple[int, int] | None,
         typer.Option("--size", help="Height and width of the picture, px. Default: the sample's."),
+    ] = None,
+    crop: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--crop", help="Height and width of the part of the sensor that is used, px, about its middle."),
     ] = None,
     exposure: Annotated[
         float | None,
@@ -76,6 +89,8 @@ def command(
     radius: Radius = None,
     distance: Distance = None,
     lamp: LampRadius = 0.0,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
     glare: Glare = 0.0,
     glare_radius: GlareRadius = 30.0,
     sampling: Sampling = "centre",
@@ -107,13 +122,15 @@ def command(
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, cell_value=cell)
+    near = {"lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, cell_value=cell, crop=crop)
+    turned = math.radians(azimuth)
     lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
     material, described = _tabulated(table, sampling) if table else _microfacet(lobe)
     if suffix in _TABLES:
-        result = _table(material, rig, output, described, force)
+        result = _table(material, rig, turned, output, described, force)
     else:
-        options = {"shape": size, "exposure": exposure, "seed": seed if exposure else None}
+        options = {"shape": size, "exposure": exposure, "seed": seed if exposure else None, "azimuth": turned}
         result = _picture(material, rig, math.radians(lamp_angle), options, output, described, force)
         if preview:
             _preview(result.pop("picture"), described, rig, preview, force)
@@ -145,14 +162,16 @@ def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     return Microfacet(ndf, Conductor(n, k), lobe["diffuse"]), {**lobe, "source": source}
 
 
-def _table(material: Any, rig: Any, output: Path, described: dict[str, Any], force: bool) -> dict[str, Any]:
+def _table(
+    material: Any, rig: Any, azimuth: float, output: Path, described: dict[str, Any], force: bool
+) -> dict[str, Any]:
     """Write the table that the rig records; return what to print of it."""
     from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import measure
 
     with show.working("measuring every cell"):
-        data = measure(material, rig)
+        data = measure(material, rig, azimuth=azimuth)
     if output.suffix.lower() == ".nc":
         write_netcdf(output, data.assign_attrs(material=str(described)).to_dataset(), force=force)
     else:
@@ -194,7 +213,12 @@ def _picture(
         },
         camera=about["camera"],
         sample=about["sample"],
-        lamp={"angles_rad": [lamp_angle], "radius_rad": about["lamp_radius_rad"]},
+        lamp={
+            "angles_rad": [lamp_angle],
+            "azimuths_rad": [options["azimuth"]],
+            "radius_rad": about["lamp_radius_rad"],
+            "distance_radii": about["lamp_distance_radii"],
+        },
         blur=about["blur"],
         exposure=noise if options["exposure"] else None,
         material=described,

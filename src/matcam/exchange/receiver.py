@@ -55,7 +55,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     area = effective_area(rig.camera)
-    along, across = (float(px) for px in rig.sample.px_per_rad(jnp.zeros(())))
+    along, across = (float(px) for px in rig.px_per_rad(jnp.zeros(())))
     turns = np.isfinite(along) and np.isfinite(across)
     return {
         "kernel_area_px2": area,

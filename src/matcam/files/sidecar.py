@@ -7,7 +7,8 @@
                   "axis_column_px": 255.5, "axis_row_px": 255.5},
       "camera": {...},                                        a camera profile, whole
       "sample": {"kind": "sphere", "radius_px": 256.0, "distance_radii": null},           null: infinitely far
-      "lamp": {"angles_rad": [0.5], "radius_rad": 0.004},     angle lamp-camera = 2 theta_d, lamp towards +x
+      "lamp": {"angles_rad": [0.5], "azimuths_rad": [0.0],    lamp-axis as the sample's centre sees it; 0: towards +x, then up
+               "radius_rad": 0.004, "distance_radii": null},  null: infinitely far
       "blur": {"jitter_px": 0.0, "aperture": 0.0, "focus_rad": 0.0},        registration; pupil over distance, and focus
       "exposure": {"electrons_per_radiance": [1e4], "times_s": [0.01], "seed": 1},        null: no noise was added
       "material": {...},                                      free
@@ -22,11 +23,12 @@ camera is checked by its own format, which lives elsewhere: `Camera.from_profile
 from __future__ import annotations
 
 import datetime
+import math
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import checked_version, first_problem, read_json, write_json
@@ -74,7 +76,15 @@ class _Flat(_Strict):
 
 class _Lamp(_Strict):
     angles_rad: Annotated[list[FiniteFloat], Field(min_length=1)]
+    azimuths_rad: list[Annotated[FiniteFloat, Field(ge=-2 * math.pi, le=2 * math.pi)]] | None = None
     radius_rad: _NotNegative
+    distance_radii: Annotated[FiniteFloat, Field(gt=1)] | None = None
+
+    @model_validator(mode="after")
+    def _one_azimuth_for_each_angle(self) -> _Lamp:
+        if self.azimuths_rad is not None and len(self.azimuths_rad) != len(self.angles_rad):
+            raise ValueError("azimuths_rad must have as many entries as angles_rad, or be null (all towards +x)")
+        return self
 
 
 class _Blur(_Strict):
@@ -143,7 +153,8 @@ def write_sidecar(
         picture: file, shape (rows, columns, channels), quantity, wavelengths in m, place of the optical axis in px.
         camera: camera profile, as from `Camera.profile()`.
         sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii; None: infinitely far.
-        lamp: angles between lamp and camera and the lamp's angular radius, rad.
+        lamp: angles between lamp and optical axis, azimuths about it (None: 0) and the lamp's angular radius, rad, all as the
+            sample's centre sees them; its distance in radii (None: infinitely far).
         blur: jitter in px, aperture over distance (no unit), focus in rad.
         exposure: electrons per unit of radiance, times in s, seed; None: no noise was added.
         material: free; what describes the material.

@@ -7,7 +7,8 @@ the error, the radiance at its centre will do. A highlight can hide between the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import groupby, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +21,18 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
-from matcam.forward.integral.integrals import Scene, highlight_x
+from matcam.forward.integral.discs import disc_fineness, nearer, turned_cylinder
+from matcam.forward.integral.integrals import Scene, Turn, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
+from matcam.lamp.lamps import LampPoint, checked_azimuth, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
+_PLACES = 1 << 20
+"""Pixels times points of a lamp that are recorded at once: they fit into 1 GiB."""
 _FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
 
 
@@ -34,6 +40,7 @@ def picture(
     material: Material,
     rig: Rig,
     lamp_angle: ArrayLike,
+    azimuth: ArrayLike = 0.0,
     *,
     shape: tuple[int, int] | None = None,
     error: float | None = None,
@@ -41,15 +48,21 @@ def picture(
     seed: Seed | None = None,
     time: float = 0.0,
 ) -> xr.DataArray:
-    """Return the picture of a sphere or cylinder under a distant lamp.
+    """Return the picture of a sphere or cylinder under the rig's lamp.
 
-    The lamp's irradiance is 1, and it stands towards +x (right). Row 0 is on top. Pixel centres lie on integers, and the
-    optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
+    The lamp's irradiance is 1 at the sample's centre, on a surface that faces it. Row 0 is on top. Pixel centres lie on
+    integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
+
+    On a sphere a lamp's disc is a disc: the picture is the mean over those of its points. That takes 15 times as long for
+    a disc whose image is as wide as the blur, and more for a larger one. On a cylinder it is a Gaussian of the disc's variance.
 
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
-        lamp_angle: angle between lamp and optical axis, in [0, pi), rad: 2 theta_d with a distant camera.
+        lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d if all is distant. In
+            [0, pi), or up to where a near lamp lights nothing that a near camera sees.
+        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. The pixels do not turn with it. On a cylinder 0
+            or pi. Default: 0, the lamp towards +x (right); pi / 2 is towards +y (up).
         shape: (height, width), px. Default: the rig's crop, or what holds the sample and its blur.
         error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
             Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak).
@@ -62,10 +75,11 @@ def picture(
         and `y`, px, count from the optical axis, y upwards. Attribute `kernel_error`: see `measure`.
 
     Raises:
-        ArgumentError: an argument is out of its range, the sample is flat, or exposure lacks a sensor or a seed.
+        ArgumentError: an argument is out of its range, the lamp lights nothing that is seen or stands in the camera, the
+            sample is flat, or exposure lacks a sensor or a seed.
 
     Source:
-        docs/model.md 2 and 3.
+        docs/model.md 2, 3 and 10.
 
     Example:
         The middle of a sphere, where no kernel meets the highlight or the limb; without a shape, the whole sphere.
@@ -75,7 +89,7 @@ def picture(
         >>> image.dims, image.shape
         (('row', 'column', 'channel'), (3, 5, 1))
     """
-    view = _view(material, rig, lamp_angle, shape)
+    view = _view(material, rig, (lamp_angle, azimuth), shape)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
     if error is None:
         values = _exact_record(material, view)
@@ -98,6 +112,7 @@ def picture(
             "units": unit,
             "quantity": quantity,
             "lamp_angle": view.lamp_angle,
+            "lamp_azimuth": view.azimuth,
             "rig": repr(rig),
             "kernel_error": kernel_error(rig),
         },
@@ -105,7 +120,11 @@ def picture(
 
 
 def picture_values(
-    material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None = None
+    material: Material,
+    rig: Rig,
+    lamp_angle: ArrayLike,
+    shape: tuple[int, int] | None = None,
+    azimuth: ArrayLike = 0.0,
 ) -> jax.Array:
     """Return the radiance of `picture` as an array.
 
@@ -114,8 +133,9 @@ def picture_values(
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
-        lamp_angle: angle between lamp and optical axis, in [0, pi), rad; it cannot be traced.
+        lamp_angle: angle between lamp and optical axis, see `picture`, rad; it cannot be traced.
         shape: (height, width), px. Default: see `picture`.
+        azimuth: of the lamp about the optical axis, rad; it cannot be traced. Default: 0, towards +x.
 
     Returns:
         Radiance under unit irradiance, (height, width, channels), 1/sr.
@@ -131,26 +151,30 @@ def picture_values(
         >>> matcam.forward.picture_values(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5)).shape
         (3, 5, 1)
     """
-    return _exact_record(material, _view(material, rig, lamp_angle, shape))
+    return _exact_record(material, _view(material, rig, (lamp_angle, azimuth), shape))
 
 
 class _View(NamedTuple):
     """A sample as it is photographed, and the part of it that the picture shows.
 
     Attributes:
-        imaging: sample and blur.
+        imaging: sample, blur and the lamp's nearness.
         lamp_angle: angle between lamp and optical axis, rad.
+        azimuth: of the lamp, rad.
+        points: the lamp's points, each of one angle and azimuth.
         x: places of the columns, px.
         y: places of the rows, px.
     """
 
     imaging: Imaging
     lamp_angle: float
+    azimuth: float
+    points: list[LampPoint]
     x: np.ndarray
     y: np.ndarray
 
 
-def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int, int] | None) -> _View:
+def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape: tuple[int, int] | None) -> _View:
     if not isinstance(material, Material):
         raise ArgumentError(
             f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
@@ -159,12 +183,17 @@ def _view(material: Material, rig: Rig, lamp_angle: ArrayLike, shape: tuple[int,
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Curved):
         raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
-    behind = "rad (beyond pi the lamp is behind the sample)"
-    lamp = checks.scalar("lamp_angle", checks.within("lamp_angle", lamp_angle, 0, np.pi, behind, open_high=True))
-    imaging = imaging_of(rig)
+    angle = checked_lamp_angle(lamp[0], rig.lamp, float(rig.sample.distance))
+    azimuth, imaging = checked_azimuth(lamp[1]), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample))
     height, width = _picture_shape(rig, shape, reach)
-    return _View(imaging, float(lamp), np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height))
+    if isinstance(rig.sample, Sphere):
+        fineness = disc_fineness(rig, imaging, np.array(angle), float(material.finest))
+        points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
+    else:
+        points = [LampPoint(np.array(angle), np.array(turned_cylinder(rig, azimuth)), 1.0, 1.0)]
+    x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
+    return _View(imaging, angle, azimuth, points, x, y)
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
@@ -186,9 +215,34 @@ def _exact_record(material: Material, view: _View) -> jax.Array:
 
 
 def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray) -> jax.Array:
-    """Record pixels centred on (x, y) px; shape (pixels, channels)."""
-    places = RecordPlaces(x, y, np.full(x.size, view.lamp_angle), np.zeros(x.size, dtype=np.int32))
-    return record(material, view.imaging, integration_plan(view.imaging, np.array([view.lamp_angle]), places))
+    """Record pixels centred on (x, y) px; shape (pixels, channels).
+
+    The picture is the mean over the lamp's points; many of them are recorded at once.
+    """
+    total: jax.Array | float = 0.0
+    for points in _rings(view.points, max(1, _PLACES // max(x.size, 1))):
+        angles, azimuths = (np.array([float(getattr(p, name)) for p in points]) for name in ("angle", "azimuth"))
+        which = np.repeat(np.arange(len(points), dtype=np.int32), x.size)
+        turned = azimuths if np.any(azimuths) else None
+        places = RecordPlaces(
+            np.tile(x, len(points)),
+            np.tile(y, len(points)),
+            angles[which],
+            which,
+            None if turned is None else turned[which],
+        )
+        imaging = nearer(view.imaging, points[0].distance)
+        values = record(material, imaging, integration_plan(imaging, angles, places, turned))
+        weights = np.array([point.weight for point in points])
+        total += jnp.tensordot(weights, values.reshape(len(points), x.size, -1), axes=1)
+    return jnp.asarray(total)
+
+
+def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
+    """Split a lamp's points into lists of at most `most` that are equally far away."""
+    for _, ring in groupby(points, lambda point: point.distance):
+        while some := list(islice(ring, most)):
+            yield some
 
 
 def _record_within(error: float, material: Material, view: _View) -> jax.Array:
@@ -196,21 +250,31 @@ def _record_within(error: float, material: Material, view: _View) -> jax.Array:
 
     It must not be differentiated: which pixels are exact depends on the material.
     """
-    sample, lamp_angle = view.imaging.sample, jnp.asarray(view.lamp_angle)
-    scales = [group.scale for group in groups_of(view.imaging.blur, sample)]
+    sample, turned = view.imaging.sample, bool(np.any([point.azimuth for point in view.points]))
+    scales = [group.scale for group in groups_of(view.imaging.blur, sample, turned)]
     around = int(np.ceil(max(scale.reach for scale in scales)))
     beyond = np.arange(1, around + 1)
-    wide = [
-        np.concatenate([a[0] - step * beyond[::-1], a, a[-1] + step * beyond])
-        for a, step in ((view.x, 1), (view.y, -1))
-    ]
-    centres = np.asarray(_at_centres(Scene(material, sample, lamp_angle), *np.meshgrid(*wide)))
+    wide = np.meshgrid(
+        *(
+            np.concatenate([a[0] - step * beyond[::-1], a, a[-1] + step * beyond])
+            for a, step in ((view.x, 1), (view.y, -1))
+        )
+    )
+    x, y = np.meshgrid(view.x, view.y)
+    side = max(scale.near for scale in scales)
+    centres, near = 0.0, np.zeros(x.shape, dtype=bool)
+    for point in view.points:
+        imaging = nearer(view.imaging, point.distance)
+        turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
+        scene = Scene(material, sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn if turned else None)
+        centres += point.weight * np.asarray(_at_centres(scene, *wide))
+        peak_x, peak_y = scene.on_sensor(highlight_x(sample, scene.lamp_angle, scene.lamp_nearness), jnp.zeros(()))
+        near |= (np.abs(x - float(peak_x)) < side) & (np.abs(y - float(peak_y)) < side)
     neighbourhood = (2 * around + 1, 2 * around + 1, 1)
     span = (maximum_filter(centres, neighbourhood) - minimum_filter(centres, neighbourhood)).max(axis=-1)
     height, width = view.y.size, view.x.size
     span, centres = (a[around : around + height, around : around + width] for a in (span, centres))
-    values, peak_x = centres.copy(), float(highlight_x(sample, lamp_angle))
-    x, y = np.meshgrid(view.x, view.y)
+    values = centres.copy()
 
     def record_exactly(where: np.ndarray) -> None:
         index = pad_indices(np.flatnonzero(where))
@@ -218,8 +282,6 @@ def _record_within(error: float, material: Material, view: _View) -> jax.Array:
             pixels = _record_pixels(material, view, x.ravel()[index], y.ravel()[index])
             values.reshape(-1, values.shape[-1])[index] = np.asarray(pixels)
 
-    side = max(scale.near for scale in scales)
-    near = (np.abs(x - peak_x) < side) & (np.abs(y) < side)
     record_exactly(near)
     peak = values[near].max(initial=0.0) or centres.max()
     record_exactly((span > error * peak) & ~near)
@@ -228,7 +290,7 @@ def _record_within(error: float, material: Material, view: _View) -> jax.Array:
 
 @jax.jit
 def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
-    element, visible = scene.sample.at(x, y)
+    element, visible = scene.sample.at(*scene.from_sensor(x, y))
     lit = visible & (scene.seen(element).cos_i > 0)
     return jnp.where(lit[..., None], scene.sent(element), 0.0)
 

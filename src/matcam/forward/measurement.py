@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
@@ -23,46 +24,46 @@ from matcam.core.grid import (
     below_horizon,
     brdf_table,
     checked_table,
-    cosines,
     merl_grid,
     sampling_of,
-    theta_h_edges,
 )
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
+from matcam.forward.cells_in_pictures import CellChoice, TableCells, cell_means, cell_sampling, table_cells
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
+from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
+from matcam.lamp.lamps import checked_azimuth, lamp_points
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
-from matcam.rigs import CellValue, Rig, merl
+from matcam.rigs import Rig, merl
 from matcam.sample.curved import Sphere
-from matcam.sample.shape import Curved, Flat, Place
-
-_POINTS: dict[CellValue, tuple[float, ...]] = {
-    "centre": (0.5,),
-    "edge": (0.0,),
-    "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
-}
-"""Places in a cell at which it is looked at, as shares of its sides."""
+from matcam.sample.shape import Flat, Place
 
 
-def measure(material: Material, rig: Rig, workspace: Workspace | None = None) -> xr.DataArray:
+def measure(
+    material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike = 0.0
+) -> xr.DataArray:
     """Return the BRDF table that a rig records of a material.
 
     Each cell is the pixel centred on the point of the cell that the rig's `cell_value` names; "mean" is the mean over the
     pixels inside. The record is divided by the cosine of the light at the pixel's centre. It is averaged over the two
     places that show the cell (reciprocity). A flat sample's light is the same all over: nothing is lost.
 
-    A whole table takes about 15 s on two cores. For derivatives see `table_values`.
+    Before a near camera or under a near lamp each cell is taken from the picture whose lamp shows it at its angles, and
+    divided by the lamp's irradiance there. A whole table takes about 15 s on two cores, and that for every point of a
+    lamp's disc: 20 and more. For derivatives see `table_values`.
 
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
+        azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence turns, the
+            square pixels do not. Default: 0, the lamp towards +x.
 
     Returns:
         BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where nothing is recorded. Coordinate `pixels`
@@ -85,18 +86,21 @@ def measure(material: Material, rig: Rig, workspace: Workspace | None = None) ->
         >>> print(np.round(table.values[0, 0, 0], 2))
         [7.16 7.16 7.16]
     """
-    recorded, pixels = table_values(material, rig, workspace)
+    recorded, pixels = table_values(material, rig, workspace, azimuth=azimuth)
     if recorded.shape[-1] not in (1, len(CHANNELS)):
         raise ArgumentError(
             f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
         )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    attrs["lamp_azimuth"] = float(np.asarray(azimuth))
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
 
 
-def table_values(material: Material, rig: Rig, workspace: Workspace | None = None) -> tuple[jax.Array, np.ndarray]:
+def table_values(
+    material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike = 0.0
+) -> tuple[jax.Array, np.ndarray]:
     """Return the values and pixel counts of `measure` as arrays.
 
     The values are differentiable in the parameters of material and camera.
@@ -105,6 +109,7 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
         material: material to record, with any count of channels.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
+        azimuth: of the lamp about the optical axis in all pictures, rad. Default: 0, towards +x.
 
     Returns:
         BRDF, (90, 90, 180, channels), 1/sr, NaN where nothing is recorded; and the count of pixels behind each cell,
@@ -134,9 +139,12 @@ def table_values(material: Material, rig: Rig, workspace: Workspace | None = Non
         raise ArgumentError(
             f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
         )
-    imaging = imaging_of(rig)
-    cells, plan = _table_plan(imaging, rig.cell_value, rig.crop, workspace or default_workspace())
-    return cell_means(record(material, imaging, plan), cells), cells.pixels
+    imaging, turned = imaging_of(rig), checked_azimuth(azimuth)
+    chosen = CellChoice(rig.cell_value, rig.crop, turned)
+    if float(rig.lamp_radius) == 0:
+        cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())
+        return cell_means(record(material, imaging, plan), cells), cells.pixels
+    return _under_disc(material, rig, imaging, chosen)
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
@@ -160,31 +168,6 @@ def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArra
     return measure(material, Rig(merl().camera, Flat(), cell_value=sampling))
 
 
-def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Return the point of a cell at which a table is sampled."""
-    return "edge" if cell_value == "edge" else "centre"
-
-
-class TableCells(NamedTuple):
-    """The cells of a table as seen one way: arrays over (theta_d, theta_h, phi_d, point, point).
-
-    phi_d + pi is seen where pi - phi_d is, mirrored. So reversing phi_d, and the points along it, gives the other way.
-
-    Attributes:
-        places: places of those that are seen.
-        flat_index: their positions in the flattened arrays.
-        cos_i: cosine of the light at each cell.
-        weight: share of the cell's value that each point makes; 0 where it is not seen.
-        pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
-    """
-
-    places: RecordPlaces
-    flat_index: np.ndarray
-    cos_i: np.ndarray
-    weight: np.ndarray
-    pixels: np.ndarray
-
-
 class TablePlan(NamedTuple):
     """The cells of a table, and the plan of their record."""
 
@@ -192,9 +175,7 @@ class TablePlan(NamedTuple):
     plan: IntegrationPlan
 
 
-def _table_plan(
-    imaging: Imaging, cell_value: CellValue, crop: tuple[int, int] | None, workspace: Workspace
-) -> TablePlan:
+def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> TablePlan:
     """Plan the table of a rig. Needs concrete values: ArgumentError inside jax.jit."""
     imaging = jax.lax.stop_gradient(imaging)
     leaves, tree = jax.tree.flatten(imaging)
@@ -202,66 +183,47 @@ def _table_plan(
         raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
 
     def plan() -> TablePlan:
-        cells = table_cells(imaging.sample, cell_value, crop)
-        theta_d = jnp.asarray(merl_grid(cell_sampling(cell_value)).theta_d)
-        return TablePlan(cells, integration_plan(imaging, np.asarray(imaging.sample.lamp_angle(theta_d)), cells.places))
+        cells = table_cells(imaging.sample, chosen.cell_value, chosen.crop, chosen.azimuth, imaging.lamp_nearness)
+        lamps = _slice_lamps(imaging, chosen)
+        turned = None if cells.mirrored else np.full(lamps.size, chosen.azimuth)
+        return TablePlan(cells, integration_plan(imaging, lamps, cells.places, turned))
 
-    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), cell_value, crop
+    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen
     return workspace.remember("table plan", key, plan, most=1)
 
 
-def table_cells(sample: Curved, cell_value: CellValue, crop: tuple[int, int] | None) -> TableCells:
-    """Find the cells of a table in the pictures of a sphere.
+def _slice_lamps(imaging: Imaging, chosen: CellChoice) -> np.ndarray:
+    """Return the angle between lamp and optical axis of each slice's own picture, rad."""
+    theta_d = jnp.asarray(merl_grid(cell_sampling(chosen.cell_value)).theta_d)
+    return np.asarray(imaging.sample.lamp_angle(theta_d, imaging.lamp_nearness))
 
-    The sensor shows `crop`, (height, width), px; None stands for all.
+
+def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoice) -> tuple[jax.Array, np.ndarray]:
+    """Return values and pixel counts of a table under a lamp's disc: the mean over its points.
+
+    Slices whose highlight needs about as many points are recorded together, one point of the disc at a time.
     """
-    n_h, n_d, n_p = GRID_SHAPE
-    points = np.array(_POINTS[cell_value])
-    share = (np.arange(n_h)[:, None] + points) / n_h
-    theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
-    theta_d = merl_grid(cell_sampling(cell_value)).theta_d[:, None, None, None, None]
-    # where 0 is sampled, pi has to be, too: its mirror image
-    columns = np.arange(n_p + 1 if cell_value == "edge" else n_p)
-    phi_d = ((columns[:, None] + points) / n_p * np.pi)[None, None, :, None, :]
-    theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
-    cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
-    place = jax.jit(lambda sample, *angles: sample.place(*angles))(sample, theta_h, theta_d, phi_d)
-    x, y, lamp_angle = (np.asarray(a) for a in place)
-    seen = (cos_i > 0) & (cos_o > 0)
-    if crop is not None:
-        height, width = crop
-        seen &= (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
-    index = np.flatnonzero(seen)
-    picture = np.broadcast_to(np.arange(n_d, dtype=np.int32)[:, None, None, None, None], seen.shape)
-    places = RecordPlaces(*(a.ravel()[index] for a in (x, y, lamp_angle, picture)))
-
-    # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
-    edges = theta_h_edges()
-    solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
-    content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
-    pixels = (content + _other_way(content)).sum(axis=(3, 4))[:, :, :n_p].transpose(1, 0, 2)
-    # equal shares of sqrt(theta_h) hold unequal numbers of pixels
-    weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
-    return TableCells(places, index, cos_i, weight, pixels)
-
-
-def cell_means(radiance: jax.Array, cells: TableCells) -> jax.Array:
-    """Average the BRDF over the places of each cell, both ways.
-
-    It is NaN where none is seen.
-    """
-    channels = radiance.shape[-1]
-    spread = jnp.zeros((cells.cos_i.size, channels)).at[cells.flat_index].set(radiance)
-    spread = spread.reshape(*cells.cos_i.shape, channels)
-    weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.cos_i, 1.0))[..., None]
-    total = jnp.sum(weighted + _other_way(weighted), axis=(3, 4))
-    weight = np.sum(cells.weight + _other_way(cells.weight), axis=(3, 4))[..., None]
-    mean = jnp.where(weight > 0, total / np.where(weight > 0, weight, 1.0), jnp.nan)
-    return mean[:, :, : GRID_SHAPE[2]].transpose(1, 0, 2, 3)
-
-
-def _other_way(one_way):  # type: ignore[no-untyped-def]
-    return one_way[:, :, ::-1, :, ::-1]
+    cells = table_cells(imaging.sample, chosen.cell_value, chosen.crop, chosen.azimuth, imaging.lamp_nearness)
+    lamps, places = _slice_lamps(imaging, chosen), cells.places
+    fineness = np.exp2(np.ceil(2 * np.log2(np.maximum(disc_fineness(rig, imaging, lamps), 0.25))) / 2)
+    total = jnp.zeros((places.x.size, 1))
+    for level in np.unique(fineness):
+        slices = np.flatnonzero(fineness == level)
+        number = np.full(lamps.size, -1, dtype=np.int32)
+        number[slices] = np.arange(slices.size)
+        index = np.flatnonzero(number[places.picture] >= 0)
+        x, y, angle, picture = (a[index] for a in places[:4])
+        centre = number[picture]
+        of_slices = lamp_points(rig.lamp, lamps[slices], chosen.azimuth, float(level))
+        recorded: jax.Array | float = 0.0
+        for at, point in zip(of_slices, lamp_points(rig.lamp, angle, chosen.azimuth, float(level)), strict=True):
+            one = RecordPlaces(x, y, point.angle, centre, point.azimuth)
+            near = nearer(imaging, point.distance)
+            plan = integration_plan(near, at.angle, one, at.azimuth)
+            recorded += point.weight * record(material, near, plan)
+        recorded = jnp.asarray(recorded)
+        total = jnp.broadcast_to(total, (total.shape[0], recorded.shape[1])).at[index].set(recorded)
+    return cell_means(total, cells), cells.pixels
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:

@@ -17,6 +17,7 @@ from matcam.forward.integral.blur import imaging_of
 from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
 from matcam.forward.peaks.peak import peak_response
+from matcam.lamp.lamps import closeness
 from matcam.material.material import Material
 from matcam.material.ndf.distribution import NDF
 from matcam.rigs import Rig
@@ -119,15 +120,17 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)
-    lamps = np.asarray(sphere.lamp_angle(jnp.asarray([theta_d])))
-    place = sphere.place(theta_h, np.full(theta_h.size, theta_d), phi_d)
+    near = rig.lamp.nearness
+    lamps = np.asarray(sphere.lamp_angle(jnp.asarray([theta_d]), near))
+    place = sphere.place(theta_h, np.full(theta_h.size, theta_d), phi_d, near)
     x, y, lamp = (np.asarray(a) for a in place)
     places = RecordPlaces(x, y, lamp, np.zeros(x.size, dtype=np.int32))
-    cos_i = np.asarray(cosines(theta_h, theta_d, phi_d)[0])[:, None]
-    bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp_radius, jitter=rig.jitter)
+    cos_i = cosines(theta_h, theta_d, phi_d)[0]
+    irradiance = np.asarray(cos_i * closeness(near, cos_i) ** 2)[:, None]
+    bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp, jitter=rig.jitter)
     with_halo, without = (
-        np.asarray(record(material, imaging, integration_plan(imaging, lamps, places))) / cos_i
-        for imaging in (imaging_of(rig), imaging_of(bare))
+        np.asarray(record(material, imaging, integration_plan(imaging, lamps, places))) / irradiance
+        for imaging in (imaging_of(rig, gaussian_disc=True), imaging_of(bare, gaussian_disc=True))
     )
     true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)
     dims = ("theta_h", "channel")

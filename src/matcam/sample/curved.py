@@ -95,7 +95,9 @@ class Sphere(Curved):
         n_x, n_y, n_z = element.normal
         return jnp.arctan2(n_x, n_z), jnp.arcsin(jnp.clip(n_y, -1, 1))
 
-    def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
+    def place(
+        self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
+    ) -> Place:
         """Return the position and the lamp that show half and difference angles.
 
         The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); before a
@@ -117,6 +119,9 @@ class Sphere(Curved):
         q = self.nearness
         length = jnp.sqrt(jnp.maximum(1 - q**2 * (1 - cos_o**2), 0.0)) - q * cos_o
         axis = q * normal + length * view
+        if lamp_nearness is not None:  # from the sample's centre to the lamp: the light's way on from this normal
+            w, cos_i = jnp.asarray(lamp_nearness), jnp.sum(normal * light, axis=0)
+            light = w * normal + (jnp.sqrt(jnp.maximum(1 - w**2 * (1 - cos_i**2), 0.0)) - w * cos_i) * light
         # x axis: the lamp's direction across the optical axis; if lamp and camera coincide, that of the frame
         frame = jnp.stack([view[2], 0 * view[2], -view[0]])
         x_axis = light - jnp.sum(light * axis, axis=0) * axis
@@ -136,6 +141,10 @@ class Sphere(Curved):
             lamp_angle=jnp.arctan2(jnp.sum(light * x_axis, axis=0), jnp.sum(light * axis, axis=0)),
         )
 
+    def height(self, element: Element) -> jax.Array:
+        """Return the normal's y."""
+        return element.normal[1]
+
     def section(self, v: jax.Array) -> jax.Array:
         """Return cos v."""
         return jnp.cos(v)
@@ -153,6 +162,19 @@ class Sphere(Curved):
             for y in (middle - half, middle + half)
         )
         return first, last
+
+    def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
+        """Return the largest lit and visible latitude, rad.
+
+        There one of two circles ends, limb or terminator; or they meet: with both angles' cosines as q / cos v and w / cos v,
+        those of angles that add up to the lamp's.
+        """
+        q, w, cosine, sine = self.nearness, jnp.asarray(lamp_nearness), jnp.cos(lamp_angle), jnp.sin(lamp_angle)
+        sine = jnp.where(sine > 0, sine, 1.0)
+        meet2 = (q**2 + w**2 - 2 * q * w * cosine) / sine**2
+        meets = (q * w > cosine * meet2) & (meet2 < 1)
+        ends = jnp.maximum(q, w)
+        return jnp.arccos(jnp.where(meets, jnp.maximum(jnp.sqrt(jnp.where(meets, meet2, 1.0)), ends), ends))
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
         """Return the latitudes close to a place in the picture, rad.
@@ -217,10 +239,15 @@ class Cylinder(Curved):
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Return the normal's angle, rad, and the place along the axis, radii."""
-        u = jnp.arctan2(element.normal[0], element.normal[2])
-        return u, element.y / self.stretch * (1 - self.nearness * element.normal[2])
+        return jnp.arctan2(element.normal[0], element.normal[2]), self.height(element)
 
-    def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
+    def height(self, element: Element) -> jax.Array:
+        """Return the place along the axis, in radii."""
+        return element.y / self.stretch * (1 - self.nearness * element.normal[2])
+
+    def place(
+        self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
+    ) -> Place:
         """Return the position and the lamp that show half and difference angles.
 
         Only normals in the plane of camera and lamp are seen at v = 0: phi_d must be 0 or pi, and the position is NaN
@@ -232,7 +259,9 @@ class Cylinder(Curved):
         theta_o = theta_d + side * theta_h
         u = theta_o - jnp.arcsin(self.nearness * jnp.sin(theta_o))
         x = jnp.where(in_plane, self.surface(u, jnp.zeros(())).x, jnp.nan)
-        return Place(x=x, y=jnp.zeros_like(x), lamp_angle=u + theta_d - side * theta_h)
+        aside = theta_d - side * theta_h
+        seen = aside if lamp_nearness is None else aside - jnp.arcsin(lamp_nearness * jnp.sin(aside))
+        return Place(x=x, y=jnp.zeros_like(x), lamp_angle=u + seen)
 
     def section(self, v: jax.Array) -> jax.Array:
         """Return 1: the section is the same all along."""
@@ -246,6 +275,10 @@ class Cylinder(Curved):
         scale = self.stretch / (1 - self.nearness * jnp.cos(u))
         middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
         return (middle - half) / scale, (middle + half) / scale
+
+    def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
+        """Return infinity: limb and terminator are straight."""
+        return jnp.full_like(lamp_angle, jnp.inf)
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
         """Return the interval along the axis close to a place."""

@@ -1,7 +1,8 @@
 """Shapes that are photographed: where a surface normal lies in the picture (docs/model.md 3).
 
-x runs on the sensor in the plane of camera and lamp, y across it; both in px from the optical axis, on which the sample's
-centre lies. The lamp is far away, in the plane of x and the axis, towards +x. Distances are in radii of the sample.
+x runs in the picture in the plane of camera and lamp, y across it; both in px from the optical axis, on which the sample's
+centre lies. The lamp is in the plane of x and the axis, towards +x; a lamp at another azimuth turns these axes against
+the sensor's. Distances are in radii of the sample. A lamp's nearness is 1 / its distance; None stands for a distant lamp.
 
 A flat sample shows one normal; a curved one (`Sphere`, `Cylinder`) shows many in one picture.
 """
@@ -59,11 +60,12 @@ class Sample(eqx.Module):
     """Describe a shape that is photographed."""
 
     @abstractmethod
-    def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal away from the half vector, px/rad.
 
         Args:
             theta_o: angle between normal and view at which the highlight is seen, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
 
         Returns:
             Shift towards the limb and across; infinite in a direction in which the normal does not turn.
@@ -83,7 +85,7 @@ class Flat(Sample):
         0.2
     """
 
-    def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return infinity in both directions: the normal does not turn."""
         return jnp.full_like(theta_o, jnp.inf), jnp.full_like(theta_o, jnp.inf)
 
@@ -149,7 +151,9 @@ class Curved(Sample):
         """
 
     @abstractmethod
-    def place(self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> Place:
+    def place(
+        self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
+    ) -> Place:
         """Return the position and the lamp that show half and difference angles.
 
         They mean nothing below the horizon.
@@ -158,6 +162,7 @@ class Curved(Sample):
             theta_h: angle between half vector and normal, rad; the angles broadcast.
             theta_d: angle between light and half vector, rad.
             phi_d: azimuth of the light about the half vector, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
 
     @abstractmethod
@@ -179,6 +184,15 @@ class Curved(Sample):
         """
 
     @abstractmethod
+    def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
+        """Return the largest |v| at which anything is both visible and lit by a near lamp.
+
+        Args:
+            lamp_angle: angle between lamp and optical axis, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii.
+        """
+
+    @abstractmethod
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
         """Return the interval of v close to a place in the picture.
 
@@ -186,6 +200,14 @@ class Curved(Sample):
             x: place in the picture, px.
             y: place in the picture, px.
             reach: distance in both directions, px.
+        """
+
+    @abstractmethod
+    def height(self, element: Element) -> jax.Array:
+        """Return the distance of pieces of surface from the plane of x and the axis, in radii.
+
+        Args:
+            element: the pieces.
         """
 
     @property
@@ -207,11 +229,17 @@ class Curved(Sample):
         Args:
             v: second coordinate of the surface.
         """
+        return self._seen_from(v, self.nearness)
+
+    def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
+        """Return the largest angle in u from a point in the plane of x and the axis that sees the surface at v."""
         section = self.section(v)
-        cosine = self.nearness / jnp.where(section > 0, section, 1.0)
+        cosine = nearness / jnp.where(section > 0, section, 1.0)
         return jnp.where(cosine < 1, jnp.arccos(jnp.where(cosine < 1, cosine, 0.0)), 0.0)
 
-    def lit(self, v: jax.Array, lamp_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def lit(
+        self, v: jax.Array, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None
+    ) -> tuple[jax.Array, jax.Array]:
         """Return the interval of u that is visible and lit, rad.
 
         It is empty (low = high) where there is none.
@@ -219,10 +247,12 @@ class Curved(Sample):
         Args:
             v: second coordinate of the surface.
             lamp_angle: angle between lamp and optical axis, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
         high = self.visible(v)
-        low = jnp.maximum(-high, lamp_angle - jnp.pi / 2)
-        high = jnp.minimum(high, lamp_angle + jnp.pi / 2)
+        half = jnp.pi / 2 if lamp_nearness is None else self._seen_from(v, jnp.asarray(lamp_nearness))
+        low = jnp.maximum(-high, lamp_angle - half)
+        high = jnp.minimum(high, lamp_angle + half)
         return jnp.minimum(low, high), high
 
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
@@ -240,60 +270,86 @@ class Curved(Sample):
         end = self.visible(v)
         return jnp.clip(u, -end, end)
 
-    def highlight(self, lamp_angle: jax.Array) -> jax.Array:
+    def highlight(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return the highlight's u at v = 0, rad.
 
-        There the normal is the half vector.
-
-        It is half of lamp_angle if the camera is far.
+        There the normal is the half vector. It is half of lamp_angle if camera and lamp are far.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
-        if self.distant:
-            return jnp.asarray(lamp_angle, dtype=jnp.float64) / 2
-        q = self.nearness
+        lamp_angle = jnp.asarray(lamp_angle, dtype=jnp.float64)
+        if self.distant and lamp_nearness is None:
+            return lamp_angle / 2
+        q, w = self.nearness, 0.0 if lamp_nearness is None else lamp_nearness
 
-        def newton(_: int, u: jax.Array) -> jax.Array:
-            gamma = jnp.arctan2(q * jnp.sin(u), 1 - q * jnp.cos(u))
-            slope = q * (jnp.cos(u) - q) / (1 + q**2 - 2 * q * jnp.cos(u))
-            return u - (2 * u + gamma - lamp_angle) / (2 + slope)
+        def miss(u: jax.Array) -> tuple[jax.Array, jax.Array]:
+            view, view_slope = _parallax(u, q)
+            light, light_slope = _parallax(lamp_angle - u, w)
+            return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
 
-        return jax.lax.fori_loop(0, 12, newton, jnp.asarray(lamp_angle, dtype=jnp.float64) / 2)
+        def newton(_: int, state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+            u, low, high = state  # a root lies between these: a step that leaves them is replaced by a bisection
+            value, slope = miss(u)
+            low, high = jnp.where(value < 0, u, low), jnp.where(value < 0, high, u)
+            step = u - value / slope
+            inside = (step >= low) & (step <= high)
+            return jnp.where(inside, step, (low + high) / 2), low, high
 
-    def lamp_angle(self, theta_d: jax.Array) -> jax.Array:
+        start = lamp_angle / 2
+        ends = jnp.minimum(0.0, lamp_angle), jnp.maximum(0.0, lamp_angle)
+        return jax.lax.fori_loop(0, 24, newton, (start, *ends))[0]
+
+    def lamp_angle(self, theta_d: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return the angle between lamp and optical axis, rad.
 
         Args:
             theta_d: half the angle between lamp and camera as the highlight sees it, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
-        return 2 * theta_d - jnp.arcsin(self.nearness * jnp.sin(theta_d))
+        angle = 2 * theta_d - jnp.arcsin(self.nearness * jnp.sin(theta_d))
+        return angle if lamp_nearness is None else angle - jnp.arcsin(lamp_nearness * jnp.sin(theta_d))
 
-    def theta_d(self, lamp_angle: jax.Array) -> jax.Array:
+    def theta_d(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return half the angle between lamp and camera, rad.
 
         It is the angle as the highlight sees it: the inverse of `lamp_angle`.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
+            lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
-        return lamp_angle - self.highlight(lamp_angle)
+        aside = lamp_angle - self.highlight(lamp_angle, lamp_nearness)
+        return aside if lamp_nearness is None else aside + _parallax(aside, lamp_nearness)[0]
 
-    def px_per_rad(self, theta_o: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal, px/rad.
 
-        With a distant camera it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). Before a near
-        one the half vector turns too, by half of what the line of sight does.
+        With camera and lamp distant it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). Before
+        a near one the half vector turns too, by half of what the line to it does.
         """
         q = self.nearness
+        turn_along, turn_across = self._half_vector_turn(theta_o, lamp_nearness)
         if self.distant:
-            across = self.radius / self._turn_across(jnp.zeros(()))
-            return self.radius * jnp.cos(theta_o), across + jnp.zeros_like(theta_o)
+            across = self.radius / self._turn_across(turn_across)
+            return self.radius * jnp.cos(theta_o) / (1 + turn_along), across + jnp.zeros_like(theta_o)
         t = theta_o - jnp.arcsin(q * jnp.sin(theta_o))
         depth, length = 1 - q * jnp.cos(t), jnp.sqrt(1 + q**2 - 2 * q * jnp.cos(t))
-        turn_along = q * (jnp.cos(t) - q) / length**2 / 2
+        turn_along += q * (jnp.cos(t) - q) / length**2 / 2
+        turn_across += q / length / (2 * jnp.cos(theta_o))
         along = self.stretch * (jnp.cos(t) - q) / depth**2 / (1 + turn_along)
-        return along, self.stretch / depth / self._turn_across(q / length / (2 * jnp.cos(theta_o)))
+        return along, self.stretch / depth / self._turn_across(turn_across)
+
+    @staticmethod
+    def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
+        """Return how far a near lamp turns the half vector per turn of the normal, against it, along and across."""
+        if lamp_nearness is None:
+            return jnp.zeros(()), jnp.zeros(())
+        w = jnp.asarray(lamp_nearness)
+        t = theta_d - jnp.arcsin(w * jnp.sin(theta_d))
+        length = jnp.sqrt(1 + w**2 - 2 * w * jnp.cos(t))
+        return w * (jnp.cos(t) - w) / length**2 / 2, w / length / (2 * jnp.cos(theta_d))
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
@@ -315,6 +371,18 @@ class Curved(Sample):
         depth = 1 - q * normal[2]
         length = jnp.sqrt((q * normal[0]) ** 2 + (q * y) ** 2 + depth**2)
         return (-q * normal[0] / length, -q * y / length, depth / length), length, depth
+
+
+def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
+    """Return by how much a near point is seen further aside from the surface than from the centre, and its slope.
+
+    Args:
+        aside: angle of the point from the normal, as the sample's centre sees it, rad.
+        nearness: inverse of the point's distance from the centre, 1/radii.
+    """
+    q = jnp.asarray(nearness)
+    slope = q * (jnp.cos(aside) - q) / (1 + q**2 - 2 * q * jnp.cos(aside))
+    return jnp.arctan2(q * jnp.sin(aside), 1 - q * jnp.cos(aside)), slope
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:

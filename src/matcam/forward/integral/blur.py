@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,7 +18,9 @@ from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 STEEPEST = 0.1
@@ -49,7 +52,9 @@ class Blur(eqx.Module):
     focus: jax.Array
     varies: bool = eqx.field(static=True)
 
-    def spread(self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def spread(
+        self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
+    ) -> tuple[jax.Array, jax.Array]:
         """Return the variances, px^2, that focus and lamp add along x and y.
 
         They depend on the normal's z and on the lamp.
@@ -57,10 +62,11 @@ class Blur(eqx.Module):
         if not self.varies:
             return jnp.zeros(()), jnp.zeros(())
         circle = sample.radius * self.aperture * (normal_z - jnp.cos(self.focus))
-        theta_d = sample.theta_d(lamp_angle)
-        scale_x, scale_y = sample.px_per_rad(theta_d)
-        along = scale_x * self.lamp_radius / 4
-        across = jnp.where(jnp.isinf(scale_y), 0.0, scale_y) * self.lamp_radius / 4
+        theta_d = sample.theta_d(lamp_angle, lamp_nearness)
+        scale_x, scale_y = sample.px_per_rad(theta_d, lamp_nearness)
+        quarter = self.lamp_radius / 4 * closeness(lamp_nearness, jnp.cos(theta_d))
+        along = scale_x * quarter
+        across = jnp.where(jnp.isinf(scale_y), 0.0, scale_y) * quarter
         across /= jnp.maximum(jnp.cos(theta_d), STEEPEST)
         defocus = circle**2 / 16
         return defocus + along**2, defocus + across**2
@@ -145,19 +151,34 @@ def kernel_error(rig: Rig) -> float:
 
 
 class Imaging(NamedTuple):
-    """Hold what turns light into a record: a sample and its rig's blur."""
+    """Hold what turns light into a record: a sample, its rig's blur, and how near the lamp is.
+
+    Attributes:
+        sample: the sample.
+        blur: the blur.
+        lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
+    """
 
     sample: Curved
     blur: Blur
+    lamp_nearness: jax.Array | None = None
 
 
-def imaging_of(rig: Rig) -> Imaging:
-    """Return the sample and the blur of a rig whose sample is curved."""
+def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
+    """Return the imaging of a rig whose sample is curved.
+
+    The lamp's disc on a sphere is no part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is, as a
+    Gaussian.
+    """
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(
             f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
         )
-    return Imaging(rig.sample, blur_of(rig))
+    blur = blur_of(rig)
+    if isinstance(rig.sample, Sphere) and not gaussian_disc:
+        varies = not (is_concrete(rig.aperture) and float(rig.aperture) == 0)
+        blur = dataclasses.replace(blur, lamp_radius=jnp.zeros(()), varies=varies)
+    return Imaging(rig.sample, blur, rig.lamp.nearness)
 
 
 class BlurScale(NamedTuple):
@@ -187,8 +208,11 @@ class BlurGroup(NamedTuple):
     scale: BlurScale
 
 
-def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
-    """Group the terms of a blur by width. Needs concrete values: ArgumentError inside jit."""
+def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGroup, ...]:
+    """Group the terms of a blur by width. Needs concrete values: ArgumentError inside jit.
+
+    Where the pixel is turned against the plane of camera and lamp, lengths hold its corners.
+    """
     lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
     if not all(is_concrete(a) for a in lengths):
         raise ArgumentError(
@@ -204,19 +228,22 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
     groups, left = [], list(np.argsort(stds))
     while left:
         together = [j for j in left if stds[j] <= _ONE_WIDTH * stds[left[0]]]
-        groups.append(BlurGroup(tuple(int(j) for j in together), _scale(half, stds[together], widened[together])))
+        groups.append(
+            BlurGroup(tuple(int(j) for j in together), _scale(half, stds[together], widened[together], turned))
+        )
         left = left[len(together) :]
     return tuple(groups)
 
 
-def _scale(half: float, stds: np.ndarray, widened: np.ndarray) -> BlurScale:
+def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> BlurScale:
     widest, narrowest = float(np.max(widened)), float(np.min(stds))
     std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
-    reach = half + 5.2 * widest
+    corner = half * (np.sqrt(2) - 1) if turned else 0.0
+    reach = half + 5.2 * widest + corner
     inner = max(half - 5.2 * widest, half / 4)
     return BlurScale(
         near=10 * std,
-        margin=4.8 * std,
+        margin=4.8 * std + corner,
         reach=reach,
         finest=narrowest,
         spacing=min(0.4 * narrowest, 0.36 * finest),

@@ -24,7 +24,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jnp
-from matcam.core.shading import Shading, shading
+from matcam.core.shading import Shading, Vector, shading
 from matcam.forward.integral.blur import BlurTerms
 from matcam.material.material import Material
 from matcam.numerics.approximation import graded_nodes, nodes_in_panels
@@ -36,36 +36,94 @@ _ORDER_U, _ORDER_U_RIDGE = 10, 6
 _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
+_ALONG = 1e-9
+"""Sine of an angle below which two lines run along each other."""
+
+
+class Turn(NamedTuple):
+    """Cosine and sine of the lamp's azimuth: of the scene's x axis against the sensor's."""
+
+    cosine: jax.Array
+    sine: jax.Array
+
+    def beside_nodes(self, axes: int) -> Turn:
+        """Reshape to broadcast against `axes` further axes of nodes."""
+        return Turn(*(_beside_nodes(a, axes) for a in self))
 
 
 class Scene(eqx.Module):
-    """A material on a curved sample under a distant lamp of irradiance 1; radiance is in 1/sr.
+    """A material on a curved sample under a lamp; radiance is in 1/sr.
+
+    The lamp's irradiance is 1 at the sample's centre. The scene's x axis points towards the lamp. A lamp at an azimuth turns
+    it against the sensor's, on which the pixels lie: places in the scene are not places on the sensor.
 
     Attributes:
         material: the material.
         sample: the sample.
         lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the elements asked for.
+        lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
+        turn: the lamp's azimuth, of lamp_angle's shape; None: 0.
     """
 
     material: Material
     sample: Curved
     lamp_angle: jax.Array
+    lamp_nearness: jax.Array | None = None
+    turn: Turn | None = None
+
+    def beside_nodes(self, axes: int) -> Scene:
+        """Return the scene of one lamp per pixel for arrays with `axes` further axes of nodes."""
+        turn = None if self.turn is None else self.turn.beside_nodes(axes)
+        return Scene(self.material, self.sample, _beside_nodes(self.lamp_angle, axes), self.lamp_nearness, turn)
+
+    def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the place in the scene of a place on the sensor, px."""
+        if self.turn is None:
+            return x, y
+        return x * self.turn.cosine + y * self.turn.sine, y * self.turn.cosine - x * self.turn.sine
+
+    def on_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the place on the sensor of a place in the scene, px."""
+        if self.turn is None:
+            return x, y
+        return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
 
     def seen(self, element: Element) -> Shading:
         """Return the angles under which a piece of surface sees lamp and camera."""
-        light = (jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle))
-        return shading(element.normal, element.tangent, light, element.view)
+        light, _ = self._light(element)
+        return shading(element.normal, self._tangent(element), light, element.view)
+
+    def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
+        """Return the direction to the lamp, and the irradiance there over that at the centre; None: 1 all over."""
+        light = jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle)
+        if self.lamp_nearness is None:
+            return light, None
+        w, normal = self.lamp_nearness, element.normal
+        x, y, z = light[0] - w * normal[0], -w * self.sample.height(element), light[2] - w * normal[2]
+        square = x**2 + y**2 + z**2
+        length = jnp.sqrt(square)
+        return (x / length, y / length, z / length), 1 / square
+
+    def _tangent(self, element: Element) -> Vector:
+        """Return the first tangent, which lies in the plane of the sensor's x and the optical axis."""
+        if self.turn is None:
+            return element.tangent
+        (x, y, z), (cosine, sine) = element.normal, self.turn
+        length = jnp.sqrt(z**2 + (sine * y - cosine * x) ** 2)
+        return cosine * z / length, -sine * z / length, (sine * y - cosine * x) / length
 
     def sent(self, element: Element) -> jax.Array:
-        """Return rho cos_i cos_o area, channels last.
+        """Return rho cos_i cos_o area under the lamp's irradiance, channels last.
 
         It is the light of a piece of surface per unit of its coordinates.
         """
-        seen = self.seen(element)
+        direction, strength = self._light(element)
+        seen = shading(element.normal, self._tangent(element), direction, element.view)
         light = self.material.reflected(seen)
         if light.ndim == (seen.cos_i * seen.cos_o).ndim:
             light = light[..., None]
-        return light * (element.area[..., None] if jnp.ndim(element.area) else element.area)
+        area = element.area if strength is None else element.area * strength
+        return light * (area[..., None] if jnp.ndim(area) else area)
 
     def flat_field(self, element: Element) -> jax.Array:
         """Return the same for a surface of radiance 1 all over.
@@ -76,14 +134,14 @@ class Scene(eqx.Module):
 
     def channels(self) -> int:
         """Return the count of channels."""
-        at_centre = Scene(self.material, self.sample, jnp.zeros(()))
+        at_centre = Scene(self.material, self.sample, jnp.zeros(()), self.lamp_nearness)
         return jax.eval_shape(lambda: at_centre.sent(self.sample.surface(jnp.zeros(()), jnp.zeros(())))).shape[-1]
 
 
 @jax.jit
-def highlight_x(sample: Curved, lamp_angle: jax.Array) -> jax.Array:
-    """Return the position of the highlight on the x axis, px."""
-    return sample.surface(sample.highlight(lamp_angle), jnp.zeros(())).x
+def highlight_x(sample: Curved, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None) -> jax.Array:
+    """Return the position of the highlight on the scene's x axis, px."""
+    return sample.surface(sample.highlight(lamp_angle, lamp_nearness), jnp.zeros(())).x
 
 
 class HighlightPanels(NamedTuple):
@@ -134,25 +192,11 @@ def record_around(
         Radiance per unit irradiance, (rows, columns, channels + 1). The last channel is the record of a flat field of radiance
         1 wherever light falls.
     """
-    sample, lamp = scene.sample, scene.lamp_angle
-    peak, finest = sample.highlight(lamp), scene.material.finest
-    shares = np.arange(panels.even + 1) / panels.even
-    _, lines = sample.window(jnp.zeros(()), (jnp.max(jnp.abs(y)) + reach) * shares, peak)
-    v, v_weight = graded_nodes(lines, finest, panels.graded, panels.order)
-    low, high = sample.lit(v, lamp)
-    middle = jnp.clip(peak, low, high)
-    centre = sample.surface(middle, v).x
-    sides = []
-    for end in (jnp.min(x) - reach, jnp.max(x) + reach):
-        at = sample.across(centre[:, None] + (end - centre)[:, None] * shares, v[:, None])
-        borders = jnp.clip(at.at[:, 0].set(middle), low[:, None], high[:, None])
-        sides.append(graded_nodes(borders, finest, panels.graded, panels.order))
-    u = jnp.concatenate([nodes for nodes, _ in sides], axis=1)
-    # on the lower side the nodes run downwards, and their weights are negative
-    weight = jnp.concatenate([-sides[0][1], sides[1][1]], axis=1) * v_weight[:, None]
-    element = sample.surface(u, v[:, None])
+    extent_y = jnp.max(jnp.abs(y)) + reach
+    u, v, weight = _around(scene, (jnp.min(x) - reach, jnp.max(x) + reach), extent_y, panels)
+    element = scene.sample.surface(u, v[:, None])
     light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1) * weight[..., None]
-    spread_x, spread_y = blur.blur.spread(sample, element.normal[2], lamp)
+    spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
     total = jnp.zeros((y.size, x.size, light.shape[-1]))
     for term in blur.terms:
         columns = blur.blur.kernel(x[:, None, None] - element.x, term, spread_x)
@@ -168,6 +212,75 @@ def record_around(
     return total
 
 
+def record_around_turned(
+    scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, reach: ArrayLike, panels: HighlightPanels
+) -> jax.Array:
+    """Record a rectangle of pixels that is turned against the plane of camera and lamp.
+
+    Neither kernel nor nodes are a product in x and y then, and both sides of that plane are different.
+
+    Args:
+        scene: the light; its lamp_angle and turn have shape ().
+        blur: the terms to record through.
+        x: columns of the rectangle on the sensor, (columns,), px.
+        y: rows of the rectangle on the sensor, (rows,), px.
+        reach: distance to which the terms are followed, px.
+        panels: fineness of the integral.
+
+    Returns:
+        As of `record_around`.
+    """
+    corners = scene.from_sensor(*(a.ravel() for a in jnp.meshgrid(jnp.stack([x[0], x[-1]]), jnp.stack([y[0], y[-1]]))))
+    ends = jnp.min(corners[0]) - reach, jnp.max(corners[0]) + reach
+    u, v, weight = _around(scene, ends, jnp.max(jnp.abs(corners[1])) + reach, panels)
+
+    def line(total: jax.Array, nodes: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        """Add the light of a line of nodes, a few hundred at one v."""
+        element = scene.sample.surface(nodes[0], nodes[1])
+        light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1)
+        light *= nodes[2][:, None]
+        spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
+        at_x, at_y = scene.on_sensor(element.x, element.y)
+        for term in blur.terms:
+            columns = blur.blur.kernel(x[:, None] - at_x, term, spread_x) * blur.blur.weights[term]
+            rows = blur.blur.kernel(y[:, None] - at_y, term, spread_y)
+            total += (rows @ (columns[:, :, None] * light).transpose(1, 0, 2).reshape(light.shape[0], -1)).reshape(
+                total.shape
+            )
+        return total, None
+
+    both = jnp.concatenate([u, u]), jnp.concatenate([v, -v]), jnp.concatenate([weight, weight])
+    channels = scene.channels() + 1
+    return jax.lax.scan(line, jnp.zeros((y.size, x.size, channels)), both)[0]
+
+
+def _around(
+    scene: Scene, ends_x: tuple[jax.Array, jax.Array], extent_y: jax.Array, panels: HighlightPanels
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return nodes u (lines, nodes), v (lines,) on one side of the plane of camera and lamp, and weights as u.
+
+    They reach from one column of the scene to another, and from its x axis to a row, px.
+    """
+    sample, lamp, near = scene.sample, scene.lamp_angle, scene.lamp_nearness
+    peak, finest = sample.highlight(lamp, near), scene.material.finest
+    shares = np.arange(panels.even + 1) / panels.even
+    _, lines = sample.window(jnp.zeros(()), extent_y * shares, peak)
+    if near is not None:
+        lines = jnp.minimum(lines, sample.lit_rows(lamp, near))
+    v, v_weight = graded_nodes(lines, finest, panels.graded, panels.order)
+    low, high = sample.lit(v, lamp, near)
+    middle = jnp.clip(peak, low, high)
+    centre = sample.surface(middle, v).x
+    sides = []
+    for end in ends_x:
+        at = sample.across(centre[:, None] + (end - centre)[:, None] * shares, v[:, None])
+        borders = jnp.clip(at.at[:, 0].set(middle), low[:, None], high[:, None])
+        sides.append(graded_nodes(borders, finest, panels.graded, panels.order))
+    u = jnp.concatenate([nodes for nodes, _ in sides], axis=1)
+    # on the lower side the nodes run downwards, and their weights are negative
+    return u, v, jnp.concatenate([-sides[0][1], sides[1][1]], axis=1) * v_weight[:, None]
+
+
 def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> jax.Array:
     """Record pixels whose kernel meets neither the highlight nor an end of the light.
 
@@ -181,15 +294,15 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
         Radiance per unit irradiance, (pixels, channels).
     """
     total: jax.Array | float = 0.0
-    centre, _ = scene.sample.at(x, y)
-    spread_x, spread_y = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle)
-    scene = Scene(scene.material, scene.sample, _beside_nodes(scene.lamp_angle, 1))
+    centre, _ = scene.sample.at(*scene.from_sensor(x, y))
+    spread_x, spread_y = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
+    scene = scene.beside_nodes(1)
     for term in blur.terms:
         (dx, x_weight), (dy, y_weight) = (blur.blur.rule(term, spread) for spread in (spread_x, spread_y))
         shape = (*jnp.broadcast_shapes(dx.shape[:-1], dy.shape[:-1]), -1)
         dx, dy = (a.reshape(shape) for a in jnp.broadcast_arrays(dx[..., None, :], dy[..., :, None]))
         share = (y_weight[..., :, None] * x_weight[..., None, :]).reshape(shape)
-        element, _ = scene.sample.at(x[:, None] + dx, y[:, None] + dy)
+        element, _ = scene.sample.at(*scene.from_sensor(x[:, None] + dx, y[:, None] + dy))
         total += blur.blur.weights[term] * jnp.sum(scene.sent(element) * share[..., None], axis=1)
     return jnp.asarray(total)
 
@@ -207,17 +320,25 @@ def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, 
     Returns:
         Radiance per unit irradiance, (pixels, channels + 1). The last channel is the record of a flat field of radiance 1.
     """
-    sample = scene.sample
-    first, last = (end[:, None] for end in sample.rows(x, y, panels.reach))
+    sample, lamps = scene.sample, scene.beside_nodes(1)
+    at_x, at_y = scene.from_sensor(x, y)
+    first, last = (end[:, None] for end in sample.rows(at_x, at_y, panels.reach))
+    if scene.lamp_nearness is not None:
+        most = sample.lit_rows(lamps.lamp_angle, scene.lamp_nearness)
+        first, last = jnp.clip(first, -most, most), jnp.clip(last, -most, most)
     borders = first + (last - first) * np.linspace(0, 1, panels.along_v + 1)
     if panels.cuts.size:
-        at = y[:, None] + panels.cuts
-        stepped, _ = sample.window(at, at, sample.across(x, jnp.zeros_like(x))[:, None])
+        if scene.turn is None:
+            at = y[:, None] + panels.cuts
+        else:  # rows of the pixel's corners: between them a border of the pixel crosses each row at one place
+            corners = jnp.meshgrid(panels.cuts, panels.cuts)
+            at = at_y[:, None] + lamps.from_sensor(*(a.ravel() for a in corners))[1]
+        stepped, _ = sample.window(at, at, sample.across(at_x, jnp.zeros_like(x))[:, None])
         borders = jnp.sort(jnp.concatenate([borders, jnp.clip(stepped, first, last)], axis=-1), axis=-1)
     v, v_weight = nodes_in_panels(borders, _ORDER_V_RIDGE if panels.ridge else _ORDER_V)
-    low, high = sample.lit(v, _beside_nodes(scene.lamp_angle, 1))
-    low, high = (jnp.clip(sample.across(x[:, None] + side * panels.reach, v), low, high) for side in (-1, 1))
-    inner = [low[..., None], high[..., None], *_cuts_along_u(scene, x, v, (low, high), panels)]
+    low, high = sample.lit(v, lamps.lamp_angle, scene.lamp_nearness)
+    low, high = (jnp.clip(sample.across(at_x[:, None] + side * panels.reach, v), low, high) for side in (-1, 1))
+    inner = [low[..., None], high[..., None], *_cuts_along_u(scene, (at_x, at_y), v, (low, high), panels)]
     along = jnp.sort(jnp.clip(jnp.concatenate(inner, axis=-1), low[..., None], high[..., None]), axis=-1)
     u, u_weight = nodes_in_panels(along, _ORDER_U_RIDGE if panels.ridge else _ORDER_U)
     return _through_kernel(scene, blur, (x, y), _SurfaceNodes(u, v[..., None], u_weight * v_weight[..., None]))
@@ -231,24 +352,36 @@ class _SurfaceNodes(NamedTuple):
     weight: jax.Array
 
 
-def _cuts_along_u(scene, x, v, ends, panels: WindowPanels) -> list[jax.Array]:  # type: ignore[no-untyped-def]
+def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Array]:  # type: ignore[no-untyped-def]
     """Return the places in u at which panels must end.
 
     Between them, on a trailing axis, the integrand is smooth.
     """
-    sample, finest = scene.sample, scene.material.finest
+    sample, finest, (x, y) = scene.sample, scene.material.finest, places
     cuts = panels.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if panels.ridge else jnp.zeros(1)
-    if panels.cuts.size:
-        cuts = jnp.concatenate([cuts, panels.cuts])
-    by_kernel = sample.across(x[:, None, None] + cuts, v[..., None])
+    by_kernel = [sample.across(x[:, None, None] + cuts, v[..., None])]
+    if panels.cuts.size and scene.turn is None:
+        by_kernel.append(sample.across(x[:, None, None] + panels.cuts, v[..., None]))
+    elif panels.cuts.size:  # where the pixel's turned borders cross a row
+        lamps = scene.beside_nodes(2)
+        cosine, sine = (_away_from_zero(a) for a in lamps.turn)
+        row = sample.surface(sample.across(x[:, None], v), v).y[..., None] - y[:, None, None]
+        for offset in ((panels.cuts + row * sine) / cosine, (panels.cuts - row * cosine) / sine):
+            within = jnp.clip(offset, -panels.reach, panels.reach)
+            by_kernel.append(sample.across(x[:, None, None] + within, v[..., None]))
     if not panels.ridge:
-        return [by_kernel]
-    ridge = sample.highlight(_beside_nodes(scene.lamp_angle, 1))
+        return by_kernel
+    ridge = sample.highlight(_beside_nodes(scene.lamp_angle, 1), scene.lamp_nearness)
     # no wider, close to the ridge, than the lobe is
     by_lobe = (ridge + 0 * v)[..., None] + jnp.hypot(finest, v)[..., None] * _RIDGE_CUTS
     # masking takes effect within the lobe's own width of the ends
     low, high = (end[..., None] for end in ends)
-    return [by_kernel, by_lobe, low + finest * _MASKING_LAYER, high - finest * _MASKING_LAYER]
+    return [*by_kernel, by_lobe, low + finest * _MASKING_LAYER, high - finest * _MASKING_LAYER]
+
+
+def _away_from_zero(a: jax.Array) -> jax.Array:
+    """Return a divisor; a border that runs along a row crosses it nowhere near."""
+    return jnp.where(jnp.abs(a) > _ALONG, a, _ALONG)
 
 
 def _through_kernel(
@@ -260,13 +393,14 @@ def _through_kernel(
     """
     x, y = (a[:, None, None] for a in pixels)
     element = scene.sample.surface(nodes.u, nodes.v)
-    lit = Scene(scene.material, scene.sample, _beside_nodes(scene.lamp_angle, 2))
+    lit = scene.beside_nodes(2)
     light, flat = lit.sent(element), lit.flat_field(element)
-    spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], lit.lamp_angle)
+    spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], lit.lamp_angle, lit.lamp_nearness)
     total: jax.Array | float = 0.0
+    at_x, at_y = lit.on_sensor(element.x, element.y)
     for term in blur.terms:
-        along = blur.blur.kernel(x - element.x, term, spread_x)
-        across = blur.blur.kernel(y - element.y, term, spread_y)
+        along = blur.blur.kernel(x - at_x, term, spread_x)
+        across = blur.blur.kernel(y - at_y, term, spread_y)
         through = along * across * nodes.weight
         seen = jnp.sum(light * through[..., None], axis=(1, 2)), jnp.sum(flat * through, axis=(1, 2))[:, None]
         total += blur.blur.weights[term] * jnp.concatenate(seen, axis=-1)

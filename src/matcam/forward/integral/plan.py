@@ -14,7 +14,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
-from matcam.forward.integral.integrals import highlight_x
+from matcam.forward.integral.integrals import Turn, highlight_x
 from matcam.numerics.approximation import POINTS
 from matcam.sample.shape import Curved
 
@@ -32,12 +32,19 @@ class RecordPlaces(NamedTuple):
         y: row from the optical axis, upwards, px.
         lamp_angle: angle between lamp and optical axis, rad.
         picture: index of the picture.
+        azimuth: of the lamp of each place, rad; None: every lamp stands towards +x.
     """
 
     x: np.ndarray
     y: np.ndarray
     lamp_angle: np.ndarray
     picture: np.ndarray
+    azimuth: np.ndarray | None = None
+
+    @property
+    def turn(self) -> Turn | None:
+        """Return the azimuth's cosine and sine."""
+        return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))  # type: ignore[arg-type]
 
 
 class PixelWindow(eqx.Module):
@@ -67,6 +74,7 @@ class PlanPart(eqx.Module):
         steps: points of that grid from the highlight to its border.
         even: panels that the kernel asks for between the highlight and the border.
         lamps: lamps whose highlights are recorded, (pictures, 1 or 3), rad.
+        turns: azimuth of each picture's lamps, (pictures,), rad; None: 0.
         inside: indices of places in smooth light.
         near: indices of places around the highlight.
         near_whole: True for those of them whose kernel meets no end of the light.
@@ -82,6 +90,7 @@ class PlanPart(eqx.Module):
     steps: int = eqx.field(static=True)
     even: int = eqx.field(static=True)
     lamps: np.ndarray
+    turns: np.ndarray | None
     inside: np.ndarray
     near: np.ndarray
     near_whole: np.ndarray
@@ -96,20 +105,23 @@ class IntegrationPlan(NamedTuple):
     parts: tuple[PlanPart, ...]
 
 
-def integration_plan(imaging: Imaging, lamp_angles: np.ndarray, places: RecordPlaces) -> IntegrationPlan:
+def integration_plan(
+    imaging: Imaging, lamp_angles: np.ndarray, places: RecordPlaces, azimuths: np.ndarray | None = None
+) -> IntegrationPlan:
     """Plan a record. ArgumentError inside jax.jit.
 
     Args:
-        imaging: sample and blur.
+        imaging: sample, blur and the lamp's nearness.
         lamp_angles: lamp of each picture, (pictures,), rad.
         places: places to record.
+        azimuths: azimuth of each picture's lamp, (pictures,), rad; None, as in `places`: 0.
 
     Returns:
         The plan, which serves any material and any camera whose parameters differ little.
     """
-    sample = jax.lax.stop_gradient(imaging.sample)
-    groups = groups_of(imaging.blur, imaging.sample)
-    return IntegrationPlan(places, tuple(_part(sample, group, lamp_angles, places) for group in groups))
+    imaging = jax.lax.stop_gradient(imaging)
+    groups = groups_of(imaging.blur, imaging.sample, turned=azimuths is not None)
+    return IntegrationPlan(places, tuple(_part(imaging, group, (lamp_angles, azimuths), places) for group in groups))
 
 
 def pad_indices(index: np.ndarray) -> np.ndarray:
@@ -123,11 +135,12 @@ def pad_indices(index: np.ndarray) -> np.ndarray:
     return np.pad(index, (0, _round_up(index.size, unit) - index.size), mode="edge")
 
 
-def _part(sample: Curved, group: BlurGroup, lamp_angles: np.ndarray, places: RecordPlaces) -> PlanPart:
-    scale = group.scale
-    x, y, lamp = (jnp.asarray(a) for a in (places.x, places.y, places.lamp_angle))
-    near = np.abs(places.x - np.asarray(highlight_x(sample, lamp))) < scale.near
-    near &= np.abs(places.y) < scale.near
+def _part(
+    imaging: Imaging, group: BlurGroup, lamps: tuple[np.ndarray, np.ndarray | None], places: RecordPlaces
+) -> PlanPart:
+    scale, sample, lamp_angles = group.scale, imaging.sample, lamps[0]
+    x, y, near = _in_the_scene(imaging, places, scale.near)
+    lamp = _SceneLamp(jnp.asarray(places.lamp_angle), imaging.lamp_nearness)
     whole = np.asarray(_away_from_ends(sample, x, y, lamp, scale.reach))
     smooth = np.asarray(_away_from_ends(sample, x, y, lamp, scale.margin))
     ridge = np.asarray(_crowded(sample, x, y, lamp, scale.reach))
@@ -154,8 +167,9 @@ def _part(sample: Curved, group: BlurGroup, lamp_angles: np.ndarray, places: Rec
         cuts=np.asarray(scale.cuts),
         spacing=np.asarray(scale.spacing),
         steps=_round_up(int(np.ceil(scale.near / scale.spacing)) + POINTS // 2, 4),
-        even=_even_panels(scale),
+        even=_even_panels(scale, np.sqrt(2) if lamps[1] is not None else 1.0),
         lamps=_lamps_around(lamp_angles, places, near),
+        turns=lamps[1],
         inside=inside_index,
         near=near_index,
         near_whole=whole[near_index],
@@ -164,12 +178,33 @@ def _part(sample: Curved, group: BlurGroup, lamp_angles: np.ndarray, places: Rec
     )
 
 
-def _even_panels(scale: BlurScale) -> int:
+class _SceneLamp(NamedTuple):
+    """The lamp of each place, in the scene's own axes: angle, rad, and nearness, 1/radii or None."""
+
+    angle: jax.Array
+    nearness: jax.Array | None
+
+
+def _in_the_scene(imaging: Imaging, places: RecordPlaces, near: float) -> tuple[jax.Array, jax.Array, np.ndarray]:
+    """Return the places in the axes of camera and lamp, px, and which lie within `near` px of their highlight."""
+    peak = np.asarray(highlight_x(imaging.sample, jnp.asarray(places.lamp_angle), imaging.lamp_nearness))
+    turn = places.turn
+    if turn is None:
+        aside = np.abs(places.x - peak), np.abs(places.y)
+        x, y = places.x, places.y
+    else:  # the rectangle around a highlight is the sensor's
+        aside = np.abs(places.x - peak * turn.cosine), np.abs(places.y - peak * turn.sine)
+        x, y = places.x * turn.cosine + places.y * turn.sine, places.y * turn.cosine - places.x * turn.sine
+    return jnp.asarray(x), jnp.asarray(y), np.asarray((aside[0] < near) & (aside[1] < near))
+
+
+def _even_panels(scale: BlurScale, longer: float) -> int:
     """Count the panels of one length around a highlight.
 
-    None is wider than 2.2 standard deviations of the narrowest term.
+    None is wider than 2.2 standard deviations of the narrowest term. `longer`: how far beyond the square around it, as that
+    square's corners are.
     """
-    return max(8, _round_up(int(np.ceil((scale.near + scale.reach) / (2.2 * scale.finest))), 2))
+    return max(8, _round_up(int(np.ceil(longer * (scale.near + scale.reach) / (2.2 * scale.finest))), 2))
 
 
 def _lamps_around(lamp_angles: np.ndarray, places: RecordPlaces, near: np.ndarray) -> np.ndarray:
@@ -191,7 +226,7 @@ def _round_up(number: int, unit: int) -> int:
 
 
 @jax.jit
-def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, margin: float) -> jax.Array:
+def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, margin: float) -> jax.Array:
     """Tell where all within `margin` px of (x, y) is visible and lit.
 
     The circle is taken as the octagon about it.
@@ -201,22 +236,22 @@ def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.
     for up, aside in ((-1.0, _OCTAGON), (-_OCTAGON, 1.0), (0.0, 1.0), (_OCTAGON, 1.0), (1.0, _OCTAGON)):
         row = y + up * margin
         v, _ = sample.window(row, row, equator)
-        low, high = sample.lit(v, lamp_angle)
+        low, high = sample.lit(v, *lamp)
         left, right = sample.surface(low, v).x, sample.surface(high, v).x
         inside &= (x - aside * margin > left) & (x + aside * margin < right)
     return inside
 
 
 @jax.jit
-def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
+def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
     """Tell where foreshortening squeezes a lobe into the kernel at (x, y).
 
     There the surface under the kernel turns by more than its own angle from the half vector.
     """
     v, _ = sample.window(y, y, sample.across(x, jnp.zeros_like(x)))
-    low, high = sample.lit(v, lamp_angle)
+    low, high = sample.lit(v, *lamp)
     first, last = (jnp.clip(sample.across(x + side * reach, v), low, high) for side in (-1, 1))
-    middle = sample.across(x, v) - sample.highlight(lamp_angle)
+    middle = sample.across(x, v) - sample.highlight(*lamp)
     return jnp.hypot(middle, v) < 1.0 * (last - first)
 
 
@@ -231,16 +266,19 @@ def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> j
 
 
 @jax.jit
-def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp_angle: jax.Array, reach: float) -> jax.Array:
+def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
     """Tell where light may come from within `reach` px of (x, y).
 
     It errs seldom, and never towards darkness.
     """
     first, last = sample.rows(x, y, reach)
+    if lamp.nearness is not None:
+        most = sample.lit_rows(*lamp)
+        first, last = jnp.clip(first, -most, most), jnp.clip(last, -most, most)
     # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
     left, right = jnp.full(first.shape, jnp.inf), jnp.full(first.shape, -jnp.inf)
     for v in (first, jnp.clip(0.0, first, last), last):
-        low, high = sample.lit(v, lamp_angle)
+        low, high = sample.lit(v, *lamp)
         left = jnp.minimum(left, sample.surface(low, v).x)
         right = jnp.maximum(right, sample.surface(high, v).x)
     return (last > first) & (x - reach < right) & (x + reach > left)

@@ -8,7 +8,7 @@ the light, each integral is divided by its record of a flat field, which is know
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -18,9 +18,11 @@ from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.integrals import (
     HighlightPanels,
     Scene,
+    Turn,
     WindowPanels,
     highlight_x,
     record_around,
+    record_around_turned,
     record_in_window,
     record_inside,
 )
@@ -55,8 +57,8 @@ class _Subject(NamedTuple):
     material: Material
     imaging: Imaging
 
-    def under(self, lamp_angle: jax.Array) -> Scene:
-        return Scene(self.material, self.imaging.sample, lamp_angle)
+    def under(self, lamp_angle: jax.Array, turn: Turn | None = None) -> Scene:
+        return Scene(self.material, self.imaging.sample, lamp_angle, self.imaging.lamp_nearness, turn)
 
     def through(self, terms: tuple[int, ...]) -> BlurTerms:
         return BlurTerms(self.imaging.blur, terms)
@@ -66,20 +68,31 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
     """Dispatch each kind of place by itself, so that they run side by side."""
     records = [jnp.zeros((0, subject.under(jnp.zeros(())).channels()))]
     if part.inside.size:
-        records.append(_record_inside(subject, part.terms, *_at(places, part.inside)[:3]))
+        records.append(_record_inside(subject, part.terms, _at(places, part.inside)))
     for window in part.windows:
         kernel = jnp.asarray(part.reach), jnp.asarray(part.cuts)
         panels = WindowPanels(*kernel, window.panels, window.ridge)
-        records.append(_record_in_window(subject, part.terms, panels, *_at(places, window.index)[:3], window.whole))
+        records.append(_record_in_window(subject, part.terms, panels, _at(places, window.index), window.whole))
     if part.near.size:
         grid = _HighlightGrid(part.terms, part.steps, part.even, jnp.asarray(part.reach), jnp.asarray(part.spacing))
-        arrays = *_at(places, part.near), part.near_whole
-        records.append(_read_highlights(subject, grid, jnp.asarray(part.lamps), *arrays))
+        lamps = jnp.asarray(part.lamps), None if part.turns is None else jnp.asarray(part.turns)
+        picture = places.picture[part.near]
+        records.append(_read_highlights(subject, grid, lamps, _at(places, part.near), picture, part.near_whole))
     return _in_order(records, part.place)
 
 
-def _at(places: RecordPlaces, index: np.ndarray) -> tuple[np.ndarray, ...]:
-    return tuple(a[index] for a in places)
+class _Pixels(NamedTuple):
+    """Pixels and their lamps, arrays of shape (pixels,)."""
+
+    x: AnyArray
+    y: AnyArray
+    lamp_angle: AnyArray
+    turn: Turn | None
+
+
+def _at(places: RecordPlaces, index: np.ndarray) -> _Pixels:
+    turn = None if places.azimuth is None else places._replace(azimuth=places.azimuth[index]).turn
+    return _Pixels(places.x[index], places.y[index], places.lamp_angle[index], turn)
 
 
 @jax.jit
@@ -88,20 +101,24 @@ def _in_order(records: list[jax.Array], place: np.ndarray) -> jax.Array:
 
 
 @eqx.filter_jit
-def _record_inside(subject: _Subject, terms: tuple[int, ...], *places: AnyArray) -> jax.Array:
-    def integral(x: jax.Array, y: jax.Array, lamp: jax.Array) -> jax.Array:
-        return record_inside(subject.under(lamp), subject.through(terms), x, y)
+def _record_inside(subject: _Subject, terms: tuple[int, ...], pixels: _Pixels) -> jax.Array:
+    def integral(at: _Pixels) -> jax.Array:
+        scene = subject.under(jnp.asarray(at.lamp_angle), at.turn)
+        return record_inside(scene, subject.through(terms), jnp.asarray(at.x), jnp.asarray(at.y))
 
-    return _in_batches(integral, tuple(jnp.asarray(a) for a in places), _INSIDE)
+    return _in_batches(integral, (pixels,), _INSIDE)
 
 
 @eqx.filter_jit
-def _record_in_window(subject: _Subject, terms: tuple[int, ...], panels: WindowPanels, *arrays: AnyArray) -> jax.Array:
-    def integral(x: jax.Array, y: jax.Array, lamp: jax.Array, whole: jax.Array) -> jax.Array:
-        blur = subject.through(terms)
-        return _over_flat_field(record_in_window(subject.under(lamp), blur, x, y, panels), whole, blur)
+def _record_in_window(
+    subject: _Subject, terms: tuple[int, ...], panels: WindowPanels, pixels: _Pixels, whole: AnyArray
+) -> jax.Array:
+    def integral(at: _Pixels, whole: jax.Array) -> jax.Array:
+        blur, scene = subject.through(terms), subject.under(jnp.asarray(at.lamp_angle), at.turn)
+        recorded = record_in_window(scene, blur, jnp.asarray(at.x), jnp.asarray(at.y), panels)
+        return _over_flat_field(recorded, whole, blur)
 
-    return _in_batches(integral, tuple(jnp.asarray(a) for a in arrays), _NODES // panels.along_v)
+    return _in_batches(integral, (pixels, whole), _NODES // panels.along_v)
 
 
 class _HighlightGrid(NamedTuple):
@@ -115,29 +132,51 @@ class _HighlightGrid(NamedTuple):
 
 
 @eqx.filter_jit
-def _read_highlights(subject: _Subject, grid: _HighlightGrid, lamps: jax.Array, *arrays: AnyArray) -> jax.Array:
-    columns, rows = np.arange(-grid.steps, grid.steps + 1), np.arange(-POINTS // 2, grid.steps + 1)
+def _read_highlights(
+    subject: _Subject,
+    grid: _HighlightGrid,
+    lamps: tuple[jax.Array, jax.Array | None],
+    pixels: _Pixels,
+    *arrays: AnyArray,
+) -> jax.Array:
+    angles, azimuths = lamps
+    columns = np.arange(-grid.steps, grid.steps + 1)
+    # both sides of the plane of camera and lamp are the same, unless the pixel is turned against it
+    rows = columns if azimuths is not None else np.arange(-POINTS // 2, grid.steps + 1)
     panels = HighlightPanels(graded=_GRADED, even=grid.even, order=_ORDER)
-    sample, blur = subject.imaging.sample, subject.through(grid.terms)
+    sample, blur, nearness = subject.imaging.sample, subject.through(grid.terms), subject.imaging.lamp_nearness
 
-    def stamp(lamp: jax.Array) -> jax.Array:
-        x, y = highlight_x(sample, lamp) + grid.spacing * columns, grid.spacing * rows
-        return record_around(subject.under(lamp), blur, x, y, grid.reach, panels)
+    def stamp(lamp: tuple[jax.Array, Turn | None]) -> jax.Array:
+        peak, turn = highlight_x(sample, lamp[0], nearness), lamp[1]
+        if turn is None:
+            x, y = peak + grid.spacing * columns, grid.spacing * rows
+            return record_around(subject.under(lamp[0]), blur, x, y, grid.reach, panels)
+        x, y = peak * turn.cosine + grid.spacing * columns, peak * turn.sine + grid.spacing * rows
+        return record_around_turned(subject.under(*lamp), blur, x, y, grid.reach, panels)
 
-    stamps = jax.lax.map(stamp, lamps.ravel())
+    turns = None
+    if azimuths is not None:
+        every = jnp.repeat(azimuths, angles.shape[1])
+        turns = Turn(jnp.cos(every), jnp.sin(every))
+    stamps = jax.lax.map(stamp, (angles.ravel(), turns))
 
-    def read(x: jax.Array, y: jax.Array, lamp: jax.Array, picture: jax.Array, whole: jax.Array) -> jax.Array:
-        row = jnp.abs(y) / grid.spacing - rows[0]
-        column = (x - highlight_x(sample, lamp)) / grid.spacing - columns[0]
-        values = [interpolated(stamps, picture * lamps.shape[1] + k, row, column) for k in range(lamps.shape[1])]
+    def read(at: _Pixels, picture: jax.Array, whole: jax.Array) -> jax.Array:
+        peak = highlight_x(sample, jnp.asarray(at.lamp_angle), nearness)
+        if at.turn is None:
+            row, column = jnp.abs(at.y), at.x - peak
+        else:
+            row, column = at.y - peak * at.turn.sine, at.x - peak * at.turn.cosine
+        row, column = row / grid.spacing - rows[0], column / grid.spacing - columns[0]
+        values = [interpolated(stamps, picture * angles.shape[1] + k, row, column) for k in range(angles.shape[1])]
         if len(values) == 1:
             value = values[0]
         else:  # a parabola through the three lamps
-            between = ((lamp - lamps[picture, 1]) / (lamps[picture, 2] - lamps[picture, 1]))[:, None]
-            value = sum(basis * one for basis, one in zip(lagrange_basis(_THREE_LAMPS, between), values, strict=True))
+            between = (at.lamp_angle - angles[picture, 1]) / (angles[picture, 2] - angles[picture, 1])
+            basis = lagrange_basis(_THREE_LAMPS, between[:, None])
+            value = sum(own * one for own, one in zip(basis, values, strict=True))
         return _over_flat_field(value, whole, blur)
 
-    return _in_batches(read, tuple(jnp.asarray(a) for a in arrays), _READ)
+    return _in_batches(read, (pixels, *arrays), _READ)
 
 
 def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> jax.Array:
@@ -151,12 +190,13 @@ def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> ja
     return values * jnp.where(whole, blur.weight / jnp.where(whole, flat, 1.0), 1.0)[:, None]
 
 
-def _in_batches(function: Callable[..., jax.Array], arrays: tuple[jax.Array, ...], size: int) -> jax.Array:
-    """Map over the leading axis in batches of one shape.
+def _in_batches(function: Callable[..., jax.Array], arrays: tuple[Any, ...], size: int) -> jax.Array:
+    """Map over the leading axis of all arrays in batches of one shape.
 
     So memory stays small. The last batch is padded.
     """
-    count = arrays[0].shape[0]
+    arrays = jax.tree.map(jnp.asarray, arrays)
+    count = jax.tree.leaves(arrays)[0].shape[0]
     size = min(size, count)
     batches = -(-count // size)
 
@@ -164,5 +204,5 @@ def _in_batches(function: Callable[..., jax.Array], arrays: tuple[jax.Array, ...
         padded = jnp.concatenate([array, jnp.broadcast_to(array[-1:], (batches * size - count, *array.shape[1:]))])
         return padded.reshape(batches, size, *array.shape[1:])
 
-    out = jax.lax.map(lambda batch: function(*batch), tuple(split(a) for a in arrays))
+    out = jax.lax.map(lambda batch: function(*batch), jax.tree.map(split, arrays))
     return out.reshape(-1, *out.shape[2:])[:count]

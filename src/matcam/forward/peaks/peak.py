@@ -26,7 +26,7 @@ from matcam.camera.optics.optics import Rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, jax, jnp
-from matcam.forward.integral.blur import BlurTerms, groups_of, imaging_of
+from matcam.forward.integral.blur import BlurTerms, Imaging, groups_of, imaging_of
 from matcam.forward.integral.integrals import HighlightPanels, Scene, highlight_x, record_around
 from matcam.forward.peaks.peak_tables import tabulated_peak
 from matcam.material.masking import MASKINGS, Masking
@@ -56,7 +56,7 @@ def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: An
     """
     theta_o = jnp.asarray(theta_o)
     weights, widths = ndf.mixture()
-    (scale_x, scale_y), (lamp_x, lamp_y) = rig.sample.px_per_rad(theta_o), rig.lamp_spread(theta_o)
+    (scale_x, scale_y), (lamp_x, lamp_y) = rig.px_per_rad(theta_o), rig.lamp_spread(theta_o)
     lobe = _SensorLobe(
         std_x=scale_x[:, None] * widths,
         std_y=scale_y[:, None] * widths,
@@ -80,7 +80,7 @@ def line_record(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array) -> jax.Array:
     It is the paper's, towards the limb.
     """
     weights, widths = ndf.mixture()
-    scale, lamp = rig.sample.px_per_rad(theta_o)[0], rig.lamp_spread(theta_o)[0]
+    scale, lamp = rig.px_per_rad(theta_o)[0], rig.lamp_spread(theta_o)[0]
     std, lamp = scale[:, None] * widths, _finite(scale * lamp)[:, None]
     camera = rig.camera
     if isinstance(camera.optics, GaussianOptics):
@@ -239,21 +239,23 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
         raise ArgumentError(
             f"an exact peak needs a Sphere, a Cylinder or a Flat sample, not a {type(rig.sample).__name__}"
         )
-    imaging = imaging_of(rig)
+    imaging = imaging_of(rig, gaussian_disc=True)
     material = Microfacet(ndf, 1.0, masking=masking)
     groups = groups_of(imaging.blur, imaging.sample)
     # lengths as arrays: what is compiled for one rig serves all of its kind
     reaches = jnp.asarray([group.scale.reach for group in groups])
-    return _responses(material, imaging.sample, tuple(BlurTerms(imaging.blur, g.terms) for g in groups), reaches, theta)
+    terms = tuple(BlurTerms(imaging.blur, group.terms) for group in groups)
+    return _responses(material, imaging, terms, reaches, theta)
 
 
 @eqx.filter_jit
 def _responses(
-    material: Microfacet, sample: Curved, blurs: tuple[BlurTerms, ...], reaches: jax.Array, theta: jax.Array
+    material: Microfacet, imaging: Imaging, blurs: tuple[BlurTerms, ...], reaches: jax.Array, theta: jax.Array
 ) -> jax.Array:
     def one(angle: jax.Array) -> jax.Array:
-        scene = Scene(material, sample, sample.lamp_angle(angle))
-        x = highlight_x(sample, scene.lamp_angle)
+        sample, near = imaging.sample, imaging.lamp_nearness
+        scene = Scene(material, sample, sample.lamp_angle(angle, near), near)
+        x = highlight_x(sample, scene.lamp_angle, near)
         element, _ = sample.at(x, jnp.zeros(()))
         centre = jnp.zeros(1)
         recorded = sum(

@@ -116,7 +116,7 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
             f"{type(optics).__name__} and {type(pixel).__name__}"
         )
     lamp = _in_range("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
-    scale_x, scale_y = rig.sample.px_per_rad(theta_o)
+    scale_x, scale_y = rig.px_per_rad(theta_o)
     if dims == 1:
         scale_y = jnp.full_like(scale_x, jnp.inf)
     # a size that is infinite is none: a line's response is left, or a flat sample's, which is 1

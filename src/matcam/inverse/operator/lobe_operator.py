@@ -196,6 +196,10 @@ def check_rig(rig: Rig) -> None:
         raise ArgumentError(
             "a fit needs a distant camera (Sphere(radius)): before a near one a slice is taken from pictures of many lamps"
         )
+    if rig.lamp.nearness is not None:
+        raise ArgumentError(
+            "a fit needs a distant lamp (DistantLamp()): under a near one theta_d varies over a picture"
+        )
     if rig.cell_value == "mean":
         raise ArgumentError("a fit needs cells that stand for one pixel: cell_value 'centre' or 'edge', not 'mean'")
 

@@ -1,0 +1,133 @@
+"""Where the cells of a table lie in the pictures of a sphere, and what a table's entry is of their pixels (docs/model.md 3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.plan import RecordPlaces
+from matcam.lamp.lamps import closeness
+from matcam.rigs import CellValue
+from matcam.sample.shape import Curved
+
+_POINTS: dict[CellValue, tuple[float, ...]] = {
+    "centre": (0.5,),
+    "edge": (0.0,),
+    "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
+}
+"""Places in a cell at which it is looked at, as shares of its sides."""
+
+
+def cell_sampling(cell_value: CellValue) -> Sampling:
+    """Return the point of a cell at which a table is sampled."""
+    return "edge" if cell_value == "edge" else "centre"
+
+
+class CellChoice(NamedTuple):
+    """Say which pixels make a table's cells.
+
+    Attributes:
+        cell_value: what a cell stands for.
+        crop: (height, width) of the sensor, px; None: it shows all.
+        azimuth: of the lamp in all pictures, rad.
+    """
+
+    cell_value: CellValue
+    crop: tuple[int, int] | None = None
+    azimuth: float = 0.0
+
+
+class TableCells(NamedTuple):
+    """The cells of a table as seen one way: arrays over (theta_d, theta_h, phi_d, point, point).
+
+    With the lamp in the sensor's x direction, phi_d + pi is seen where pi - phi_d is, mirrored. So reversing phi_d, and the
+    points along it, gives the other way. With any other lamp phi_d runs all round.
+
+    Attributes:
+        places: places of those that are seen.
+        flat_index: their positions in the flattened arrays.
+        irradiance: cosine of the light at each cell, times a near lamp's irradiance over that at the centre.
+        weight: share of the cell's value that each point makes; 0 where it is not seen.
+        pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
+        mirrored: True where reversing phi_d gives the other way.
+    """
+
+    places: RecordPlaces
+    flat_index: np.ndarray
+    irradiance: np.ndarray
+    weight: np.ndarray
+    pixels: np.ndarray
+    mirrored: bool
+
+
+def table_cells(
+    sample: Curved,
+    cell_value: CellValue,
+    crop: tuple[int, int] | None,
+    azimuth: float = 0.0,
+    lamp_nearness: jax.Array | None = None,
+) -> TableCells:
+    """Find the cells of a table in the pictures of a sphere.
+
+    The sensor shows `crop`, (height, width), px; None stands for all.
+    """
+    n_h, n_d, n_p = GRID_SHAPE
+    mirrored = azimuth == 0
+    points = np.array(_POINTS[cell_value])
+    share = (np.arange(n_h)[:, None] + points) / n_h
+    theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
+    theta_d = merl_grid(cell_sampling(cell_value)).theta_d[:, None, None, None, None]
+    # where 0 is sampled, pi has to be, too: its mirror image
+    columns = np.arange(n_p + (cell_value == "edge") if mirrored else 2 * n_p)
+    phi_d = ((columns[:, None] + points) / n_p * np.pi)[None, None, :, None, :]
+    theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
+    cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
+    place = jax.jit(lambda sample, *angles: sample.place(*angles))(sample, theta_h, theta_d, phi_d, lamp_nearness)
+    x, y, lamp_angle = (np.asarray(a) for a in place)
+    if not mirrored:
+        x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
+    seen = (cos_i > 0) & (cos_o > 0)
+    if crop is not None:
+        height, width = crop
+        seen &= (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
+    index = np.flatnonzero(seen)
+    picture = np.broadcast_to(np.arange(n_d, dtype=np.int32)[:, None, None, None, None], seen.shape)
+    places = RecordPlaces(*(a.ravel()[index] for a in (x, y, lamp_angle, picture)))
+    if not mirrored:
+        places = places._replace(azimuth=np.full(index.size, azimuth))
+
+    # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
+    edges = theta_h_edges()
+    solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
+    content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
+    pixels = (content + _other_way(content, mirrored)).sum(axis=(3, 4))[:, :, :n_p].transpose(1, 0, 2)
+    # equal shares of sqrt(theta_h) hold unequal numbers of pixels
+    weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
+    irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
+    return TableCells(places, index, irradiance, weight, pixels, mirrored)
+
+
+def cell_means(radiance: jax.Array, cells: TableCells) -> jax.Array:
+    """Average the BRDF over the places of each cell, both ways.
+
+    It is NaN where none is seen.
+    """
+    channels = radiance.shape[-1]
+    spread = jnp.zeros((cells.irradiance.size, channels)).at[cells.flat_index].set(radiance)
+    spread = spread.reshape(*cells.irradiance.shape, channels)
+    weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.irradiance, 1.0))[..., None]
+    total = jnp.sum(weighted + _other_way(weighted, cells.mirrored), axis=(3, 4))
+    weight = np.sum(cells.weight + _other_way(cells.weight, cells.mirrored), axis=(3, 4))[..., None]
+    mean = jnp.where(weight > 0, total / np.where(weight > 0, weight, 1.0), jnp.nan)
+    return mean[:, :, : GRID_SHAPE[2]].transpose(1, 0, 2, 3)
+
+
+def _other_way(one_way, mirrored):  # type: ignore[no-untyped-def]
+    if mirrored:
+        return one_way[:, :, ::-1, :, ::-1]
+    half = one_way.shape[2] // 2
+    join = np.concatenate if isinstance(one_way, np.ndarray) else jnp.concatenate
+    return join([one_way[:, :, half:], one_way[:, :, :half]], axis=2)

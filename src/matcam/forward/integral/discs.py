@@ -1,0 +1,68 @@
+"""A lamp's disc in a record: how many points stand for it, and where they are (docs/model.md 3).
+
+On a sphere the record under a disc is the mean over its points, each a lamp of its own. Between two points the highlight may
+move by a share of what blurs it: the kernel, and the lobe.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jnp
+from matcam.forward.integral.blur import Imaging
+from matcam.rigs import Rig
+from matcam.sample.curved import Cylinder
+
+_LOBE = 0.5
+"""Share of a lobe's scale that counts as its blur: a GGX lobe has its singularities at its scale."""
+_ALIGNED = 1e-12  # rad
+_WIDEST = 2.0
+"""Largest radius of a disc's image, in radii of the sample."""
+
+
+def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, finest: float = 0.0) -> np.ndarray:
+    """Return the radius of a lamp's image over the standard deviation of its blur, no unit.
+
+    Args:
+        rig: the rig.
+        imaging: its imaging.
+        lamp_angle: angle between lamp and optical axis, rad, any shape.
+        finest: narrowest scale of the lobe, rad. Default: 0, a mirror's.
+    """
+    disc = float(rig.lamp.angular_radius)
+    if disc == 0:
+        return np.zeros_like(lamp_angle)
+    theta_d = imaging.sample.theta_d(jnp.asarray(lamp_angle), rig.lamp.nearness)
+    std = float(np.min(np.asarray(imaging.blur.stds)))
+    along, across = (np.asarray(a) for a in rig.px_per_rad(theta_d))
+    # seen from the highlight, a near disc is larger than from the sample's centre
+    larger = 1.0 if rig.lamp.nearness is None else 1 / (1 - float(rig.lamp.nearness))
+    cosine = np.maximum(np.cos(np.asarray(theta_d)), disc)
+    widest = _WIDEST * float(imaging.sample.radius)
+    return np.maximum(
+        *(
+            np.minimum(scale * disc * larger / 2 / aslant, widest) / np.hypot(std, _LOBE * finest * scale)
+            for scale, aslant in ((along, 1.0), (across, cosine))
+        )
+    )
+
+
+def nearer(imaging: Imaging, distance: float) -> Imaging:
+    """Return the imaging of a lamp at a multiple of the distance."""
+    return (
+        imaging if imaging.lamp_nearness is None else imaging._replace(lamp_nearness=imaging.lamp_nearness / distance)
+    )
+
+
+def turned_cylinder(rig: Rig, azimuth: float) -> float:
+    """Return the azimuth 0 or pi of a lamp before a cylinder.
+
+    Raises:
+        ArgumentError: the lamp stands outside the plane across the cylinder's axis.
+    """
+    if isinstance(rig.sample, Cylinder) and abs(np.sin(azimuth)) > _ALIGNED:
+        raise ArgumentError(
+            f"azimuth must be 0 or pi with a cylinder (its axis is the picture's y), got {azimuth:g} rad: use a Sphere"
+        )
+    return 0.0 if np.cos(azimuth) > 0 else np.pi
