@@ -69,7 +69,14 @@ def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):
     assert heard[-1].total == 4
     before = read_merl(database / "a.binary").values
     np.testing.assert_allclose(read_merl(out / "a.binary").values, before * simple.GAIN, rtol=1e-14)
-    assert set(read_netcdf(out / "a.nc")) == {"brdf", "brdf_std", "supported", "response"}
+    assert set(read_netcdf(out / "a.nc")) == {
+        "brdf",
+        "brdf_std",
+        "correction_std",
+        "noise_std",
+        "supported",
+        "response",
+    }
     assert not list(out.glob("poison.*"))
     assert not list(out.glob("short.*"))
     assert {p.name for p in out.iterdir() if p.name.startswith(".")} <= {".lock"}

@@ -140,7 +140,7 @@ def test_width_noise_and_support_are_found(noisy):
     assert noisy.attrs["noise_relative"] == pytest.approx(0.01, rel=0.1)
     assert noisy.attrs["noise_floor"] == pytest.approx(1e-4, rel=0.1)
     assert noisy.attrs["noise"] == "estimated from the residuals"
-    assert noisy.attrs["camera_uncertainty"] == "none stated: taken as exact"
+    assert noisy.attrs["camera_uncertainty"] == "stated as exact"
     assert np.all(np.degrees(noisy["supported_angle"]) > 75)
     np.testing.assert_array_equal(noisy["corrected_std_camera"].fillna(0), 0)
     np.testing.assert_allclose((noisy["raw_std"] / noisy["raw"])[:LAST], noisy.attrs["noise_relative"], rtol=0.01)

@@ -16,13 +16,11 @@ import xarray as xr
 
 from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
+from matcam.inverse.correction.correction import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
-    "brdf": (float, {"units": "1/sr", "long_name": "BRDF freed from the camera"}),
-    "brdf_std": (float, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
-    "supported": (bool, {"long_name": "standard deviation under 5 %"}),
-    "response": (float, {"long_name": "recorded / true lobe"}),
+    name: (bool if name == "supported" else float, attributes) for name, attributes in TABLE_ATTRIBUTES.items()
 }
 
 
