@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import GGX, Camera, DiffractionOptics, GaussianOptics, Rig, Sphere, fit, rigs
+from matcam import GGX, Camera, DiffractionOptics, GaussianOptics, Rig, Sphere, fit, read_merl, rigs
 from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
+from matcam.inverse import Correction
 from matcam.inverse.correction.correction import supported_values
 from matcam.inverse.correction.harmless import LobeRatio, albedo, shrunk, withheld, within_energy
 from matcam.inverse.operator.lobe_operator import lobe_operator
@@ -134,3 +135,42 @@ def test_the_shape_of_a_lens_goes_towards_a_disc():
     before, after = (np.sqrt(np.mean((one / truth - 1)[bright] ** 2)) for one in (gaussian, flat))
     print(f"rms difference from a disc: Gaussian {before:.4f}, flattened {after:.4f}")
     assert after < 0.25 * before
+
+
+def changes(recorded_table, done):
+    """Relative change of every entry that is written to a file of values alone."""
+    before = recorded_table.values
+    after = supported_values(done.table, recorded_table).values
+    with np.errstate(invalid="ignore", divide="ignore"):
+        change = np.abs(after / before - 1)
+    return np.where(np.isfinite(change), change, 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "material",
+    ["specular-red-phenolic", "black-obsidian", "chrome", "teflon", "gold-metallic-paint", "pink-fabric", "nickel"],
+)
+def test_a_stand_in_is_not_harmed(stand_in, material):
+    """One lobe for all theta_d: no camera was there, so no peak may be raised, whatever the rig says."""
+    table = read_merl(stand_in(material))
+    done = Correction.of(table, rigs.merl())
+    change, supported = changes(table, done), done.table["supported"].values
+    print(f"{material}: {done.determination}, supported {supported.mean():.2f}, largest change {change.max():.4f}")
+    assert change[~supported].max(initial=0) == 0
+    assert change.max() < 0.01
+    before, after = (albedo(one, "centre") for one in (table.values, supported_values(done.table, table).values))
+    assert np.all(after <= np.maximum(before, 1) + 1e-9)
+    raised = np.nan_to_num(done.table["brdf"].values / table.values - 1)
+    assert np.all((raised <= 2 * np.nan_to_num(done.table["correction_std"].values) + 1e-9) | ~supported)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("material", ["paper_white", "satin_rosaline", "cc_ibiza_sunset", "vch_golden_yellow"])
+def test_a_goniophotometers_table_is_left_alone(goniophotometer, material):
+    """No camera has seen it; the virtual rig's sphere is so small that its lens would show."""
+    table = read_merl(goniophotometer(material))
+    done = Correction.of(table, Rig(rigs.merl().camera, Sphere(24.0)))
+    change = changes(table, done).max()
+    print(f"{material}: {done.determination}, largest change {change:.4f}")
+    assert change < 0.01

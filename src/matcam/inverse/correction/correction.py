@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
-from matcam.core.errors import FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
@@ -39,6 +39,8 @@ TABLE_ATTRIBUTES = {
 }
 """Attributes of the variables of a corrected table."""
 
+_CORRECTED = "corrected_for_camera"
+"""Attribute of a table that is corrected."""
 _MATTERS = 0.01
 """Change of the peak from which a correction that is withheld is worth a remark."""
 _WITHHELD = Remark(
@@ -111,6 +113,10 @@ class Correction:
             FitError: the table holds nothing to fit.
         """
         brdf = checked_table(brdf)
+        if brdf.attrs.get(_CORRECTED):
+            raise ArgumentError(
+                "brdf is corrected for a camera already, as its attributes say: give the table as it was recorded"
+            )
         check_rig(rig)
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
@@ -136,7 +142,7 @@ class Correction:
         table.attrs.update(
             ndf=best.family, masking=masking or "none", glare=glare, sampling=sampling_of(brdf),
             source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
-            camera_uncertainty=known_lens(rig.camera).words, withheld=int(said), corrected_for_camera=1,
+            camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
         return cls(table, best, found.doubts, found.shape, remarks, said)
 
@@ -207,6 +213,7 @@ class Correction:
             "shape": {"scale": self.shape.scale, "b": self.shape.b},
             "supported_share": self.supported_share,
             "peak_gain_75": float(1 / self._peak_response(np.radians(75.0))),
+            "correction_std_75": float(self.table["correction_std"].values[self._peak(np.radians(75.0))].max()),
             "peak_lost": {str(angle): float(loss) for angle, loss in zip(_ANGLES, lost, strict=True)},
             "determination": self.determination,
             "withheld": self.withheld,
@@ -216,7 +223,11 @@ class Correction:
 
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
         """Return recorded over true peak, across the plane of incidence."""
-        return self.table["response"].values[self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)]
+        return self.table["response"].values[self._peak(theta_d)]
+
+    def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
+        """Return the index of the peak across the plane of incidence."""
+        return self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)
 
     @property
     def _grid(self) -> Grid:
@@ -312,7 +323,7 @@ def _corrected_table(
     first = brdf.dims[:3]
     return xr.Dataset(
         {
-            "brdf": (brdf.dims, corrected, {**brdf.attrs, "units": "1/sr", "long_name": "BRDF freed from the camera"}),
+            "brdf": (brdf.dims, corrected, {**brdf.attrs, **TABLE_ATTRIBUTES["brdf"], _CORRECTED: 1}),
             **{
                 name: (brdf.dims, values, TABLE_ATTRIBUTES[name])
                 for name, values in (

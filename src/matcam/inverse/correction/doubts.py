@@ -106,6 +106,8 @@ def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
         elif name == LAMP or name in rig.camera.parameters():
             free = setup.with_(also=(name,))
             doubts.append(_free_doubt(free.solve(start=found, weights="start"), name))
+    if not found.resolved:  # a lobe at its bound pushes the lens
+        return tuple(doubt._replace(contradicts=doubt.contradicts and doubt.axis.name != LENS) for doubt in doubts)
     return tuple(doubts)
 
 
@@ -115,7 +117,7 @@ def _free_doubt(fit: MaterialFit, name: str) -> Doubt:
     place = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + place
     coordinate, std = float(at.rig[place]), float(np.sqrt(at.covariance[own, own]))
-    contradicts = abs(coordinate) > max(_SIGNIFICANT * std, _LEAST)
+    contradicts = bool(abs(coordinate) > max(_SIGNIFICANT * std, _LEAST))
     return Doubt(at.axes[place], coordinate, fit.params[name], fit.std[name], contradicts, fit, weight=1.0)
 
 
