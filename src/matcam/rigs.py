@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.profile import Provenance
+from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -199,8 +199,8 @@ def merl() -> Rig:
     """Return the rig of the MERL database, as the paper reconstructs it.
 
     It has a QImaging Retiga 1300 and a sphere over half the picture's height: a limb of radius 256 px. Pixels have 100 %
-    fill, and the optics blur by sigma_mtf = half a pixel. That blur is the paper's guess; its uncertainty is unknown, so none
-    is stated.
+    fill, and the optics blur by sigma_mtf = half a pixel. That blur is the paper's guess, and it is stated as one: with a
+    standard deviation as large as itself. So a fit asks the data, down to no blur at all.
 
     Returns:
         The rig; replace its parts to describe another.
@@ -214,5 +214,6 @@ def merl() -> Rig:
         (256.0, 0.5)
     """
     source = "Holzschuch & Pacanowski 2017, section 4; sigma_mtf = sigma_p is their guess"
-    camera = Camera(GaussianOptics(0.5), BoxPixel(0.5), provenance=Provenance(source=source))
+    guess = Uncertainty.of({"optics.sigma_px": 0.5})
+    camera = Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=guess, provenance=Provenance(source=source))
     return Rig(camera, Sphere(256.0))

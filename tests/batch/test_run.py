@@ -70,7 +70,14 @@ def test_what_fails_stops_nothing_else(database, tmp_path, monkeypatch):
     assert heard[-1].total == 4
     before = read_merl(database / "a.binary").values
     np.testing.assert_allclose(read_merl(out / "a.binary").values, before * simple.GAIN, rtol=1e-14)
-    assert set(read_netcdf(out / "a.nc")) == {"brdf", "brdf_std", "supported", "response"}
+    assert set(read_netcdf(out / "a.nc")) == {
+        "brdf",
+        "brdf_std",
+        "correction_std",
+        "noise_std",
+        "supported",
+        "response",
+    }
     assert not list(out.glob("poison.*"))
     assert not list(out.glob("short.*"))
     assert {p.name for p in out.iterdir() if p.name.startswith(".")} <= {".lock"}
@@ -459,14 +466,14 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "correct_all", record)
     options = (
         "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --no-pages --zarr --fit-camera "
-        "--time-limit 60"
+        "--anyway --time-limit 60"
     )
     done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
     assert done.exit_code == 0, done.output
     asked.pop("watch")
     assert asked.pop("workspace") is Workspace.user()
     assert asked == {
-        "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "masking": None, "radius": 100.0,
+        "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "anyway": True, "masking": None, "radius": 100.0,
         "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "time_limit": 60.0,
         "force": True,
     }  # fmt: skip

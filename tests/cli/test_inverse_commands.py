@@ -67,7 +67,7 @@ def test_correct_writes_four_files(merl_file, tmp_path):
     assert page.count("data:image/png;base64,") == 3
     assert not re.search(r"(src|href)=['\"]http", page)
     with xr.open_dataset(out.with_suffix(".nc")) as stored:
-        assert set(stored.data_vars) == {"brdf", "brdf_std", "supported", "response"}
+        assert set(stored.data_vars) == {"brdf", "brdf_std", "correction_std", "noise_std", "supported", "response"}
         assert stored.attrs["ndf"] == "ggx"
     assert json.loads(out.with_suffix(".json").read_text())["fit"]["params"]["alpha"] == pytest.approx(0.004, rel=2e-3)
 

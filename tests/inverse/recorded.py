@@ -20,8 +20,8 @@ SEVENTY_FIVE = np.radians(75.0)
 
 
 def rig(sigma=0.5, std=None, **more):
-    """MERL's, its lens known to `std` px."""
-    known = None if std is None else Uncertainty.of({"optics.sigma_px": std})
+    """MERL's, its lens known to `std` px; None: exactly, and stated so."""
+    known = Uncertainty.of({"optics.sigma_px": 0.0 if std is None else std})
     return Rig(Camera(GaussianOptics(sigma), BoxPixel(0.5), uncertainty=known), Sphere(256.0), **more)
 
 

@@ -9,7 +9,7 @@ third of a pixel, which converges exponentially for what is smooth there. Pixels
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.sparse import csr_matrix
 from scipy.special import erfc, gamma
 
@@ -60,20 +60,67 @@ class EPD(NamedTuple):
         return np.where(cot > mu[good][-1], 0.0, inside)
 
 
+class Lobes(NamedTuple):
+    """A surface of several lobes: their shares of facets add up to 1. Smith's Lambda of each is weighted alike."""
+
+    parts: tuple
+
+    def p22(self, s2):
+        return sum(share * lobe.p22(s2) for share, lobe in self.parts)
+
+    def smith(self, cos):
+        return sum(share * lobe.smith(cos) for share, lobe in self.parts)
+
+
 class Setup(NamedTuple):
-    """radius, lens and pixel in px; halo: share of light in a Gaussian of halo_sigma px; lamp: angular radius, rad."""
+    """radius, lens and pixel in px; lamp: angular radius, rad; lens: rows (share, x, y) of points, px, each a Gaussian of
+    sigma, that make a lens of any shape, before a point lamp; none: the Gaussian itself."""
 
     sigma: float = 0.5
     half_width: float = 0.5
     radius: float = 256.0
     lamp: float = 0.0
+    lens: tuple = ()
+
+
+POINT = 0.25
+"""px; Gaussian round each point of a lens."""
+
+
+def disc(sigma=0.5):
+    """A defocused lens of this standard deviation along each axis."""
+    radius = 2 * np.sqrt(sigma**2 - POINT**2)
+    x, w = np.polynomial.legendre.leggauss(4)
+    rings = [
+        (w0 / 2 / 10, radius * np.sqrt((1 + x0) / 2), 0.3 * n) for n, (x0, w0) in enumerate(zip(x, w, strict=True))
+    ]
+    turn = 2 * np.pi * np.arange(10) / 10
+    return Setup(POINT, lens=tuple((s, r * np.cos(t), r * np.sin(t)) for s, r, a in rings for t in turn + a))
+
+
+def coma(sigma=0.5, angle=0.0):
+    """A lens with third-order coma whose mean variance along the axes is sigma^2; its tail points to `angle`, rad."""
+    x, w = np.polynomial.legendre.leggauss(5)
+    turn = 2 * np.pi * (np.arange(9) + 0.5) / 9
+    rows = np.array(
+        [
+            (w0 / 2 / 9, (1 + x0) / 2 * (2 + np.cos(t)), (1 + x0) / 2 * np.sin(t))
+            for x0, w0 in zip(x, w, strict=True)
+            for t in turn
+        ]
+    )
+    rows[:, 1] -= rows[:, 0] @ rows[:, 1]
+    scale = np.sqrt((sigma**2 - POINT**2) / (rows[:, 0] @ (rows[:, 1:] ** 2).sum(1) / 2))
+    x, y = scale * rows[:, 1], scale * rows[:, 2]
+    x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
+    return Setup(POINT, lens=tuple(zip(rows[:, 0], x, y, strict=True)))
 
 
 class Cells:
     """Cells (i, j, k as angles) of some pictures. theta_h, phi_d: (slices, cells); theta_d: (slices,)."""
 
     def __init__(self, theta_h, theta_d, phi_d, setup=None):
-        self.setup = setup or Setup()
+        self.setup, self._table = setup or Setup(), None
         r = self.setup.radius
         th, td, psi = theta_h[..., None], theta_d[:, None, None], np.pi - phi_d[..., None] + np.array([0, np.pi])
         self.theta_d = theta_d
@@ -121,12 +168,12 @@ class Cells:
             self.grids.append(grid)
             order = np.argsort(y)
             s_x, s_y = self._spread(j)
-            reach = [self.setup.half_width + 7.5 * s for s in (s_x, s_y)]
+            reach = [self.setup.half_width + self._wings() + 7.5 * s for s in (s_x, s_y)]
             data, index, pointer = [], [], [0]
             for px, py in zip(self.x[j][self.near[j]], self.y[j][self.near[j]], strict=True):
                 a, b = np.searchsorted(y[order], [py - reach[1], py + reach[1]])
                 inside = order[a:b][np.abs(x[order[a:b]] - px) < reach[0]]
-                data.append(self._kernel(x[inside] - px, s_x) * self._kernel(y[inside] - py, s_y))
+                data.append(self._both(x[inside] - px, y[inside] - py, s_x, s_y))
                 index.append(inside)
                 pointer.append(pointer[-1] + inside.size)
             joined = (np.concatenate(data), np.concatenate(index), pointer) if data else ([], [], [0])
@@ -137,7 +184,7 @@ class Cells:
         self.far_nodes = []
         for j, td in enumerate(self.theta_d):
             s_x, s_y = self._spread(j)
-            stretch_x, stretch_y = max(1.0, s_x / 0.5), max(1.0, s_y / 0.5)
+            stretch_x, stretch_y = max(1.0, s_x / 0.5), max(1.0, s_y / 0.5)  # a lens of points has its wings inside
             x0, y0 = self.x[j][self.far[j]], self.y[j][self.far[j]]
             dx, dy = stretch_x * offsets, stretch_y * offsets
             x, y = x0[:, None, None] + dx[:, None], y0[:, None, None] + dy
@@ -148,11 +195,35 @@ class Cells:
             lit = (z2 > 0) & (cos_i > 0) & (n_z > 0)
             # slope of the half vector without cancellation
             sin2 = (n_x * np.cos(td) - n_z * np.sin(td)) ** 2 + (y / r) ** 2
-            kernel = (self._kernel(dx, s_x) * (dx[1] - dx[0]))[:, None] * (self._kernel(dy, s_y) * (dy[1] - dy[0]))
+            kernel = self._both(dx[:, None], dy, s_x, s_y) * (dx[1] - dx[0]) * (dy[1] - dy[0])
             weight = np.where(lit, kernel / (4 * np.where(lit, n_z, 1)), 0.0)
             self.far_nodes.append(
                 (np.where(lit, sin2 / cos_h**2, 1.0), np.where(lit, cos_i, 1.0), np.where(lit, n_z, 1.0), weight)
             )
+
+    def _wings(self):
+        return max((np.hypot(x, y) for _, x, y in self.setup.lens), default=0.0)
+
+    def _both(self, x, y, s_x, s_y):
+        """The effective kernel in the plane."""
+        if not self.setup.lens:
+            return self._kernel(x, s_x) * self._kernel(y, s_y)
+        x, y = np.broadcast_arrays(x, y)
+        return np.where(np.maximum(abs(x), abs(y)) < self._table_reach(), self._lens_table().ev(x, y), 0.0)
+
+    def _table_reach(self):
+        return self.setup.half_width + self._wings() + 7.5 * self.setup.sigma
+
+    def _lens_table(self):
+        """The kernel of a lens of points, which is smooth on the scale of one: a spline through a fine table."""
+        if self._table is None:
+            x = np.arange(-self._table_reach() - 0.1, self._table_reach() + 0.1, POINT / 5)
+            rows = [
+                w * self._kernel(x - a, self.setup.sigma)[:, None] * self._kernel(x - b, self.setup.sigma)
+                for w, a, b in self.setup.lens
+            ]
+            self._table = RectBivariateSpline(x, x, sum(rows))
+        return self._table
 
     def _kernel(self, x, sigma):
         x, unit, p = np.abs(x), np.sqrt(2) * sigma, self.setup.half_width

@@ -29,6 +29,7 @@ from matcam.core.workspace import Workspace
 from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import read_merl, write_merl
+from matcam.inverse.correction.correction import supported_values
 
 _WRITING = threading.Lock()
 """Files of materials side by side are written one after the other: HDF5 and Matplotlib's styles are not thread-safe."""
@@ -173,7 +174,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         options = options._replace(workspace=workspace)
     done = job.recipe.corrector(table, job.recipe.rig, options)
     with _WRITING, all_or_nothing():
-        write_merl(job.output, done.table["brdf"], force=job.force)
+        write_merl(job.output, supported_values(done.table, table), force=job.force)
         write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force)
         if job.recipe.page:
             done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)

@@ -27,7 +27,7 @@ from matcam.figures.pages import write_correction_page
 from matcam.files.merl import read_merl
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
-from matcam.inverse.operator.rig_axes import LENS
+from matcam.inverse.operator.rig_axes import LENS, known_lens
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
@@ -41,6 +41,7 @@ class Options(NamedTuple):
         ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd". Default: "auto".
         masking: masking function, or None for none. Default: "smith".
         glare: share of light that the lens may scatter without its profile saying so (no unit). Default: 1e-3.
+        anyway: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
         workspace: keeps what depends on the rig alone; None: the process's own. It changes no result. Default: None.
 
     Example:
@@ -51,6 +52,7 @@ class Options(NamedTuple):
     ndf: str = "auto"
     masking: Masking = "smith"
     glare: float = 1e-3
+    anyway: bool = False
     workspace: Workspace | None = None
 
 
@@ -58,7 +60,7 @@ class CorrectedTable(NamedTuple):
     """Hold what a corrector returns.
 
     Attributes:
-        table: Dataset (brdf, brdf_std, supported, response).
+        table: Dataset (brdf, brdf_std, correction_std, noise_std, supported, response).
         document: what a record says of the table, as plain numbers and texts.
         write_page: function (path, name, force) that writes the page to read.
     """
@@ -75,7 +77,13 @@ Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
     """Correct a table for its camera. Errors as `correct`'s."""
     done = Correction.of(
-        table, rig, options.ndf, masking=options.masking, glare=options.glare, workspace=options.workspace
+        table,
+        rig,
+        options.ndf,
+        masking=options.masking,
+        glare=options.glare,
+        anyway=options.anyway,
+        workspace=options.workspace,
     )
     document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
 
@@ -116,6 +124,7 @@ class Recipe:
                 "ndf": self.options.ndf,
                 "masking": self.options.masking or "none",
                 "glare": self.options.glare,
+                "anyway": self.options.anyway,
                 "sampling": self.sampling,
                 "pages": self.page,
                 "fit_camera": fit_camera,
@@ -126,7 +135,7 @@ class Recipe:
         """Describe the recipe in one line for a reader."""
         family = "GGX or EPD, the likelier" if self.options.ndf == "auto" else self.options.ndf
         camera = self.rig.camera
-        known = "its uncertainty stated" if camera.uncertainty else "taken as exact"
+        known = f"its uncertainty {known_lens(camera).words}"
         return (
             f"Lobe: {family}; masking: {self.options.masking or 'none'}; camera: {camera.optics!r}, {known}; "
             f"{self.rig.sample!r}."

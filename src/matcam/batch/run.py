@@ -105,6 +105,7 @@ def correct_all(
     *,
     masking: Masking = "smith",
     glare: float = 1e-3,
+    anyway: bool = False,
     sampling: Sampling = "centre",
     workers: int | None = None,
     cluster: str | None = None,
@@ -136,6 +137,7 @@ def correct_all(
         masking: masking function, as for `correct`; None for none. Default: "smith".
         glare: share of light that the lens may scatter without its profile saying so, in [0, 0.5] (no unit). It limits
             what is supported beside a highlight; raise it for a lens that scatters more. Default: 1e-3.
+        anyway: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
         sampling: where in its cell a value was sampled, "centre" or "edge"; the file does not say. Default: "centre".
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use; or, if JAX has a GPU, threads of this process that share it.
@@ -181,7 +183,7 @@ def correct_all(
     checks.choice("sampling", sampling, SAMPLINGS)
     checks.positive("time_limit", time_limit, "s")
     executor = _executor(workers, cluster, time_limit)
-    recipe = Recipe(rig, Options(ndf, masking, glare, workspace), sampling, pages, corrector)
+    recipe = Recipe(rig, Options(ndf, masking, glare, anyway, workspace), sampling, pages, corrector)
     _check_picklable(recipe)
     settings = recipe.settings(fit_camera=fit_camera)
     folder = RunFolder(Path(output))

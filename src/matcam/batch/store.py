@@ -18,14 +18,12 @@ from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
 from matcam.core.io import read_json
 from matcam.files.decoders import DESCRIPTION, check_codecs
+from matcam.inverse.correction.correction import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
 _MOST_ROWS = 10_000_000
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
-    "brdf": (float, {"units": "1/sr", "long_name": "BRDF freed from the camera"}),
-    "brdf_std": (float, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
-    "supported": (bool, {"long_name": "standard deviation under 5 %"}),
-    "response": (float, {"long_name": "recorded / true lobe"}),
+    name: (bool if name == "supported" else float, attributes) for name, attributes in TABLE_ATTRIBUTES.items()
 }
 
 

@@ -9,7 +9,18 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.fit import print_fit
-from matcam.cli.options import AsJson, CameraProfile, FamilyOrAuto, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.cli.options import (
+    Anyway,
+    AsJson,
+    CameraProfile,
+    FamilyOrAuto,
+    Force,
+    LampRadius,
+    Masking,
+    Radius,
+    Sampling,
+    rig_of,
+)
 
 SOME_FAILED, NONE_DONE = 1, 2
 
@@ -66,6 +77,7 @@ def command(
     time_limit: Annotated[
         float, typer.Option("--time-limit", help="Time for one material of a run, s; what takes longer has failed.")
     ] = 3600.0,
+    anyway: Anyway = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -95,7 +107,12 @@ def command(
     use_compilation_cache()
     workspace = Workspace.user()
     rig = rig_of(camera, radius, lamp, cell_value=sampling)
-    how: dict[str, Any] = {"ndf": ndf, "masking": None if masking == "none" else masking, "glare": glare}
+    how: dict[str, Any] = {
+        "ndf": ndf,
+        "masking": None if masking == "none" else masking,
+        "glare": glare,
+        "anyway": anyway,
+    }
     if alone:
         from matcam.batch.job import Job, write_corrected
         from matcam.batch.recipe import Options, Recipe
@@ -134,7 +151,7 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
         return
     print_fit(document["fit"], name)
     show.say(
-        f"supported entries (std under 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
+        f"supported entries (correction known to 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
         f"{document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:

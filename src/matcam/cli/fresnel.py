@@ -9,7 +9,18 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, FamilyOrAuto, Force, LampRadius, Masking, Radius, Sampling, rig_of
+from matcam.cli.options import (
+    Anyway,
+    AsJson,
+    CameraProfile,
+    FamilyOrAuto,
+    Force,
+    LampRadius,
+    Masking,
+    Radius,
+    Sampling,
+    rig_of,
+)
 
 _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
@@ -19,7 +30,8 @@ def command(
     metal: Annotated[
         str | None,
         typer.Option(
-            "--metal", help="Metal (Cr, Fe, ...) whose tabulated n and k to compare with. Default: the nearest of all."
+            "--metal",
+            help="Metal (Cr, Fe, ...) whose n and k to compare with. Default: the nearest of all, dielectrics too.",
         ),
     ] = None,
     ndf: FamilyOrAuto = "auto",
@@ -44,6 +56,7 @@ def command(
             help="Picture to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
         ),
     ] = None,
+    anyway: Anyway = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -81,6 +94,7 @@ def command(
             masking=None if masking == "none" else masking,
             normalise=(math.radians(low), math.radians(high)),
             every=every,
+            anyway=anyway,
             workspace=Workspace.user(),
         )
         tables = tabulated_fresnel(result, metal)

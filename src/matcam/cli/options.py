@@ -120,6 +120,9 @@ Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
 ]
+Anyway = Annotated[
+    bool, typer.Option("--anyway", help="Correct a table whose data contradict the rig; else it stays as it is.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]
 

@@ -283,6 +283,9 @@ _COLUMNS = (
     _Column(("peak lost", "at 5°"), "number", _peak_loss("5")),
     _Column(("at 45°",), "number", _peak_loss("45")),
     _Column(("at 75°",), "number", _peak_loss("75")),
+    _Column(
+        ("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")
+    ),
     _Column(("entries", "supported"), "number", lambda r: _number(r.get("supported_share"), lambda x: f"{x:.0%}")),
     _Column(
         ("noise of", "a pixel"),

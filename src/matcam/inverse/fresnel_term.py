@@ -14,13 +14,14 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
 from matcam.core.jax import jnp
 from matcam.core.registry import FAMILIES
-from matcam.core.remark import to_attribute
+from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace
 from matcam.forward.peaks.peak import peak_response
-from matcam.inverse.correction.doubts import shape_correction
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
+from matcam.inverse.correction.explanation import explain
+from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
+from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.optical_constants import metal as metal_index
@@ -35,7 +36,16 @@ NORMALISE = (np.radians(10.0), np.radians(45.0))
 """theta_d over whose mean F is normalised. Below 10 degrees lamp and camera are in each other's way on real rigs; metals'
 F is flat to 45."""
 
-_BEND = 1.0
+_NEGLIGIBLE = 1e-3
+"""Probability of no camera below which it is not fitted in all slices."""
+_SHARP_LENS = 0.05
+"""px."""
+_FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+_STEEP = np.radians(70.0)
+"""theta_d up to which F is smooth enough for its roughness to be the pictures'."""
+_GAIN_ROUNDS, _CLEAR_GAIN = 5, 2.5
+_REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
+"""Indices of dielectrics that a result is compared with."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
 
 
@@ -48,14 +58,15 @@ def fresnel(
     noise: PixelNoise | None = None,
     normalise: tuple[float, float] = NORMALISE,
     every: int = 1,
+    anyway: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Extract the Fresnel term of a table, with and without its camera.
 
     F is free in every slice; one lobe and a Lambertian part are common to all. The camera's stated uncertainty is a prior that
-    the data may improve on. So the fit is that of `fit(..., fresnel="free", diffuse=True)`. A lobe whose family does not
-    explain the data is bent. `corrected` and `corrected_peak` may disagree by more than their errors. Then the lobe is not of
-    this shape, or does not widen as this camera would make it.
+    the data may improve on, and the shape of its lens is fitted, too. A lobe whose family does not explain the data is bent.
+    All this is what `correct` does: what it withholds is withheld here. `corrected` and `corrected_peak` may disagree by more
+    than their errors. Then the lobe is not of this shape, or does not widen as this camera would make it.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
@@ -65,6 +76,7 @@ def fresnel(
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
         every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        anyway: whether to correct a table whose data contradict the rig. Default: False, F is what it is without a camera.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -73,7 +85,7 @@ def fresnel(
         - `raw`, `raw_std`: F from the recorded peak alone, as if the camera were perfect.
         - `corrected_peak`: the paper's estimate, raw over the loss at the peak, relative to theta_d = 0.
         - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The error has a part of pixel noise
-          (`corrected_std_noise`) and one of the camera's stated uncertainty (`corrected_std_camera`).
+          and of each picture's gain (`corrected_std_noise`), and one of the camera (`corrected_std_camera`).
         - `absolute`, `absolute_std`: the same, not normalised; NaN where the lobe is too narrow for its strength to be known.
         - `response`: recorded / true peak. `masking`: G in the mirror direction.
         - `supported_angle`: last theta_d, rad, up to which corrected_std stays under 5 % of corrected.
@@ -81,6 +93,8 @@ def fresnel(
         - `hwhm`, `hwhm_std`: half width of the lobe at half its maximum, rad, whatever its shape.
 
         `corrected` and `corrected_peak` have mean 1 over the range. `raw` is corrected_peak times the relative loss.
+        The attribute `picture_gain` is the standard deviation of a picture's gain, as far as F is rougher than its noise; and
+        `withheld` is 1 where rig and data contradict each other, so that `corrected` is F without a camera.
         The attribute `remarks` has a line for each remark, "code: text" (`matcam.core.remark.from_attribute`).
 
     Raises:
@@ -103,21 +117,30 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     _check_highlight(brdf)
-    setup = free_setup([brdf], rig, masking=masking, noise=noise, every=max(every, SEARCH_EVERY), workspace=workspace)
-    fits = candidate_fits(setup, ndf)
-    found = likeliest(fits)
-    setup = setup.with_(ndf=found.family)
-    shape = shape_correction(found, noise)
-    if shape.family_fails:
-        setup = setup.with_(bend=_BEND)
-        found = setup.solve(start=found)
-    if every < SEARCH_EVERY:
-        found = setup.with_(every=every).solve(start=found)
-    remarks = (*found.remarks, *([shape.remark(found.family)] if found.is_bent else []))
+    explained = explain(
+        brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace, every=max(every, SEARCH_EVERY), doubted=(LENS,)
+    )  # fmt: skip
+    found = explained.setup.with_(every=every).solve(start=explained.fit)
+    terms = [_FresnelTerm(found, normalise)]
+    held_back = explained.contradicts and not anyway
+    weight = 1.0 if held_back else explained.no_camera * (not anyway)
+    if explained.no_camera > _NEGLIGIBLE or held_back:
+        blind = explained.blind_setup.with_(every=every).solve(start=explained.blind)
+        terms.append(_FresnelTerm(blind, normalise))
+    others = [
+        _FresnelTerm(explained.others_setup.with_(every=every).solve(start=other), normalise)
+        for other in explained.others
+    ]
     lobe, theta_d = found.ndf, found.theta_d
-    term = _FresnelTerm(found, normalise)
+    term = _average(terms, others, weight, held_back=held_back)
+    gain = term.picture_gain(theta_d)
+    term = term.with_gain(gain)
+    remarks = (*explained.remarks, *_gain_remarks(gain))
+    if explained.no_blur:
+        remarks = (*remarks, explained.no_blur_remark)
     hidden = _mirror_masking(lobe, theta_d, masking)
-    *response, centre = np.asarray(peak_response(rig, lobe, np.append(theta_d, 0.0), exact=True, masking=masking))
+    peaks = peak_response(_fitted_rig(rig, found), lobe, np.append(theta_d, 0.0), exact=True, masking=masking)
+    *response, centre = np.ones(theta_d.size + 1) if held_back else np.asarray(peaks)
     per_peak = 4 * np.cos(theta_d) ** 2 / (float(lobe.d(0.0)) * hidden)
     raw = recorded_peak(brdf, theta_d) * per_peak
     corrected_peak = raw / (np.array(response) / centre)
@@ -131,7 +154,7 @@ def fresnel(
     return xr.Dataset(
         {
             "raw": curve(raw, "F from the recorded peak"),
-            "raw_std": curve(raw * np.hypot(*found.noise[:2]), "standard deviation of raw (noise)"),
+            "raw_std": curve(raw * np.linalg.norm([*found.noise[:2], gain]), "standard deviation of raw (noise)"),
             "corrected_peak": curve(corrected_peak, "F from the recorded peak alone, over the relative loss"),
             "corrected": curve(term.normalised, "F corrected for the camera"),
             "corrected_std": curve(np.hypot(term.std_noise, term.std_camera), "standard deviation of corrected"),
@@ -153,13 +176,15 @@ def fresnel(
         },
         attrs={
             "ndf": found.family,
-            "log_likelihood": ", ".join(f"{one.family} {one.log_likelihood:.1f}" for one in fits),
+            "log_likelihood": ", ".join(f"{one.family} {one.log_likelihood:.1f}" for one in explained.candidates),
             "masking": masking or "none",
             "normalised_over": [float(a) for a in normalise],
             "noise_relative": found.noise.relative,
             "noise_floor": found.noise.floor,
             "noise": "given" if noise else "estimated from the residuals",
-            "camera_uncertainty": "stated" if rig.camera.uncertainty else "none stated: taken as exact",
+            "picture_gain": gain,
+            "camera_uncertainty": known_lens(rig.camera).words,
+            "withheld": int(held_back),
             "width_determined": int(found.resolved),
             "bent": int(found.is_bent),
             "sampling": brdf.attrs["sampling"],
@@ -172,11 +197,11 @@ def fresnel(
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
 ) -> xr.Dataset:
-    """Return the Fresnel curves of all tables of a metal.
+    """Return the Fresnel curves of all tables of a metal, or of all metals and of dielectrics.
 
     Args:
         result: Dataset as from `fresnel`.
-        metal: name of the metal, as in `metals`. Default: None, all metals.
+        metal: name of the metal, as in `metals`. Default: None, all metals, and dielectrics of index 1.3, 1.4 ... 1.8.
         wavelengths: wavelength of each channel, m (channels,). Default: those of R, G and B. Give others for other channels.
 
     Returns:
@@ -214,7 +239,13 @@ def tabulated_fresnel(
     judged = (theta_d[:, None] >= low) & (theta_d[:, None] <= result["supported_angle"].values)
     tables = [(name, source) for name, sources in metals(metal).items() for source in sources]
     indices = [metal_index(name, wavelengths, source) for name, source in tables]
-    n, k = (np.stack([getattr(index, part) for index in indices])[:, None, :] for part in ("n", "k"))
+    names = [f"{name} ({source})" for name, source in tables]
+    n, k = (np.stack([getattr(index, part) for index in indices]) for part in ("n", "k"))
+    if metal is None:
+        names += [f"dielectric (n = {index:g})" for index in _REFRACTIVE]
+        clear = np.repeat(np.array(_REFRACTIVE)[:, None], channels, axis=1)
+        n, k = np.concatenate([n, clear]), np.concatenate([k, 0 * clear])
+    n, k = n[:, None, :], k[:, None, :]
     *curves, f0 = np.asarray(fresnel_conductor(np.append(theta_d, 0.0)[:, None], n, k)).transpose(1, 0, 2)
     normalised = np.stack(curves, axis=1)
     normalised /= normalised[:, inside].mean(axis=1, keepdims=True)
@@ -233,7 +264,7 @@ def tabulated_fresnel(
             "rms_raw": (("table", "channel"), rms("raw")),
         },
         coords={
-            "table": [f"{name} ({source})" for name, source in tables],
+            "table": names,
             "theta_d": result["theta_d"],
             "channel": result["channel"],
         },
@@ -260,19 +291,94 @@ class _FresnelTerm:
 
         there = np.isfinite(strength)
         divisor = np.where(there, strength, np.inf)
-        relative = [c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:]]
+        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:])
+        self.relative = noise + camera
 
         # normalising subtracts the mean's own change
         share = np.where(used, strength, 0) / (count * mean)
-        off_mean = np.eye(theta_d.size) - share[:, None, :]
-        self.std_noise, self.std_camera = (
-            self.normalised * np.sqrt(np.clip(np.einsum("cst,ctu,csu->cs", off_mean, c, off_mean), 0, None))
-            for c in relative
-        )
+        self._off_mean = np.eye(theta_d.size) - share[:, None, :]
+        self.std_noise, self.std_camera = (self._normalised_std(c) for c in (noise, camera))
         std = np.sqrt(np.einsum("uss->us", strengths.noise_covariance + strengths.rig_covariance))
         resolved = there & found.resolved
         self.absolute = np.where(resolved, strength, np.nan)
         self.absolute_std = np.where(resolved, std, np.nan)
+
+    def _normalised_std(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the normalised term, from the relative covariance (channels, slices, slices)."""
+        variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
+        return self.normalised * np.sqrt(np.clip(variance, 0, None))
+
+    def picture_gain(self, theta_d: np.ndarray) -> float:
+        """Return the standard deviation of a picture's gain: by how much ln F is rougher than its noise.
+
+        Fourth differences over neighbouring slices take a smooth F away. What is not clearly more than noise is none.
+        """
+        squares, noise = [], []
+        quiet = theta_d < _STEEP
+        for curve, covariance in zip(self.normalised, self.relative, strict=True):
+            for first in range(int(quiet.sum()) - len(_FOURTH) + 1):
+                at = slice(first, first + len(_FOURTH))
+                if np.all(np.isfinite(curve[at]) & (curve[at] > 0)):
+                    squares.append(float(_FOURTH @ np.log(curve[at])) ** 2)
+                    noise.append(float(_FOURTH @ covariance[at, at] @ _FOURTH))
+        if len(squares) < len(_FOURTH):
+            return 0.0
+        power = float(_FOURTH @ _FOURTH)
+        excess, own = (np.array(squares) - noise) / power, np.array(noise) / power
+        variance = 0.0
+        for _ in range(_GAIN_ROUNDS):
+            weight = 1 / np.maximum(own + variance, 1e-300) ** 2
+            variance = max(float(weight @ excess / weight.sum()), 0.0)
+        # neighbouring differences share slices, so that they count for half
+        error = 2 * np.sqrt(float(weight @ (own + variance) ** 2 / weight.sum()) / len(squares))
+        pure_noise = 2 * np.sqrt(float(weight @ own**2 / weight.sum()) / len(squares))
+        return float(np.sqrt(variance)) if variance > _CLEAR_GAIN * pure_noise and variance > error / 2 else 0.0
+
+    def with_gain(self, gain: float) -> _FresnelTerm:
+        """Add the gain of each picture to the noise."""
+        one = gain**2 * np.eye(self.normalised.shape[1])
+        self.std_noise = np.hypot(self.std_noise, self._normalised_std(np.broadcast_to(one, self.relative.shape)))
+        self.absolute_std = np.hypot(self.absolute_std, gain * self.absolute)
+        return self
+
+
+def _average(terms: list[_FresnelTerm], others: list[_FresnelTerm], weight: float, *, held_back: bool) -> _FresnelTerm:
+    """Return F through the camera, or its mean with that of no camera, which has this weight.
+
+    What they differ in is uncertainty, as is what other lobes would make of it.
+    """
+    camera, *blind = terms
+    result = blind[0] if held_back else camera
+    variance = result.std_camera**2
+    absolute = result.absolute_std**2
+    for other in others:
+        variance = variance + (other.normalised - camera.normalised) ** 2
+        absolute = absolute + np.nan_to_num(other.absolute - camera.absolute) ** 2
+    if blind:
+        share = 1.0 if held_back else weight * (1 - weight)
+        apart = blind[0].normalised - camera.normalised
+        variance = variance + share * apart**2
+        absolute = absolute + share * np.nan_to_num(blind[0].absolute - camera.absolute) ** 2
+        if not held_back:
+            result.normalised = camera.normalised + weight * apart
+    result.std_camera, result.absolute_std = np.sqrt(variance), np.sqrt(absolute)
+    return result
+
+
+def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
+    """Return the rig with its lens as fitted; a lens of almost no width has a little, which no pixel shows."""
+    if LENS not in found.params:
+        return rig
+    return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
+
+
+def _gain_remarks(gain: float) -> tuple[Remark, ...]:
+    if not gain:
+        return ()
+    text = (
+        f"F scatters from picture to picture by {gain:.1%}: a gain of each picture, which its standard deviation holds"
+    )
+    return (Remark("picture-gain", text),)
 
 
 def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:

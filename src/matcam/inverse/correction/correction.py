@@ -11,25 +11,43 @@ from jax.typing import ArrayLike
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
-from matcam.core.errors import FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.inverse.correction.doubts import Doubt, ShapeCorrection, no_correction, rig_doubts, shape_correction
-from matcam.inverse.correction.lobe_ratio import CorrectionFits, LobeRatio, lobe_ratio, seen_cells
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, candidate_fits, free_setup, likeliest
+from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
+from matcam.inverse.correction.explanation import explain
+from matcam.inverse.correction.harmless import LobeRatio, shrunk, withheld, within_energy
+from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio, seen_cells
+from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig, sphere_radius
+from matcam.inverse.operator.rig_axes import known_lens
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
 
 SUPPORTED = 0.05
-"""Relative standard deviation up to which an entry is supported."""
+"""Relative standard deviation of the correction up to which an entry is supported."""
+TABLE_ATTRIBUTES = {
+    "brdf": {"units": "1/sr", "long_name": "BRDF freed from the camera"},
+    "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: correction and noise"},
+    "correction_std": {"long_name": "standard deviation of true / recorded value: what the camera leaves open"},
+    "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf: what pixel noise leaves open"},
+    "supported": {"long_name": "standard deviation of the correction under 5 %"},
+    "response": {"long_name": "recorded / true lobe"},
+}
+"""Attributes of the variables of a corrected table."""
 
-_BEND = 1.0
-"""How far a lobe whose family fails may leave it (`fit`, bend)."""
-_BEND_EVERY = 3 * SEARCH_EVERY
+_CORRECTED = "corrected_for_camera"
+"""Attribute of a table that is corrected."""
+_MATTERS = 0.01
+"""Change of the peak from which a correction that is withheld is worth a remark."""
+_WITHHELD = Remark(
+    "correction-withheld",
+    "rig and data contradict each other: the table stays as it is, and what the rig would have changed is the standard "
+    "deviation of the correction; anyway=True corrects it",
+)
 _NEAREST_GLARE = 8.0
 """px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
 _ANGLES = (5, 45, 75)
@@ -46,12 +64,13 @@ class Correction:
         doubts: the same fit with a parameter of the rig free, one for each parameter.
         shape: what was changed of the family's lobe.
         remarks: what a reader should know of the correction.
+        withheld: whether the table stays as it is, because rig and data contradict each other.
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
-        ['table', 'fit', 'doubts', 'shape', 'remarks']
+        ['table', 'fit', 'doubts', 'shape', 'remarks', 'withheld']
     """
 
     table: xr.Dataset
@@ -59,6 +78,7 @@ class Correction:
     doubts: tuple[Doubt, ...]
     shape: ShapeCorrection
     remarks: tuple[Remark, ...]
+    withheld: bool = False
 
     @classmethod
     def of(
@@ -70,6 +90,7 @@ class Correction:
         masking: Masking = "smith",
         noise: PixelNoise | None = None,
         glare: float = 1e-3,
+        anyway: bool = False,
         workspace: Workspace | None = None,
     ) -> Correction:
         """Correct a table as `correct` does, and keep the fits.
@@ -81,6 +102,7 @@ class Correction:
             masking: as for `correct`. Default: "smith".
             noise: as for `correct`. Default: None, estimated.
             glare: as for `correct` (no unit). Default: 1e-3.
+            anyway: as for `correct`. Default: False.
             workspace: as for `correct`. Default: None, the process's own.
 
         Returns:
@@ -91,28 +113,38 @@ class Correction:
             FitError: the table holds nothing to fit.
         """
         brdf = checked_table(brdf)
+        if brdf.attrs.get(_CORRECTED):
+            raise ArgumentError(
+                "brdf is corrected for a camera already, as its attributes say: give the table as it was recorded"
+            )
         check_rig(rig)
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
         workspace = workspace or default_workspace()
-        setup = free_setup([brdf], rig, masking=masking, noise=noise, workspace=workspace)
-        best = family = likeliest(candidate_fits(setup, ndf))
-        setup = setup.with_(ndf=family.family)
-        doubts = rig_doubts(setup, rig, family)
-        shape = shape_correction(best, noise)
-        if shape.family_fails:  # too far for what is linear: the lobe itself is bent
-            best = setup.with_(bend=_BEND, every=_BEND_EVERY).solve(start=family)
-            shape = no_correction(best, shape.scale)
-        ratio = lobe_ratio(rig, sampling_of(brdf), CorrectionFits(best, shape, family, doubts), workspace)
-        remarks = _correction_remarks(best, doubts, shape)
-        table = _corrected_table(brdf, best, shape.noise, ratio, glare * _farthest_glare(brdf, rig, best), glare)
+        found = explain(brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace)
+        best = found.fit
+        fits = CorrectionFits(best, found.shape, found.doubts, found.others)
+        fitted = lobe_ratio(rig, sampling_of(brdf), fits, workspace)
+        held_back = found.contradicts and not anyway
+        said = held_back and _matters(fitted)
+        if anyway:
+            ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
+        else:
+            ratio = withheld(fitted) if held_back else shrunk(fitted, found.no_camera)
+        scattered = glare * _farthest_glare(brdf, rig, best)
+        table = _corrected_table(brdf, best, found.shape.noise, ratio, scattered, glare)
+        remarks = found.remarks
+        if found.no_blur and _matters(fitted):
+            remarks = (*remarks, found.no_blur_remark)
+        if said:
+            remarks = (*remarks, _WITHHELD)
         table.attrs.update(
             ndf=best.family, masking=masking or "none", glare=glare, sampling=sampling_of(brdf),
             source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
-            camera_uncertainty="stated" if rig.camera.uncertainty else "none stated: taken as exact",
+            camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
-        return cls(table, best, doubts, shape, remarks)
+        return cls(table, best, found.doubts, found.shape, remarks, said)
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
         """Return the share of the highlight's peak that the camera lost.
@@ -137,8 +169,10 @@ class Correction:
     def determination(self) -> str:
         """Say in a word or two whether the lobe is known.
 
-        It is "determined", "not determined" or "family fails: bent".
+        It is "determined", "not determined", "family fails: bent", or "withheld": rig and data contradict each other.
         """
+        if self.withheld:
+            return "withheld"
         if self.shape.family_fails:
             return "family fails: bent"
         return "determined" if self.fit.determined else "not determined"
@@ -146,6 +180,12 @@ class Correction:
     @property
     def verdict(self) -> str:
         """Say in three plain sentences what was found."""
+        if self.withheld:
+            return (
+                "Rig and data contradict each other, so that the table stays as it is: the data do not show the blur that the "
+                f"rig would have made. What a camera may have taken is known to 5 % in {self.supported_share:.0%} of all "
+                "entries."
+            )
         lost = [
             f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
         ]
@@ -173,15 +213,21 @@ class Correction:
             "shape": {"scale": self.shape.scale, "b": self.shape.b},
             "supported_share": self.supported_share,
             "peak_gain_75": float(1 / self._peak_response(np.radians(75.0))),
+            "correction_std_75": float(self.table["correction_std"].values[self._peak(np.radians(75.0))].max()),
             "peak_lost": {str(angle): float(loss) for angle, loss in zip(_ANGLES, lost, strict=True)},
             "determination": self.determination,
+            "withheld": self.withheld,
             "verdict": self.verdict,
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
 
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
         """Return recorded over true peak, across the plane of incidence."""
-        return self.table["response"].values[self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)]
+        return self.table["response"].values[self._peak(theta_d)]
+
+    def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
+        """Return the index of the peak across the plane of incidence."""
+        return self._grid.index(theta_h=0.0, theta_d=theta_d, phi_d=np.pi / 2)
 
     @property
     def _grid(self) -> Grid:
@@ -196,6 +242,7 @@ def correct(
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
     glare: float = 1e-3,
+    anyway: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Correct a whole table for the camera that recorded it.
@@ -212,13 +259,17 @@ def correct(
         noise: noise of a pixel. Default: None, estimated from the residuals.
         glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It limits
             what is supported beside a highlight; a lens that is known to be clean allows less.
+        anyway: whether to correct a table whose data contradict the rig. Default: False, it stays as it is.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the table
-        is. `brdf_std`, 1/sr: standard deviation from pixel noise, fitted parameters, stated uncertainty of the camera, shape,
-        a free lens or lamp, and glare. It is NaN where the sphere's last pixels show the entry, which is left as it was.
-        `supported`: whether brdf_std is under 5 % of brdf. `response`: recorded / true lobe, over the first three dims.
+        is; what is not known shrinks to the recorded value, and no direction reflects more than it gets. Two standard
+        deviations say what is open. `correction_std`, no unit: of true over recorded value, from fitted parameters, the
+        camera's uncertainty, the lens's shape, the lobe's, a free lamp, and glare. `noise_std`, 1/sr: of brdf, from pixel
+        noise. Both make `brdf_std`, 1/sr. They are NaN where the sphere's last pixels show the entry, which is left as it was.
+        `supported`: whether the correction leaves less than 5 % of brdf open. `response`: recorded / true lobe, over the
+        first three dims. Attribute `withheld`: 1 where rig and data contradict each other; the response is 1 then.
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
@@ -235,7 +286,9 @@ def correct(
         ...
         matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
     """
-    return Correction.of(brdf, rig, ndf, masking=masking, noise=noise, glare=glare, workspace=workspace).table
+    return Correction.of(
+        brdf, rig, ndf, masking=masking, noise=noise, glare=glare, anyway=anyway, workspace=workspace
+    ).table
 
 
 def _corrected_table(
@@ -247,34 +300,68 @@ def _corrected_table(
     glare: float,
 ) -> xr.Dataset:
     """Return the corrected table. scattered: most light of the highlight, 1/sr, that glare adds to each entry."""
-    data = brdf.values
-    body = found.diffuse / np.pi
-    seen = seen_cells(sampling_of(brdf))[..., None]
+    data, sampling = brdf.values, sampling_of(brdf)
+    body, body_std = found.diffuse / np.pi, found.diffuse_std / np.pi
+    seen = seen_cells(sampling)[..., None]
     ratio = np.where(seen, np.exp(ratio_of_lobes.log)[..., None], 1.0)
     above = data - body
     lobe = above > 0
-    corrected = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
+    wanted = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
+    corrected = within_energy(data, wanted, sampling)
 
+    ratio = np.where(lobe, ratio, 1.0)
+    camera = np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
+    camera += (scattered**2 + (glare * data) ** 2) * ratio**2
+    camera += (body_std * (ratio - 1)) ** 2 + (wanted - corrected) ** 2
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
-    variance = (noise.relative**2 + noise.picture_gain**2) * data**2 + (noise.floor * peak) ** 2
-    variance = variance * np.where(lobe, ratio, 1.0) ** 2
-    variance += np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
-    variance += (scattered**2 + (glare * data) ** 2) * np.where(lobe, ratio, 1.0) ** 2
-    std = np.where(seen & np.isfinite(data), np.sqrt(variance), np.nan)
-    # of a bent lobe, the shape's own uncertainty says it
-    good = found.is_bent or found.determined or found.hwhm_std < SUPPORTED * found.hwhm
-    with np.errstate(invalid="ignore"):
-        supported = seen & (std < SUPPORTED * corrected) & good
+    pixels = ((noise.relative**2 + noise.picture_gain**2) * data**2 + (noise.floor * peak) ** 2) * ratio**2
+    known = seen & np.isfinite(data)
+    camera_std, noise_std = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        supported = known & (camera_std < SUPPORTED * corrected)
+        correction_std = np.where(data > 0, camera_std / data, np.nan)
     first = brdf.dims[:3]
     return xr.Dataset(
         {
-            "brdf": (brdf.dims, corrected, {**brdf.attrs, "units": "1/sr", "long_name": "BRDF freed from the camera"}),
-            "brdf_std": (brdf.dims, std, {"units": "1/sr", "long_name": "standard deviation of brdf"}),
-            "supported": (brdf.dims, supported, {"long_name": "standard deviation under 5 %"}),
-            "response": (first, np.exp(-ratio_of_lobes.log), {"long_name": "recorded / true lobe"}),
+            "brdf": (brdf.dims, corrected, {**brdf.attrs, **TABLE_ATTRIBUTES["brdf"], _CORRECTED: 1}),
+            **{
+                name: (brdf.dims, values, TABLE_ATTRIBUTES[name])
+                for name, values in (
+                    ("brdf_std", np.hypot(camera_std, noise_std)),
+                    ("correction_std", correction_std),
+                    ("noise_std", noise_std),
+                    ("supported", supported),
+                )
+            },
+            "response": (first, np.exp(-ratio_of_lobes.log), TABLE_ATTRIBUTES["response"]),
         },
         coords=brdf.coords,
     )
+
+
+def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
+    """Return a corrected table for a format that cannot say what is supported: what is not stays as it was recorded.
+
+    Args:
+        table: Dataset as from `correct`.
+        recorded: the table that was corrected, 1/sr.
+
+    Returns:
+        Table of the same dims, 1/sr, within the energy that the corrected one keeps to.
+
+    Example:
+        >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP
+    """
+    before, supported = recorded.values, table["supported"].values
+    if (supported | np.isnan(before)).all():
+        return table["brdf"]
+    chosen = np.where(supported, table["brdf"].values, before)
+    return table["brdf"].copy(data=within_energy(before, chosen, sampling_of(recorded)))
+
+
+def _matters(ratio: LobeRatio) -> bool:
+    """Say whether a correction would change the highlight at all."""
+    return bool(np.abs(ratio.log[0, : _ANGLES[-1]]).max() > _MATTERS)
 
 
 def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndarray:
@@ -296,11 +383,3 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
     # integral of D over normals is about 1: flux = F r^2 / 4
     cos_i = np.maximum(np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph)), 0.05)
     return f[None, :, None, :] * (radius**2 / 4 / (np.pi * np.e * distance2 * cos_i))[..., None]
-
-
-def _correction_remarks(found: MaterialFit, doubts: tuple[Doubt, ...], shape: ShapeCorrection) -> tuple[Remark, ...]:
-    """Say what a reader should know of a correction."""
-    remarks = list(found.remarks)
-    if shape.family_fails:
-        remarks.append(shape.remark(found.family))
-    return (*remarks, *(doubt.remark for doubt in doubts if doubt.contradicts))

@@ -12,12 +12,12 @@ data they stay close to 0 and cost nothing. Where not, what the pixels cannot re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 
-from matcam.camera.profile import Uncertainty
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp
 from matcam.core.remark import Remark
@@ -27,7 +27,7 @@ from matcam.inverse.fit.fit_readings import LinearisedFit
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis
+from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens
 from matcam.material.ndf.free_lobe import KNOTS, bend_basis
 from matcam.numerics.approximation import smoothness
 from matcam.numerics.linalg import scaled_inverse
@@ -35,6 +35,9 @@ from matcam.rigs import Rig
 
 CONTRADICTION_WEIGHT = 3.0
 """How often the change counts where rig and data contradict each other."""
+
+DOUBTED = (LENS, LAMP)
+"""Parameters of a rig that are doubted: the lens's width and the lamp's radius."""
 
 _SIGNIFICANT = 4.0
 """Standard deviations by which a free parameter has to move for that, and"""
@@ -52,6 +55,7 @@ class Doubt(NamedTuple):
         std: standard deviation of `value`.
         contradicts: whether rig and data contradict each other.
         fit: the fit with the parameter free.
+        weight: how often the change that it makes counts as uncertainty; 0 where the fit's own covariance has it.
     """
 
     axis: Axis
@@ -60,11 +64,12 @@ class Doubt(NamedTuple):
     std: float
     contradicts: bool
     fit: MaterialFit
+    weight: float
 
     @property
-    def weight(self) -> float:
+    def counted(self) -> float:
         """Return how often the change that it makes counts as uncertainty."""
-        return CONTRADICTION_WEIGHT if self.contradicts else 1.0
+        return self.weight * (CONTRADICTION_WEIGHT if self.contradicts else 1.0)
 
     @property
     def remark(self) -> Remark:
@@ -89,26 +94,47 @@ class Doubt(NamedTuple):
         return {**self.fit.to_dict(), "contradicts": self.contradicts}
 
 
-def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit) -> tuple[Doubt, ...]:
-    """Leave the lens's width and the lamp's radius free, one after the other. found: the solution of `setup`."""
-    exact = eqx.tree_at(lambda r: r.camera.uncertainty, rig, None, is_leaf=lambda x: x is None)
-    free = setup.with_(rig=exact, camera_parameters="free")
-    names = [LENS] if LENS in rig.camera.parameters() else []
-    return tuple(
-        _doubt(free.with_(free=(name,)).solve(start=found, weights="start"), name, rig) for name in (*names, LAMP)
-    )
+def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = DOUBTED) -> tuple[Doubt, ...]:
+    """Leave parameters of the rig free, one after the other. found: the solution of `setup`.
+
+    A width that has a prior is fitted already: its doubt is that fit.
+    """
+    doubts = []
+    for name in names:
+        if name in [axis.name for axis in found.coordinates.axes]:
+            doubts.append(_fitted_doubt(found, name, rig))
+        elif name == LAMP or name in rig.camera.parameters():
+            free = setup.with_(also=(name,))
+            doubts.append(_free_doubt(free.solve(start=found, weights="start"), name))
+    if not found.resolved:  # a lobe at its bound pushes the lens
+        return tuple(doubt._replace(contradicts=doubt.contradicts and doubt.axis.name != LENS) for doubt in doubts)
+    return tuple(doubts)
 
 
-def _doubt(fit: MaterialFit, name: str, rig: Rig) -> Doubt:
+def _free_doubt(fit: MaterialFit, name: str) -> Doubt:
+    """Return the doubt of a parameter that the rig gives as exact."""
     at = fit.coordinates
-    (axis,), (coordinate,) = at.axes, at.rig.tolist()
-    variance = float(at.covariance[-1, -1])
-    uncertainty = rig.camera.uncertainty
-    if isinstance(uncertainty, Uncertainty) and axis.base > 0:
-        stated = uncertainty.std().get(name, 0.0)
-        variance += (axis.base * stated / (axis.base**2 + axis.softening**2)) ** 2
-    contradicts = abs(coordinate) > max(_SIGNIFICANT * np.sqrt(variance), _LEAST)
-    return Doubt(axis, coordinate, fit.params[name], fit.std[name], bool(contradicts), fit)
+    place = [axis.name for axis in at.axes].index(name)
+    own = len(at.lobe) + place
+    coordinate, std = float(at.rig[place]), float(np.sqrt(at.covariance[own, own]))
+    contradicts = bool(abs(coordinate) > max(_SIGNIFICANT * std, _LEAST))
+    return Doubt(at.axes[place], coordinate, fit.params[name], fit.std[name], contradicts, fit, weight=1.0)
+
+
+def _fitted_doubt(fit: MaterialFit, name: str, rig: Rig) -> Doubt:
+    """Return the doubt of a parameter with a prior: it contradicts the data if these alone would put it elsewhere."""
+    at = fit.coordinates
+    place = [axis.name for axis in at.axes].index(name)
+    own = len(at.lobe) + place
+    axis, coordinate, variance = at.axes[place], float(at.rig[place]), float(at.covariance[own, own])
+    known = known_lens(rig.camera).uncertainty
+    relative = (known.std()[name] if known else 0.0) / axis.base
+    if is_guess(name, relative):  # nothing is claimed that the data could contradict
+        return Doubt(axis, coordinate, fit.params[name], fit.std[name], False, fit, weight=0.0)
+    by_data = 1 / max(1 / variance - 1 / relative**2, 1e-9)
+    likeliest = coordinate * by_data / variance
+    contradicts = abs(likeliest) > _SIGNIFICANT * np.hypot(np.sqrt(by_data), relative)
+    return Doubt(axis, coordinate, fit.params[name], fit.std[name], bool(contradicts), fit, weight=0.0)
 
 
 FAMILY_FAILS = 0.05
@@ -142,12 +168,14 @@ class ShapeCorrection(NamedTuple):
         """Say whether the lobe's family does not explain the data."""
         return self.scale > FAMILY_FAILS
 
-    def remark(self, family: str) -> Remark:
-        """Say what a reader should know of a family that does not explain the data."""
+    def remark(self, family: str, *, bent: bool) -> Remark:
+        """Say what a reader should know of a family that does not explain the data. bent: whether a bent lobe does."""
+        said = "its shape was bent, and what the pixels do not resolve of that shape counts as uncertainty"
+        if not bent:
+            said = "a bent one does not, either, so that what bending changes counts as uncertainty"
         return Remark(
             "family-fails",
-            f"no {family} lobe explains the data: its shape was bent (scale {self.scale:g}), and what the pixels do "
-            "not resolve of that shape counts as uncertainty",
+            f"no {family} lobe explains the data (scale {self.scale:g}): {said}",
         )
 
 

@@ -18,6 +18,7 @@ from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection, shape_records
+from matcam.inverse.correction.harmless import LobeRatio
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -52,7 +53,7 @@ FINE = Spacing(
 )
 """For the response itself."""
 COARSE = Spacing(
-    (0, 1, 2, 3, 5, 7, 10, 13, 17, 22, 28, 36, 46, 58, 72, 89),
+    (*range(14), 15, 17, 19, 22, 25, 28, 32, 36, 46, 58, 72, 89),
     (0, 20, 38, 52, 61, 68, 73, 77, 80, 82, 84, 86, 88, 89),
     (0, 8, 20, 36, 53, 69, 80, 90),
 )
@@ -132,56 +133,47 @@ def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
     return np.ascontiguousarray(across.transpose(1, 0, 2))
 
 
-class LobeRatio(NamedTuple):
-    """Hold true over recorded lobe; arrays over a table's angles, (90, 90, 180).
-
-    Attributes:
-        log: ln(true / recorded).
-        std: its standard deviation: fitted parameters, shape, rig and doubts.
-    """
-
-    log: np.ndarray
-    std: np.ndarray
-
-
 class CorrectionFits(NamedTuple):
     """Hold the fits that a correction is made of.
 
     Attributes:
         fit: of the lobe that is corrected for.
         shape: what was changed of its shape.
-        family: the fit that the doubts began from.
         doubts: fits with a parameter of the rig free.
+        others: fits of other lobes through the same camera, whose difference counts as uncertainty.
     """
 
     fit: MaterialFit
     shape: ShapeCorrection
-    family: MaterialFit
     doubts: Sequence[Doubt]
+    others: Sequence[MaterialFit] = ()
 
 
 def lobe_ratio(rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Workspace) -> LobeRatio:
     """Return the ratio of a fit and its shape's correction.
 
     It is computed on a fine lattice with the rig as given. Three things are smooth, so that a coarse lattice holds them: what
-    fitted parameters of the rig change of the ratio, its derivatives, and what doubts would make of it.
+    fitted parameters of the rig change of the ratio, its derivatives, and what doubts and other lobes would make of it.
     """
-    at, family = fits.fit.coordinates, fits.family.coordinates
+    at = fits.fit.coordinates
     fine = response_lattice(rig, sampling, FINE, (), workspace)
-    axes = (*at.axes, *(doubt.axis for doubt in fits.doubts))
+    doubts = [doubt for doubt in fits.doubts if doubt.counted]
+    alternatives = [(doubt.fit, doubt.counted) for doubt in doubts] + [(other, 1.0) for other in fits.others]
+    axes = tuple(
+        dict.fromkeys(axis for one in (fits.fit, *(fit for fit, _ in alternatives)) for axis in one.coordinates.axes)
+    )
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace)
-    at_rest = np.zeros(len(axes))
     fitted = at.rig @ axis_selection(at.axes, axes)
-    before = family.rig @ axis_selection(family.axes, axes)
 
     log = on_table(_shaped(fine, at, fits.shape), fine)
+    here = _plain(coarse, at, fitted)
     if fitted.any():
-        log += on_table(_plain(coarse, at, fitted) - _plain(coarse, at, at_rest), coarse)
+        log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
     variance = np.maximum(on_table(_variance(coarse, at, fits.shape, fitted), coarse), 0.0)
-    for doubt in fits.doubts:
-        instead = doubt.coordinate * axis_selection((doubt.axis,), axes)[0]
-        change = _plain(coarse, doubt.fit.coordinates, instead) - _plain(coarse, family, before)
-        variance += (doubt.weight * on_table(change, coarse)) ** 2
+    for other, weight in alternatives:
+        there = other.coordinates
+        change = _plain(coarse, there, there.rig @ axis_selection(there.axes, axes)) - here
+        variance += (weight * on_table(change, coarse)) ** 2
     return LobeRatio(log, np.sqrt(variance))
 
 

@@ -20,7 +20,10 @@ from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_re
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
+from matcam.material.ndf.free_lobe import slope_of_knot
 from matcam.numerics.approximation import smoothness
+
+_STIFFER = 10.0
 
 
 class Prior(NamedTuple):
@@ -30,11 +33,13 @@ class Prior(NamedTuple):
         axes: the rig's parameters that are fitted.
         root: (rows, axes), root of the information matrix of their coordinates; 0 where nothing is known.
         bend: standard deviation of the second differences of a spline's coefficients.
+        finest: slope below which the camera shows no structure, where a bend is ten times stiffer.
     """
 
     axes: tuple[Axis, ...] = ()
     root: np.ndarray = np.zeros((0, 0))
     bend: float = 0.0
+    finest: float = 0.0
 
     def rows(self, layout: Layout) -> np.ndarray:
         """Return (rows, parameters): combinations of the parameters that are 0 +- 1."""
@@ -43,11 +48,14 @@ class Prior(NamedTuple):
         rows = [rig]
         kind = layout.kind
         first = len(kind.family_names)
-        for start, count in ((first, kind.bends), (first + kind.bends, kind.shadows)):
+        for start, count, finest in ((first, kind.bends, self.finest), (first + kind.bends, kind.shadows, 0.0)):
             for lobe in range(layout.lobes if count else 0):
-                own = np.zeros((len(smoothness(count)), layout.size))
+                smooth = smoothness(count)
+                own = np.zeros((len(smooth), layout.size))
                 place = layout.lobe(lobe).start + start
-                own[:, place : place + count] = smoothness(count) / self.bend
+                middle = np.abs(smooth) @ np.arange(count) / np.abs(smooth).sum(axis=1)
+                smooth[slope_of_knot(middle) < finest] *= _STIFFER  # what no pixel resolves is the family's
+                own[:, place : place + count] = smooth / self.bend
                 rows.append(own)
         return np.concatenate(rows)
 

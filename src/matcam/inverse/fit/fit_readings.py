@@ -13,7 +13,7 @@ from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.search import Solution
-from matcam.inverse.operator.rig_axes import WIDTHS, Axis
+from matcam.inverse.operator.rig_axes import ASSUMED, SHAPE, WIDTHS, Axis, known_lens
 from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
 
@@ -200,8 +200,13 @@ def fit_remarks(
     if camera is None:
         remarks.append(Remark("no-rig", "no rig: fitted as if the camera were perfect"))
     elif not prior.axes:
-        unstated = "" if camera.uncertainty else ": its profile states no uncertainty"
-        remarks.append(Remark("camera-exact", f"the camera is assumed exact{unstated}"))
+        remarks.append(Remark("camera-exact", "the camera is taken as exact"))
+    elif solution.problem.prior.root.any() and known_lens(camera).assumed:
+        text = (
+            f"the profile states no uncertainty: the lens's width is assumed to be known to {ASSUMED:.0%}; state its "
+            "standard deviation, or 0 for an exact lens"
+        )
+        remarks.append(Remark("lens-assumed", text))
     stds = np.sqrt(np.diag(solution.covariance)[place])
     for axis, coordinate, own in zip(prior.axes, solution.p[place], stds, strict=True):
         square, std = axis.square(coordinate, own)
@@ -298,7 +303,7 @@ def fitted_camera(solution: Solution, camera: Camera) -> Camera:
     """Return a camera as fitted, with its new uncertainty."""
     problem: FitProblem = solution.problem
     axes, place = problem.prior.axes, problem.layout.rig
-    lens = [n for n, axis in enumerate(axes) if axis.name not in WIDTHS]
+    lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, SHAPE)]
     if not lens:
         return camera
     coordinates = solution.p[place]

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from matcam.camera.profile import Uncertainty
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
@@ -28,7 +29,17 @@ from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
-from matcam.inverse.operator.rig_axes import LENS, free_axis, prior_axis
+from matcam.inverse.operator.rig_axes import (
+    LENS,
+    Axis,
+    axis_selection,
+    free_axis,
+    guess_std,
+    is_guess,
+    known_lens,
+    prior_axis,
+    shape_axis,
+)
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
@@ -55,9 +66,12 @@ class FitSetup:
         diffuse: whether to add a Lambertian part. Default: False.
         per_channel: whether each channel has a lobe of its own. Default: False.
         masking: the lobe's G. Default: "smith".
-        camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior" if the
-            camera states an uncertainty, else "fixed".
+        camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior", unless
+            the camera is stated as exact. Where it states nothing, a tenth of the lens's width is assumed.
         free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
+        also: names of the rig's parameters that are fitted with nothing known, beside those with a prior. Default: ().
+        lens_shape: whether the shape of the lens's kernel is fitted, too: between a disc's and one with long tails. Default:
+            False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
@@ -87,6 +101,8 @@ class FitSetup:
     masking: Masking = "smith"
     camera_parameters: CameraParameters | None = None
     free: tuple[str, ...] = (LENS,)
+    also: tuple[str, ...] = ()
+    lens_shape: bool = False
     bend: float = 0.0
     free_masking: bool = False
     noise: PixelNoise | None = None
@@ -160,8 +176,7 @@ class FitSetup:
         for lobe in range(layout.lobes):
             size = min(layout.kind.size, before.kind.size)
             vector[layout.lobe(lobe)][:size] = p[before.lobe(lobe)][:size]
-        if self.prior.axes == problem.prior.axes:
-            vector[layout.rig] = p[before.rig]
+        vector[layout.rig] = p[before.rig] @ axis_selection(problem.prior.axes, self.prior.axes)
         vector[layout.rig.stop :] = p[before.rig.stop :]
         return vector
 
@@ -196,38 +211,47 @@ class FitSetup:
                 )
             return Prior(bend=self.bend)
         check_rig(self.rig)
-        uncertainty = self.rig.camera.uncertainty
-        stated = uncertainty is not None and bool(uncertainty.names)
+        known = known_lens(self.rig.camera)
         if camera_parameters is None:
-            camera_parameters = "prior" if stated else "fixed"
+            camera_parameters = "fixed" if known.exact else "prior"
         checks.choice("camera_parameters", camera_parameters, CAMERA_PARAMETERS)
-        if camera_parameters == "fixed":
-            return Prior(bend=self.bend)
-        if camera_parameters == "free":
-            axes = tuple(free_axis(name, self.rig) for name in self.free)
-            return Prior(axes, np.zeros((len(axes), len(axes))), self.bend)
-        if not stated:
+        if camera_parameters == "prior" and known.exact:
             raise ArgumentError(
                 "camera_parameters='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))"
             )
-        return _stated_prior(self.rig, self.bend)
+        axes: tuple[Axis, ...] = ()
+        root = np.zeros((0, 0))
+        if camera_parameters == "free":
+            axes = tuple(free_axis(name, self.rig) for name in self.free)
+            root = np.zeros((len(axes), len(axes)))
+        elif camera_parameters == "prior" and known.uncertainty is not None:
+            axes, root = _stated_prior(self.rig, known.uncertainty)
+        if self.also:
+            axes = (*axes, *(free_axis(name, self.rig) for name in self.also))
+            root = np.pad(root, ((0, 0), (0, len(self.also))))
+        if self.lens_shape:
+            axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))
+            root[-1, -1] = 1.0
+        finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_radius(self.rig)
+        return Prior(axes, root, self.bend, finest)
 
 
-def _stated_prior(rig: Rig, bend: float) -> Prior:
-    """Return the camera's stated uncertainty as a prior of relative changes of its parameters."""
-    uncertainty = rig.camera.uncertainty
-    assert uncertainty is not None
+def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
+    """Return a camera's uncertainty as axes of its parameters and the root of the information on their coordinates."""
     parameters = rig.camera.parameters()
     value = np.array([float(parameters[name]) for name in uncertainty.names])
     covariance = np.asarray(uncertainty.covariance)
     uncertain = (np.diag(covariance) > 0) & (value > 0)
     names = [name for name, one in zip(uncertainty.names, uncertain, strict=True) if one]
     relative = covariance[np.ix_(uncertain, uncertain)] / np.outer(value[uncertain], value[uncertain])
-    variances, vectors = np.linalg.eigh(relative)
-    root = (vectors / np.sqrt(np.maximum(variances, 1e-12))).T
     stds = np.sqrt(np.diag(relative)).tolist()
-    axes = (prior_axis(*one) for one in zip(names, value[uncertain].tolist(), stds, strict=True))
-    return Prior(tuple(axes), root, bend)
+    axes, scales = [], []
+    for name, base, std in zip(names, value[uncertain].tolist(), stds, strict=True):
+        guess = is_guess(name, std)
+        axes.append(free_axis(name, rig) if guess else prior_axis(name, base, std))
+        scales.append(guess_std(axes[-1], std) / std if guess else 1.0)
+    variances, vectors = np.linalg.eigh(relative * np.outer(scales, scales))
+    return tuple(axes), (vectors / np.sqrt(np.maximum(variances, 1e-12))).T
 
 
 def fit(
@@ -264,8 +288,9 @@ def fit(
         per_channel: whether each channel has a lobe of its own. Default: False, one lobe for all.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         camera_parameters: how the rig's parameters are treated. "fixed": as the rig says. "prior": the camera's uncertain
-            parameters are fitted, with its covariance as their prior. "free": the parameters named in `free` are fitted with
-            nothing known. Default: None, "prior" if the camera states an uncertainty, else "fixed".
+            parameters are fitted, with its covariance as their prior; where the camera states none, the lens's width is
+            assumed to be known to 10 %. "free": the parameters named in `free` are fitted with nothing known. Default: None,
+            "prior", or "fixed" if the camera states that it is exact (a standard deviation of 0).
         free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "lamp_radius", "jitter", "aperture")
             may come down to 0. Default: the width of a Gaussian lens.
         bend: how far D may leave its family, smoothly (no unit). It is the standard deviation of the second differences of ln D

@@ -111,6 +111,12 @@ class MaterialFit:
         return self._solution.problem.diffuse(self._solution.p)
 
     @property
+    def diffuse_std(self) -> np.ndarray:
+        """Return the standard deviation of `diffuse`, (channels,), no unit."""
+        layout, variance = self._solution.problem.layout, np.diag(self._solution.covariance)
+        return np.array([np.sqrt(variance[layout.unit(u)][-1]) if layout.diffuse else 0.0 for u in range(layout.units)])
+
+    @property
     def is_bent(self) -> bool:
         """Say whether the lobe may leave its family (`bend`)."""
         return bool(self.coordinates.kind.bends)

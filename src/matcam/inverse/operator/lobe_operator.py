@@ -21,7 +21,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.forward.integral.blur import blur_of, groups_of
+from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.polar_rule import (
     THROUGH_SAMPLES,
@@ -33,7 +33,7 @@ from matcam.inverse.operator.polar_rule import (
     polar_window,
     transfer,
 )
-from matcam.inverse.operator.rig_axes import Axis, rig_with
+from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
 from matcam.material.masking import Masking, cot_of, g2, interpolated_lambda
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
@@ -220,8 +220,8 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
     theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
     pixels = Pixels(*(padded(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, 0.5 / cells.cos_i)))
     depth = np.sqrt(np.maximum(1 - (pixels.x**2 + pixels.y**2) / radius**2, 0))
-    rigs = [rig, *(rig_with(rig, {a.name: a.value(point)}) for a in axes for point in a.points if point)]
-    blurs = [blur_of(r) for r in rigs]
+    own = blur_of(rig)
+    blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
     if any(blur.varies for blur in blurs):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]
     spreads = [
@@ -254,8 +254,7 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
             weights = [transfer(rule, widest) for rule in rules]
         weight, *others = (np.asarray(w) for w in weights)
         theta, cos_psi = np.asarray(shown.theta), np.asarray(shown.cos_psi)
-        changes = (other - weight for other in others)
-        along = [next(changes) if point else 0 * weight for axis in axes for point in axis.points]
+        along = _changes_along(axes, weight, others)
         columns.append(
             [full(part) for part in (theta, weight, *(a[:, None] for a in masking_samples(theta, cos_psi)), *along)]
         )
@@ -266,6 +265,26 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
         arrays[f"along{n}"] = np.stack(named[first : first + len(axis.points)])
         first += len(axis.points)
     return arrays
+
+
+def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
+    """Return the blurs whose rules an axis needs. own: that of the rig."""
+    if axis.name == SHAPE:
+        scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
+        return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
+    return [blur_of(rig_with(rig, {axis.name: axis.value(point)})) for point in axis.points if point]
+
+
+def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[np.ndarray]:
+    """Return by how much the weights differ at every point of every axis. others: weights of `_blurs_along`, in order."""
+    changes = (other - weight for other in others)
+    along = []
+    for axis in axes:
+        if axis.name == SHAPE:
+            along += [0 * weight, SHAPE_SHARE * (next(changes) + next(changes))]
+        else:
+            along += [next(changes) if point else 0 * weight for point in axis.points]
+    return along
 
 
 def perfect_operator(

@@ -1,4 +1,4 @@
-"""The parameters of a rig that a fit may change, each along an axis of its own.
+"""The parameters of a rig that a fit may change, each along an axis of its own, and what a rig says of them beforehand.
 
 A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other blurs. Its
 coordinate is half the logarithm of that total variance: what a pixel records is smooth in it down to a width of 0. Where a
@@ -13,6 +13,8 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from matcam.camera.camera import Camera
+from matcam.camera.profile import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import blur_of
@@ -21,6 +23,9 @@ from matcam.rigs import Rig
 LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
 LAMP = "lamp_radius"
+SHAPE = "lens shape"
+"""Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
+tails."""
 WIDTHS = (LAMP, "jitter", "aperture")
 """Fields of `Rig` that widen a highlight."""
 
@@ -34,6 +39,17 @@ _NARROWEST = 1e-3
 """px; a lens of 0 is none at all, and no camera of ours."""
 _PRIOR_RANGE = 5.0
 """Half range in standard deviations, where something is known."""
+_GUESS = 0.25
+"""Relative standard deviation of a lens's width from which it is a guess, which may come down to 0."""
+_LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
+"""Parameters of lenses that scale their kernel."""
+ASSUMED = 0.1
+"""Relative standard deviation of a lens's width of which its profile states none."""
+SHAPE_SPREAD = 0.55
+"""Relative change of variance of the two kernels that change a lens's shape; with it"""
+SHAPE_SHARE = 1 / (6 * SHAPE_SPREAD**2)
+"""of both, less twice the lens itself, gives a Gaussian the fourth moment of a disc of its variance, and half its centre."""
+_SHAPES = (-1.5, 4.0)
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
 
@@ -59,6 +75,8 @@ class Axis(NamedTuple):
 
     def value(self, coordinate: float) -> float:
         """Return the parameter at a coordinate."""
+        if self.name == SHAPE:
+            return coordinate
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
@@ -71,8 +89,60 @@ class Axis(NamedTuple):
 
         At a width of 0 the derivative is infinite.
         """
+        if self.name == SHAPE:
+            return 1.0
         step = max(std, 1e-6)
         return (self.value(coordinate + step) - self.value(coordinate)) / step
+
+
+def shape_axis() -> Axis:
+    """Return the axis of the shape of the lens's kernel, which is linear in its coordinate."""
+    return Axis(SHAPE, 0.0, 0.0, *_SHAPES, (0.0, 1.0))
+
+
+class KnownLens(NamedTuple):
+    """Say what is known of a camera's lens before the data.
+
+    Attributes:
+        uncertainty: of the camera's parameters; None: there is none to state.
+        words: the same, in words.
+        assumed: whether nothing was stated, so that a tenth of the width is assumed.
+        exact: whether the lens is stated as exact, or has no width to doubt.
+    """
+
+    uncertainty: Uncertainty | None
+    words: str
+    assumed: bool
+    exact: bool
+
+
+def known_lens(camera: Camera) -> KnownLens:
+    """Return what is known of a camera's lens: as its profile states, or a tenth of its width."""
+    if camera.uncertainty is not None and camera.uncertainty.names:
+        if any(std > 0 for std in camera.uncertainty.std().values()):
+            return KnownLens(camera.uncertainty, "stated", assumed=False, exact=False)
+        return KnownLens(camera.uncertainty, "stated as exact", assumed=False, exact=True)
+    widths = {
+        name: ASSUMED * float(value)
+        for name, value in camera.parameters().items()
+        if name.startswith("optics.") and name.rsplit(".", 1)[-1] in _LENS_WIDTHS and float(value) > 0
+    }
+    if not widths:
+        return KnownLens(None, "none stated: taken as exact", assumed=False, exact=True)
+    return KnownLens(
+        Uncertainty.of(widths), f"none stated: {ASSUMED:.0%} of the lens's width", assumed=True, exact=False
+    )
+
+
+def is_guess(name: str, relative: float) -> bool:
+    """Say whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
+    return name == LENS and relative >= _GUESS
+
+
+def guess_std(axis: Axis, relative: float) -> float:
+    """Return the standard deviation along a free axis of a width known to a relative one: the step upwards."""
+    wider = (axis.base * (1 + relative)) ** 2 + axis.softening**2
+    return float(0.5 * np.log(wider / (axis.base**2 + axis.softening**2)))
 
 
 def prior_axis(name: str, base: float, std: float) -> Axis:

@@ -77,6 +77,11 @@ def bend_basis(slope2: jax.Array) -> list[jax.Array]:
     return cubic_basis(place, KNOTS)
 
 
+def slope_of_knot(place: np.ndarray) -> np.ndarray:
+    """Return the slope at a knot of the bend, counted from 0; between knots, too."""
+    return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
+
+
 def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
     return combined(bends, bend_basis(slope2))
 

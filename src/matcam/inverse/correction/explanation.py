@@ -1,0 +1,160 @@
+"""What explains a table best: a lobe through the rig's camera, bent or not, or no camera at all (docs/correct.md).
+
+`correct` and `fresnel` read the same explanation, so they cannot contradict each other. Everything is fitted to the same
+cells with F free in every slice and a Lambertian part.
+
+- The camera: its lens as the profile states it or as assumed, the shape of the lens's kernel uncertain, too.
+- A lobe whose family fails is bent, where that explains the noise. Elsewhere what bending would change is uncertainty.
+- No camera: the same lobe as a perfect camera would have recorded it. If it makes the data clearly more probable, the data
+  show no blur by this camera, whatever the rig says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from matcam.camera.sensor import PixelNoise
+from matcam.core.remark import Remark
+from matcam.core.workspace import Workspace
+from matcam.inverse.correction.doubts import (
+    DOUBTED,
+    Doubt,
+    ShapeCorrection,
+    no_correction,
+    rig_doubts,
+    shape_correction,
+)
+from matcam.inverse.fit.fit_setup import SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
+from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.operator.lobe_operator import sphere_radius
+from matcam.inverse.operator.rig_axes import LENS, known_lens
+from matcam.material.masking import Masking
+from matcam.rigs import Rig
+
+_MOST_BEND = 1.0
+"""How far a lobe whose family fails may leave it at most (`fit`, bend): as far as the data ask, up to this."""
+_BEND_EVERY = 3 * SEARCH_EVERY
+_SMOOTH_CORE = "ggx"
+"""Family that is bent if it was tried: unlike EPD's it has no cusp, of which no pixel could say whether it is there."""
+_MOST_NOISE = 0.05
+"""Noise of a pixel, estimated, up to which a lobe explains its data."""
+_MOST_MISFIT = 2.0
+"""Misfit up to which a lobe explains its data, where the noise was given."""
+_EVIDENCE = 0.1
+"""Share of a difference of log likelihoods that is believed: what a model misses is the same in neighbouring cells."""
+
+
+class Explanation(NamedTuple):
+    """Hold the fits of a table and what they say together.
+
+    Attributes:
+        setup: of `fit`.
+        candidates: fits of each family through the camera.
+        fit: the lobe through the camera that explains the data best.
+        shape: what is changed of its shape.
+        others: other lobes through the same camera, whose difference is uncertainty.
+        others_setup: of `others`.
+        doubts: fits with a parameter of the rig free.
+        blind_setup: of `blind`.
+        blind: the lobe without a camera.
+        no_camera: probability that no camera, rather than this one, made the table.
+    """
+
+    setup: FitSetup
+    candidates: list[MaterialFit]
+    fit: MaterialFit
+    shape: ShapeCorrection
+    others: tuple[MaterialFit, ...]
+    others_setup: FitSetup
+    doubts: tuple[Doubt, ...]
+    blind_setup: FitSetup
+    blind: MaterialFit
+    no_camera: float
+
+    @property
+    def no_blur(self) -> bool:
+        """Say whether the data show no blur by this camera."""
+        return self.no_camera > 0.5
+
+    @property
+    def contradicts(self) -> bool:
+        """Say whether rig and data contradict each other: no blur, or another lens than is stated."""
+        return self.no_blur or any(doubt.contradicts for doubt in self.doubts if doubt.axis.name == LENS)
+
+    @property
+    def no_blur_remark(self) -> Remark:
+        """Say that the data show no blur."""
+        noise = [f"{fit.noise.relative:.1%}" for fit in (self.blind, self.fit)]
+        return Remark(
+            "no-blur-in-data",
+            f"the data show no blur by this camera: without it a pixel's noise would be {noise[0]}, with it {noise[1]}",
+        )
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        """Say what a reader should know of it."""
+        remarks = list(self.fit.remarks)
+        if self.shape.family_fails:
+            remarks.append(self.shape.remark(self.fit.family, bent=self.fit.is_bent))
+        return (*remarks, *(doubt.remark for doubt in self.doubts if doubt.contradicts))
+
+
+def explain(
+    brdf: xr.DataArray,
+    rig: Rig,
+    ndf: str,
+    *,
+    masking: Masking,
+    noise: PixelNoise | None,
+    workspace: Workspace | None,
+    every: int = SEARCH_EVERY,
+    doubted: Sequence[str] = DOUBTED,
+) -> Explanation:
+    """Return the explanation of a checked table. Arguments are those of `correct`.
+
+    every: spacing of the slices that are used. doubted: parameters of the rig that are left free.
+    """
+    exact = known_lens(rig.camera).exact
+    setup = free_setup([brdf], rig, masking=masking, noise=noise, every=every, workspace=workspace)
+    setup = setup.with_(lens_shape=not exact)
+    candidates = candidate_fits(setup, ndf)
+    found = likeliest(candidates)
+    setup = setup.with_(ndf=found.family)
+    blind_setup = FitSetup(
+        (brdf,), None, found.family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=setup.every,
+        radius=sphere_radius(rig), workspace=workspace,
+    )  # fmt: skip
+    shape = shape_correction(found, noise)
+    others: tuple[MaterialFit, ...] = ()
+    others_setup = setup
+    if not shape.family_fails:
+        blind, through_camera = blind_setup.solve(), found
+    else:
+        few = setup.with_(every=max(_BEND_EVERY, every))
+        bend = min(shape.scale, _MOST_BEND)
+        base = next((one for one in candidates if one.family == _SMOOTH_CORE), found)
+        bent_setup = few.with_(bend=bend, ndf=base.family)
+        through_camera = bent_setup.solve(start=base)
+        blind_setup = blind_setup.with_(every=few.every, ndf=base.family)
+        plain = blind_setup.solve()
+        blind_setup = blind_setup.with_(bend=bend)
+        blind = blind_setup.solve(start=plain)
+        if _explains(through_camera, noise):
+            found, setup, shape = through_camera, bent_setup, no_correction(through_camera, shape.scale)
+        else:
+            others, others_setup, shape = (through_camera,), bent_setup, no_correction(found, shape.scale)
+    difference = _EVIDENCE * (blind.log_likelihood - through_camera.log_likelihood)
+    no_camera = float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))
+    doubts = rig_doubts(setup, rig, found, doubted)
+    return Explanation(setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera)
+
+
+def _explains(found: MaterialFit, noise: PixelNoise | None) -> bool:
+    """Say whether a fit leaves no more than a pixel's noise."""
+    if noise is not None:
+        return found.misfit < _MOST_MISFIT
+    return max(found.noise.relative, 20 * found.noise.floor) < _MOST_NOISE

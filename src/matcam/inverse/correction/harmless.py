@@ -1,0 +1,124 @@
+"""Doing no harm: no entry of a table is moved further than the data determine, nor beyond what a surface can reflect.
+
+- The ratio of true over recorded lobe shrinks to 1 by its own variance: the logarithm L, of standard deviation s, becomes
+  L (1 - s^2 / L^2), and 0 where s exceeds |L| (the positive part of James & Stein's estimate). What is well known stays.
+- Where rig and data contradict each other the ratio is 1, and what it would have been is its standard deviation.
+- The light that leaves a surface in all directions is at most the light that falls on it (albedo, docs/model.md 1): what the
+  correction adds is cut down where it would break that. A table that breaks it by itself does not get worse.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
+
+_AZIMUTHS = 72
+_DIRECTIONS = np.radians(np.arange(90) + 0.5)
+
+
+class LobeRatio(NamedTuple):
+    """Hold true over recorded lobe; arrays over a table's angles, (90, 90, 180).
+
+    Attributes:
+        log: ln(true / recorded).
+        std: standard deviation of the ratio over its value: fitted parameters, shape, rig and doubts.
+    """
+
+    log: np.ndarray
+    std: np.ndarray
+
+
+def withheld(ratio: LobeRatio) -> LobeRatio:
+    """Return no correction: what it would have been is uncertainty."""
+    return LobeRatio(
+        np.zeros_like(ratio.log), np.hypot(np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1) * ratio.std)
+    )
+
+
+def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
+    """Return the mean of a ratio and of none at all, shrunk to 1. no_camera: probability that none is needed."""
+    mean = (1 - no_camera) * ratio.log
+    variance = (1 - no_camera) * ratio.std**2 + no_camera * (1 - no_camera) * ratio.log**2
+    share = np.clip(1 - variance / np.maximum(mean**2, 1e-300), 0, 1)
+    lost = np.expm1(mean * (1 - share))
+    return LobeRatio(mean * share, np.sqrt(variance + lost**2))
+
+
+def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Sampling) -> np.ndarray:
+    """Return a corrected table whose albedo is at most 1, or that of the recorded one, in every direction and channel.
+
+    Both are (90, 90, 180, channels), 1/sr; missing entries send nothing. Only what the correction added is cut down, for light
+    and view alike, so that the result is as reciprocal as both are.
+    """
+    change = np.nan_to_num(corrected) - np.nan_to_num(recorded)
+    if not (change > 0).any():
+        return corrected
+    before = albedo(recorded, sampling)
+    added, taken = (albedo(np.maximum(side * change, 0), sampling) for side in (1, -1))
+    room = np.maximum(1.0, before) - before + taken
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(added > room, room / added, 1.0)
+    if (share == 1).all():
+        return corrected
+    # of the directions on either side of an entry's own, the stricter
+    share = np.minimum(share, np.minimum(np.r_[share[1:], share[-1:]], np.r_[share[:1], share[:-1]]))
+    light, view = _directions(sampling)
+    allowed = np.minimum(share[light], share[view])
+    return np.where(change > 0, recorded + change * allowed, corrected)
+
+
+def albedo(table: np.ndarray, sampling: Sampling) -> np.ndarray:
+    """Return the light that a table sends into all directions, per light that falls on it; (directions, channels).
+
+    Directions are 0.5, 1.5 ... 89.5 degrees from the normal. The integral goes over half vectors, where a lobe's cells are:
+    4 brdf cos_o (light . half) over their solid angle.
+    """
+    cells, weight = _albedo_rule(sampling)
+    flat = np.nan_to_num(table).reshape(-1, table.shape[-1])
+    return np.stack([w @ flat[c] for c, w in zip(cells, weight, strict=True)])
+
+
+@lru_cache(maxsize=2)
+def _albedo_rule(sampling: Sampling) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the cells that each direction's integral reads, and their weights."""
+    edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
+    ring = -np.diff(np.cos(edges))
+    theta = ((edges[:-1] + edges[1:]) / 2)[:, None]
+    turn = 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
+    cells, weights = [], []
+    for direction in _DIRECTIONS:
+        cos_d = np.cos(direction) * np.cos(theta) + np.sin(direction) * np.sin(theta) * np.cos(turn)
+        cos_o = 2 * cos_d * np.cos(theta) - np.cos(direction)
+        x = np.cos(theta) * np.sin(direction) * np.cos(turn) - np.sin(theta) * np.cos(direction)
+        phi_d = np.arctan2(-np.sin(direction) * np.sin(turn) + 0 * theta, x) % np.pi
+        seen = (cos_d > 0) & (cos_o > 0)
+        theta_d = np.arccos(np.clip(cos_d, 0, 1))
+        index = _flat_index(theta + 0 * turn, theta_d, phi_d)
+        weight = 4 * cos_d * cos_o * ring[:, None] * (2 * np.pi / _AZIMUTHS)
+        cells.append(index[seen])
+        weights.append(weight[seen])
+    return cells, weights
+
+
+def _flat_index(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+    """Return the index of the cells that contain these angles, in a table's values without its channels."""
+    i = (np.sqrt(theta_h / (np.pi / 2)) * GRID_SHAPE[0]).astype(int)
+    j = (theta_d / (np.pi / 2) * GRID_SHAPE[1]).astype(int)
+    k = (phi_d / np.pi * GRID_SHAPE[2]).astype(int)
+    at = tuple(np.clip(part, 0, size - 1) for part, size in zip((i, j, k), GRID_SHAPE, strict=True))
+    return np.ravel_multi_index(at, GRID_SHAPE)
+
+
+@lru_cache(maxsize=2)
+def _directions(sampling: Sampling) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices among the directions of each cell's light and view."""
+    grid = merl_grid(sampling)
+    th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
+    mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)
+    return tuple(  # type: ignore[return-value]
+        np.clip(np.degrees(np.arccos(np.clip(cos, 0, 1))).astype(int), 0, 89) for cos in (mean - half, mean + half)
+    )

@@ -1,0 +1,176 @@
+"""Doing no harm: shrinkage, withheld corrections, energy, and what a rig says of its lens."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from matcam import GGX, Camera, DiffractionOptics, GaussianOptics, Rig, Sphere, fit, read_merl, rigs
+from matcam.camera import Uncertainty
+from matcam.core.grid import brdf_table
+from matcam.core.jax import jnp
+from matcam.inverse import Correction
+from matcam.inverse.correction.correction import supported_values
+from matcam.inverse.correction.harmless import LobeRatio, albedo, shrunk, withheld, within_energy
+from matcam.inverse.operator.lobe_operator import lobe_operator
+from matcam.inverse.operator.rig_axes import LENS, SHAPE, known_lens, shape_axis
+from tests.inverse import recorded
+from tests.oracle import sphere_cells as oracle
+from tests.oracle.merl_lobe import conductor
+
+EVERY = 18
+
+
+def test_what_is_known_stays_and_what_is_not_shrinks_to_the_recorded_value():
+    log = np.array([2.0, 2.0, 2.0, -1.0, 0.0])
+    std = np.array([0.01, 1.0, 3.0, 0.1, 0.5])
+    found = shrunk(LobeRatio(log, std), 0.0)
+    np.testing.assert_allclose(found.log, [2 - 5e-5, 1.5, 0, -0.99, 0], atol=1e-12)
+    assert np.all(np.abs(found.log) <= np.abs(log))
+    assert np.all(found.std >= std * (1 - 1e-12))
+    # the ratio that was given up lies within the standard deviation
+    assert found.std[2] >= np.expm1(2.0)
+
+
+def test_no_camera_takes_its_share():
+    sure = LobeRatio(np.array([1.0]), np.array([0.01]))
+    half = shrunk(sure, 0.5)
+    assert 0 <= half.log[0] < 0.5
+    assert half.std[0] > 0.5
+    assert shrunk(sure, 1.0).log[0] == 0
+    none = withheld(sure)
+    assert none.log[0] == 0
+    assert none.std[0] == pytest.approx(np.e - 1, rel=1e-3)
+
+
+def lit(albedo_of_body, peak=0.0, width=0.05):
+    """A Lambertian body and a lobe that falls off with the half angle, times the cosines that keep its light finite."""
+    grid = recorded.GRID
+    th, td = grid.theta_h[:, None, None], grid.theta_d[:, None]
+    values = albedo_of_body / np.pi + peak * np.exp(-((th / width) ** 2)) * np.cos(td) ** 2
+    return brdf_table(np.broadcast_to(values[..., None], (90, 90, 180, 3)).copy(), "centre").values
+
+
+def sent(body, peak, width, theta_i, count=700):
+    """The same light by summing over outgoing directions."""
+    theta = (np.arange(count) + 0.5) * np.pi / 2 / count
+    phi = ((np.arange(2 * count) + 0.5) * np.pi / count)[:, None]
+    out = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0 * phi])
+    light = np.array([np.sin(theta_i), 0, np.cos(theta_i)])[:, None, None]
+    half = out + light
+    half /= np.linalg.norm(half, axis=0)
+    cos_d = (half * light).sum(0)
+    value = body / np.pi + peak * np.exp(-((np.arccos(np.clip(half[2], -1, 1)) / width) ** 2)) * cos_d**2
+    return (value * np.cos(theta) * np.sin(theta)).sum() * (np.pi / 2 / count) * (np.pi / count)
+
+
+@pytest.mark.parametrize(("body", "peak", "width"), [(0.8, 0.0, 1.0), (0.1, 20.0, 0.1), (0.0, 2.0, 0.4)])
+def test_albedo_is_the_light_sent(body, peak, width):
+    found = albedo(lit(body, peak, width), "centre")
+    for degrees in (0, 30, 60):
+        assert found[degrees, 0] == pytest.approx(sent(body, peak, width, np.radians(degrees + 0.5)), rel=0.01)
+
+
+def test_no_direction_reflects_more_than_it_gets():
+    before, wanted = lit(0.5, 10.0), lit(0.5, 20.0)
+    assert albedo(before, "centre").max() < 1 < albedo(wanted, "centre").max()
+    kept = within_energy(before, wanted, "centre")
+    assert albedo(kept, "centre").max() <= 1 + 1e-9
+    assert np.all((kept >= before - 1e-12) & (kept <= wanted + 1e-12))
+    assert kept[0, 0, 0, 0] > 1.2 * before[0, 0, 0, 0]
+    # light and view exchanged
+    np.testing.assert_allclose(kept, kept[:, :, ::-1], rtol=1e-12)
+    # a table that breaks it by itself is not made worse, and one within it is not touched
+    too_bright = lit(1.2)
+    np.testing.assert_array_equal(within_energy(too_bright, too_bright * 1.1, "centre").max(), too_bright.max())
+    np.testing.assert_array_equal(within_energy(before, before * 1.01, "centre"), before * 1.01)
+
+
+def test_a_file_that_cannot_say_what_is_supported_keeps_the_recorded_value():
+    table = brdf_table(np.full((90, 90, 180, 3), 0.1), "centre")
+    supported = np.zeros(table.shape, bool)
+    supported[5] = True
+    done = xr.Dataset({"brdf": table * 1.5, "supported": (table.dims, supported)})
+    written = supported_values(done, table).values
+    np.testing.assert_allclose(written[5], 0.15)
+    np.testing.assert_array_equal(written[6:], 0.1)
+
+
+def test_what_a_rig_says_of_its_lens():
+    guess = known_lens(rigs.merl().camera)
+    assert guess.uncertainty.std() == {LENS: 0.5}
+    assert (guess.assumed, guess.exact) == (False, False)
+    nothing = known_lens(Camera(GaussianOptics(0.4)))
+    assert nothing.assumed
+    assert nothing.uncertainty.std()[LENS] == pytest.approx(0.04)
+    other = known_lens(Camera(DiffractionOptics(8.0, 550e-9, 5e-6)))
+    assert other.uncertainty.std() == {"optics.f_number": pytest.approx(0.8)}
+    assert known_lens(Camera(GaussianOptics(0.4), uncertainty=Uncertainty.of({LENS: 0.0}))).exact
+
+
+def test_a_guess_may_be_no_lens_at_all_and_a_lens_without_a_statement_is_asked_of_the_data():
+    """True widths 0.44 px and 0.1 px; the rigs say 0.5."""
+    for sigma, rig in ((0.44, Rig(Camera(GaussianOptics(0.5)), Sphere(256.0))), (0.1, rigs.merl())):
+        shot = recorded.made(EVERY, oracle.Setup(sigma=sigma))
+        ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+        found = fit(shot.table(shot.rule.noisy(ways, np.random.default_rng(3))), rig, fresnel="free", every=EVERY)
+        square, std = (
+            found.squared_width(LENS) if sigma == 0.1 else (found.params[LENS] ** 2, 2 * sigma * found.std[LENS])
+        )
+        assert abs(square - sigma**2) < 4 * std < 0.02
+        assert abs(found.params["alpha"] - 0.004) < 4 * found.std["alpha"]
+        said = [remark.code for remark in found.remarks]
+        assert ("lens-assumed" in said) == (sigma == 0.44)
+
+
+@pytest.mark.slow
+def test_the_shape_of_a_lens_goes_towards_a_disc():
+    """-1 along the axis of the lens's shape is what a disc of the same variance does to a lobe, to a fifth of it."""
+    shot = recorded.made(EVERY, oracle.disc())
+    _, operator = lobe_operator(rigs.merl(), "centre", EVERY, (shape_axis(),))
+    assert operator.axes[0].name == SHAPE
+    lobe = oracle.GGX(0.006)
+    truth = shot.rule.ways(lobe).mean(-1)
+    gaussian, flat = (np.asarray(operator.record(GGX(0.006), "smith", jnp.asarray([shift]))) for shift in (0.0, -1.0))
+    bright = np.isfinite(truth) & shot.cells.valid & (truth > 0.02 * np.nan_to_num(truth).max(axis=1, keepdims=True))
+    before, after = (np.sqrt(np.mean((one / truth - 1)[bright] ** 2)) for one in (gaussian, flat))
+    print(f"rms difference from a disc: Gaussian {before:.4f}, flattened {after:.4f}")
+    assert after < 0.25 * before
+
+
+def changes(recorded_table, done):
+    """Relative change of every entry that is written to a file of values alone."""
+    before = recorded_table.values
+    after = supported_values(done.table, recorded_table).values
+    with np.errstate(invalid="ignore", divide="ignore"):
+        change = np.abs(after / before - 1)
+    return np.where(np.isfinite(change), change, 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "material",
+    ["specular-red-phenolic", "black-obsidian", "chrome", "teflon", "gold-metallic-paint", "pink-fabric", "nickel"],
+)
+def test_a_stand_in_is_not_harmed(stand_in, material):
+    """One lobe for all theta_d: no camera was there, so no peak may be raised, whatever the rig says."""
+    table = read_merl(stand_in(material))
+    done = Correction.of(table, rigs.merl())
+    change, supported = changes(table, done), done.table["supported"].values
+    print(f"{material}: {done.determination}, supported {supported.mean():.2f}, largest change {change.max():.4f}")
+    assert change[~supported].max(initial=0) == 0
+    assert change.max() < 0.01
+    before, after = (albedo(one, "centre") for one in (table.values, supported_values(done.table, table).values))
+    assert np.all(after <= np.maximum(before, 1) + 1e-9)
+    raised = np.nan_to_num(done.table["brdf"].values / table.values - 1)
+    assert np.all((raised <= 2 * np.nan_to_num(done.table["correction_std"].values) + 1e-9) | ~supported)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("material", ["paper_white", "satin_rosaline", "cc_ibiza_sunset", "vch_golden_yellow"])
+def test_a_goniophotometers_table_is_left_alone(goniophotometer, material):
+    """No camera has seen it; the virtual rig's sphere is so small that its lens would show."""
+    table = read_merl(goniophotometer(material))
+    done = Correction.of(table, Rig(rigs.merl().camera, Sphere(24.0)))
+    change = changes(table, done).max()
+    print(f"{material}: {done.determination}, largest change {change:.4f}")
+    assert change < 0.01
