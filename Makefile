@@ -16,10 +16,10 @@ demo: $(VENV)/.installed
 test test-all: export OPENBLAS_NUM_THREADS = 1
 
 test: lint
-	$(RUN) pytest -n 2 --dist loadgroup -m "not slow"
+	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not slow"
 
 test-all: lint
-	$(RUN) pytest -n 2 --dist loadgroup
+	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
 lint: $(VENV)/.installed-test
 	$(RUN) ruff format --check .

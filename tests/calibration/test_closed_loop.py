@@ -14,7 +14,7 @@ from tests.oracle.chart_camera import ChartCamera
 
 WIDTH, HEIGHT = 560, 420
 
-pytestmark = pytest.mark.xdist_group("strips")  # one worker: one compiled program measures them
+pytestmark = pytest.mark.xdist_group("edges")  # one worker: one compiled program measures them
 
 
 @pytest.fixture(scope="module")

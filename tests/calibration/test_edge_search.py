@@ -13,7 +13,7 @@ from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge, slanted_squares
 
 # one worker, because all strips are measured by one compiled program
-pytestmark = pytest.mark.xdist_group("strips")
+pytestmark = pytest.mark.xdist_group("edges")
 
 
 def measured(picture, cfa=None, channel=None):

@@ -13,7 +13,7 @@ from matcam.cli import main
 from tests.files.test_open_photograph import write_dng
 from tests.oracle import slanted_squares
 
-pytestmark = pytest.mark.xdist_group("strips")  # one worker: one compiled program measures them
+pytestmark = pytest.mark.xdist_group("edges")  # one worker: one compiled program measures them
 
 
 @pytest.fixture

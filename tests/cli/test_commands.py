@@ -1,4 +1,4 @@
-"""The command line, run as users run it: as a process."""
+"""The command line as users run it: by its words, and where that is the question as a process."""
 
 import json
 import os
@@ -20,19 +20,6 @@ from tests.oracle import epd_peak, merl_lobe
 def environment():
     """Wide lines; the cache is that of all tests, away from the user's own."""
     return {**os.environ, "COLUMNS": "100"}
-
-
-@pytest.fixture
-def matcam(environment, tmp_path):
-    """matcam(*arguments) runs the command in an empty folder and returns the finished process."""
-
-    def run(*arguments, code=0):
-        command = [sys.executable, "-m", "matcam", *map(str, arguments)]
-        result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300)
-        assert result.returncode == code, result.stderr
-        return result
-
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +51,10 @@ def test_every_command_has_help_with_an_example(matcam, command):
     assert f"Example: matcam {' '.join(words)}" in text
 
 
-def test_version(matcam):
-    assert matcam("--version").stdout.startswith("matcam 0.")
+def test_version(environment):
+    command = [sys.executable, "-m", "matcam", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    assert done.stdout.startswith("matcam 0.")
 
 
 def test_predict(matcam, tmp_path):
@@ -140,6 +129,7 @@ def test_figures(matcam, measured, tmp_path):
     assert names == {f"{stem}.{suffix}" for stem in stems for suffix in ("png", "svg", "csv")}
 
 
+@pytest.mark.slow
 def test_demo(matcam, tmp_path):
     done = matcam("demo", "-o", "d", "--json")
     assert "lobe: epd, width 0.0028" in done.stderr
@@ -152,6 +142,13 @@ def test_demo(matcam, tmp_path):
     assert "use --force" in matcam("demo", "-o", "d", code=2).stderr
     before.pop(tmp_path / "d" / "simulated-chromium.binary")
     assert {p: p.stat().st_mtime_ns for p in (tmp_path / "d").iterdir()} == before
+
+
+def test_a_demo_replaces_nothing(matcam, tmp_path):
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "figure-4.csv").write_text("precious")
+    assert "use --force" in matcam("demo", "-o", "d", code=2).stderr
+    assert [(p.name, p.read_text()) for p in (tmp_path / "d").iterdir()] == [("figure-4.csv", "precious")]
 
 
 def test_data_merl_lists_and_refuses(matcam, tmp_path):

@@ -1,9 +1,7 @@
-"""`matcam edge`, run as users run it: as a process."""
+"""`matcam edge`, run as users run it."""
 
 import json
-import os
-import subprocess
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,20 +11,10 @@ from matcam.cli import main
 from tests.oracle import slanted_edge as oracle
 
 
-@pytest.fixture(scope="module")
-def environment():
-    return {**os.environ, "COLUMNS": "100"}
-
-
 @pytest.fixture
-def edge(environment, tmp_path):
-    def run(*arguments, code=0):
-        command = [sys.executable, "-m", "matcam", "edge", *map(str, arguments)]
-        result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300)
-        assert result.returncode == code, result.stderr
-        return result
-
-    return run
+def edge(matcam):
+    """edge(*arguments) runs the command in an empty folder."""
+    return partial(matcam, "edge")
 
 
 @pytest.fixture

@@ -1,8 +1,7 @@
 """`matcam simulate` as a user runs it."""
 
 import json
-import subprocess
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,16 +10,15 @@ from matcam import read_merl
 from matcam.io import read_exr, read_float_tiff, read_sidecar, sidecar_path
 
 
-def run(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "matcam", "simulate", *map(str, arguments)], cwd=cwd, capture_output=True, text=True
-    )
+@pytest.fixture
+def simulate(matcam):
+    """simulate(*arguments) runs the command in an empty folder."""
+    return partial(matcam, "simulate")
 
 
-def test_a_picture_with_all_that_is_needed_to_invert_it(tmp_path):
+def test_a_picture_with_all_that_is_needed_to_invert_it(simulate, tmp_path):
     options = ("--roughness", 0.05, "--radius", 40, "--lamp-angle", 60, "--lamp", 0.25, "--size", 31, 33)
-    done = run(*options, "-o", "a.exr", "--preview", "a.png", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = simulate(*options, "-o", "a.exr", "--preview", "a.png", "--json")
     assert json.loads(done.stdout)["what"] == "picture of 33 x 31 px"
     picture, about = read_exr(tmp_path / "a.exr"), read_sidecar(sidecar_path(tmp_path / "a.exr"))
     assert picture.shape == (31, 33, 3)
@@ -35,18 +33,14 @@ def test_a_picture_with_all_that_is_needed_to_invert_it(tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 5000
     # the lamp stands to the right: so does the highlight
     assert picture[15, :, 1].argmax() > 16
-    again = run(*options, "-o", "a.exr", cwd=tmp_path)
-    assert again.returncode == 2
-    assert "--force" in again.stderr
-    same = run(*options, "-o", "b.tif", cwd=tmp_path)
-    assert same.returncode == 0
+    assert "--force" in simulate(*options, "-o", "a.exr", code=2).stderr
+    simulate(*options, "-o", "b.tif")
     np.testing.assert_array_equal(read_float_tiff(tmp_path / "b.tif"), picture)
 
 
 @pytest.mark.slow
-def test_a_table_in_the_format_of_merl(tmp_path):
-    done = run("--ndf", "beckmann", "--roughness", 0.3, "--diffuse", 0.1, "-o", "a.binary", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+def test_a_table_in_the_format_of_merl(simulate, tmp_path):
+    simulate("--ndf", "beckmann", "--roughness", 0.3, "--diffuse", 0.1, "-o", "a.binary")
     table = read_merl(tmp_path / "a.binary")
     assert 0.2 < float(table.isnull().mean()) < 0.3
     assert float(table.min()) > 0
@@ -73,9 +67,8 @@ def test_a_table_in_the_format_of_merl(tmp_path):
         (("absent.binary", "-o", "a.exr"), "absent.binary"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, arguments, message):
-    done = run(*arguments, cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
+def test_bad_input_is_one_line_and_leaves_nothing(simulate, tmp_path, arguments, message):
+    done = simulate(*arguments, code=2)
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
