@@ -119,8 +119,8 @@ def _run(arguments: list[str] | None) -> int:
         traceback.print_exc()
         return _complain("this is a fault of matcam, not of your input; please report it with the lines above", FAULT)
     code = result if isinstance(result, int) else 0
-    error = broken_output()
-    return code if error is None else _output_failed(error, code)
+    broken = broken_output()
+    return code if broken is None else _output_failed(broken, code)
 
 
 def _complain(message: str, code: int) -> int:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcam.cli import OPTIONS, show
+from matcam.cli import show
 from matcam.cli.options import AsJson, Command, Force
 
 app = typer.Typer(no_args_is_help=True)
@@ -62,7 +62,7 @@ def merl(
                 fetched.append(str(fetch_merl(name, output, source, progress, force=force)))
             show.say(fetched[-1], quiet=json)
         except (DownloadError, OutputError) as error:
-            failed.append(str(error).replace("force=True", OPTIONS["force=True"]))
+            failed.append(str(error).replace("force=True", "--force"))
             show.remark(failed[-1])
     if json:
         show.as_json({"files": fetched, "failed": failed})

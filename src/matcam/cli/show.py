@@ -45,8 +45,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
     for row in rows:
         drawn.add_row(*(Text(printable(cell)) for cell in row))
     with io.StringIO() as drawing:
-        colours = "auto" if sys.stdout.isatty() else None
-        Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty(), color_system=colours).print(drawn)
+        Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty()).print(drawn)
         _print(drawing.getvalue(), end="")
 
 

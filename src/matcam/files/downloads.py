@@ -10,7 +10,7 @@ import struct
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from functools import cache
 from importlib import resources
@@ -96,7 +96,7 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _pieces(source: str, material: str) -> Iterator[bytes]:
+def _pieces(source: str, material: str) -> Generator[bytes]:
     """Yield a published file piece by piece, no more bytes than it has. DownloadError for whatever goes wrong."""
     # half a second that only a download should cost
     import requests
@@ -124,22 +124,22 @@ def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
     for piece in pieces:
         done += len(piece)
         if done > _SIZE:
-            raise DownloadError(f"{source} sends more than the {_SIZE} bytes of the published file")
+            raise DownloadError(f"{source}: sends more than the {_SIZE} bytes of the published file")
         yield piece
     if done < _SIZE:
-        raise DownloadError(f"cannot be fetched from {source}: it broke off after {done} of {_SIZE} bytes")
+        raise DownloadError(f"{source}: it broke off after {done} of {_SIZE} bytes")
 
 
 def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
     """Yield one member of an archive."""
     remote = _RemoteFile(web, source)
-    with zipfile.ZipFile(remote) as archive:  # type: ignore[arg-type]
+    with zipfile.ZipFile(remote) as archive:
         member = next((m for m in archive.infolist() if m.filename.rsplit("/", 1)[-1] == name), None)
         if member is None:
             raise DownloadError(f"{source} does not contain {name}")
         if member.file_size != _SIZE:
             raise DownloadError(
-                f"{source} says that {name} has {member.file_size} bytes; the published one has {_SIZE}"
+                f"{source}: says that {name} has {member.file_size} bytes; the published one has {_SIZE}"
             )
         remote.end = min(remote.size, member.header_offset + member.compress_size + _BLOCK)
         with archive.open(member) as packed:

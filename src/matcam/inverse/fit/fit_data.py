@@ -24,8 +24,8 @@ INITIAL_NOISE = PixelNoise(0.02, 2e-3, 0.01)
 _FEWEST = 0.2
 """Smallest share of the chosen cells that a fit needs."""
 _FEWEST_SLICES = 3
-_LEAST = 1e-60
-"""Peaks below this, 1/sr, or above its inverse, are not fitted: products of their squares leave float64's range."""
+_PEAKS = (1e-9, 1e12)
+"""Limits of a channel's brightest value, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
 
 # What exceeds these is misfit; as a share of the peak it does not make the faint surroundings of the peak govern the fit
 _NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(1e-7), np.log(0.5)))
@@ -86,7 +86,7 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
             raise FitError(f"channel {label}: every value is missing")
         if not (bright > 0).any():
             raise FitError(f"channel {label}: no value is above 0: there is no highlight to fit")
-        if not _LEAST < bright.max() < 1 / _LEAST:
+        if not _PEAKS[0] < bright.max() < _PEAKS[1]:
             raise FitError(
                 f"channel {label}: its brightest value, {bright.max():.3g}, is no BRDF's: give the table in 1/sr"
             )
