@@ -2,12 +2,14 @@
 
 import os
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from matcam.core import jax as jax_module
-from matcam.core import workspace as workspace_module
+from matcam.core import sealed
 from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.workspace import Workspace, default_workspace, user_cache_folder
 
@@ -54,7 +56,7 @@ def test_no_flipped_bit_is_believed(tmp_path, caplog, monkeypatch):
         raise OutputError("output cannot be written: full")
 
     with monkeypatch.context() as context:
-        context.setattr(workspace_module, "replacing", full)  # a flip is not mended before the next one
+        context.setattr(sealed, "replacing", full)  # a flip is not mended before the next one
         for bit in random.choice(8 * len(whole), 1200, replace=False).tolist():
             damaged = bytearray(whole)
             damaged[bit // 8] ^= 1 << bit % 8
@@ -71,6 +73,39 @@ def test_no_flipped_bit_is_believed(tmp_path, caplog, monkeypatch):
     for name, array in arrays.items():
         np.testing.assert_array_equal(found[name], array)
         assert (found[name].dtype, found[name].shape) == (array.dtype, array.shape)
+
+
+_COMPILED = """
+import logging, sys, warnings
+warnings.simplefilter("error")
+from matcam.core.jax import jax, jnp, use_compilation_cache
+use_compilation_cache()
+print(float(jax.jit(lambda x: jnp.sin(x) + 1)(0.5)))
+"""
+
+
+def test_no_flipped_bit_of_a_compiled_function_is_run(tmp_path):
+    """Damaged machine code is compiled again, with one line for each file, and then is whole."""
+
+    def run():
+        return subprocess.run(
+            [sys.executable, "-c", _COMPILED], env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)}, text=True,
+            capture_output=True, check=True,
+        )  # fmt: skip
+
+    first = run()
+    files = list((tmp_path / "matcam" / "compiled").glob("*.xla"))
+    assert files
+    whole = {file.name: file.read_bytes() for file in files}
+    for number, file in enumerate(files):
+        content = bytearray(whole[file.name])
+        content[len(content) * (number + 1) // (len(files) + 1)] ^= 16
+        file.write_bytes(content)
+    again = run()
+    assert again.stdout == first.stdout
+    said = again.stderr.splitlines()
+    assert sorted(said) == sorted(f"matcam: {name} in the cache is damaged: it is made again" for name in whole)
+    assert run().stderr == ""
 
 
 def test_another_s_file_is_not_believed(tmp_path):

@@ -13,8 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
+from jax._src import compilation_cache
 
 from matcam.core.io import user_cache_folder
+from matcam.core.sealed import CompiledFunctions
 
 jax.config.update("jax_enable_x64", True)
 
@@ -38,7 +40,11 @@ def use_compilation_cache() -> None:
     A program may choose this for its user; a library must not. What was used longest ago is removed where the folder holds more
     than a limit: each shape of a picture has functions of its own.
     """
-    folder = user_cache_folder() / "jax"
+    # JAX has no public way to a cache of one's own; without this one its own is used, in another folder
+    own = hasattr(compilation_cache, "get_file_cache")
+    if own:
+        compilation_cache.get_file_cache = lambda path: (CompiledFunctions(path), path)
+    folder = user_cache_folder() / ("compiled" if own else "jax")
     _trim(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

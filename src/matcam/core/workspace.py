@@ -9,9 +9,9 @@ basis, a lens model) are constants, whoever asks: they stay in `functools.cache`
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
-import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -23,12 +23,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import replacing, user_cache_folder
+from matcam.core.errors import ArgumentError
+from matcam.core.io import user_cache_folder
+from matcam.core.sealed import read_sealed, write_sealed
 
 T = TypeVar("T")
-_SEAL = hashlib.sha256().digest_size
-_log = logging.getLogger("matcam")
 
 
 @dataclass(frozen=True)
@@ -142,43 +141,19 @@ class Workspace:
             return make()
         key = f"{metadata.version('matcam')}\n{description}".encode()
         path = self.folder / f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
-        stored = _stored(path, key)
+        stored = read_sealed(path, key)
         if stored is not None:
-            return stored
+            with np.load(io.BytesIO(stored), allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
         arrays = make()
         packed = io.BytesIO()
         np.savez(packed, **arrays)  # type: ignore[arg-type]
-        try:
-            with replacing(path, force=True) as temporary, temporary.open("wb") as file:
-                file.write(packed.getbuffer())
-                file.write(_seal(key, packed.getbuffer()))
+        write_sealed(path, key, packed.getvalue())
+        with contextlib.suppress(OSError):
             by_age = sorted(self.folder.glob("*.npz"), key=lambda p: p.stat().st_mtime)
             for old in by_age[: max(len(by_age) - self.files, 0)]:
                 old.unlink(missing_ok=True)
-        except (OutputError, OSError):
-            pass
         return arrays
-
-
-def _seal(key: bytes, content: memoryview | bytes) -> bytes:
-    """Return what a file ends in: the SHA-256 of its key and content."""
-    digest = hashlib.sha256(len(key).to_bytes(8, "little") + key)
-    digest.update(content)
-    return digest.digest()
-
-
-def _stored(path: Path, key: bytes) -> dict[str, np.ndarray] | None:
-    """Return the arrays of a file; None where it is not there, or not what was written under this key."""
-    try:
-        whole = memoryview(path.read_bytes())
-    except OSError:
-        return None
-    content, seal = whole[:-_SEAL], whole[-_SEAL:]
-    if len(whole) <= _SEAL or _seal(key, content) != seal:
-        _log.warning("matcam: %s in the cache is damaged: it is made again", path.name)
-        return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
 
 
 @cache

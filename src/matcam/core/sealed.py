@@ -1,0 +1,67 @@
+"""Files of a cache that are believed only whole: each ends in a SHA-256 of what it belongs to and of its content.
+
+What is damaged, or another's, is removed and made again; one line is logged. A file that cannot be written is not: a full disk
+must not stop any work. The seal finds damage; it does not find a forger.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+from pathlib import Path
+
+from matcam.core.errors import OutputError
+from matcam.core.io import one_by_one, replacing
+
+_SEAL = hashlib.sha256().digest_size
+_log = logging.getLogger("matcam")
+
+
+def read_sealed(path: Path, key: bytes) -> bytes | None:
+    """Return the content that was written under this key; None where it is not there, or is damaged."""
+    try:
+        whole = path.read_bytes()
+    except OSError:
+        return None
+    content, seal = whole[:-_SEAL], whole[-_SEAL:]
+    if len(whole) < _SEAL or _seal(key, content) != seal:
+        _log.warning("matcam: %s in the cache is damaged: it is made again", path.name)
+        with contextlib.suppress(OSError):
+            path.unlink()
+        return None
+    return content
+
+
+def write_sealed(path: Path, key: bytes, content: bytes) -> None:
+    """Write content under a key, whole or not at all."""
+    with contextlib.suppress(OutputError), one_by_one(), replacing(path, force=True) as temporary:
+        temporary.write_bytes(content + _seal(key, content))
+
+
+def _seal(key: bytes, content: bytes) -> bytes:
+    digest = hashlib.sha256(len(key).to_bytes(8, "little") + key)
+    digest.update(content)
+    return digest.digest()
+
+
+class CompiledFunctions:
+    """Keep JAX's compiled functions on disk, in place of its own cache, which believes what it finds.
+
+    Args:
+        path: folder of the files.
+    """
+
+    def __init__(self, path: str):
+        self._path = Path(path)  # the name by which JAX asks for it
+
+    def get(self, key: str) -> bytes | None:
+        """Return what was kept under a key, or None."""
+        return read_sealed(self._file(key), key.encode())
+
+    def put(self, key: str, value: bytes) -> None:
+        """Keep bytes under a key."""
+        write_sealed(self._file(key), key.encode(), value)
+
+    def _file(self, key: str) -> Path:
+        return self._path / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}.xla"
