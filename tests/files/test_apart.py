@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,6 +95,19 @@ def test_errors_come_back_as_they_were(path, decoder, kind, text):
     with pytest.raises(kind, match=text) as error:
         read_apart(f"{HERE}:{decoder}", path)
     one_line(error)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_messages_name_the_file_as_it_was_given(path, alone, monkeypatch):
+    """Also from a folder into which the caller went after the first file."""
+    read_apart(f"{HERE}:everything", path)
+    if alone:
+        monkeypatch.setattr(apart, "_CAN_FORK", False)
+    monkeypatch.chdir(path.parent)
+    for given in ("a.file", "./../" + path.parent.name + "/a.file"):
+        with pytest.raises(FileFormatError) as error:
+            read_apart(f"{HERE}:refuse", Path(given))
+        assert str(error.value) == f"{Path(given)}: byte 7 is wrong"
 
 
 def test_the_nursery_may_die(path):

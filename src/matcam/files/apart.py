@@ -104,7 +104,8 @@ def read_apart(decoder: str, path: Path, *, libraries: tuple[str, ...] = (), **o
             seconds = _SECONDS + path.stat().st_size / _BYTES_A_SECOND
     # half at most: this process will hold the answer too, and work on it
     memory = limits.memory if limits.memory is not None else available_memory() // 2
-    request = {"module": module, "name": name, "path": str(path.absolute()), "options": options,
+    folder = path.anchor or str(Path.cwd())
+    request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options,
                "seconds": seconds, "memory": memory, "libraries": libraries}  # fmt: skip
     begin = time.monotonic()
     try:
@@ -246,6 +247,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     _limit(request["seconds"], request["memory"])
     arrays: list[np.ndarray] = []
     try:
+        os.chdir(request["folder"])  # the caller's: messages name the file as it does
         answer = _call(request["module"], request["name"], Path(request["path"]), request["options"])
         message = {"answer": _packed(answer, arrays)}
     except errors.MatcamError as error:
