@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from matcam import read_merl
+from matcam.exchange.contents import read_table
 from matcam.io import read_exr, read_float_tiff, read_sidecar, sidecar_path
 
 
@@ -46,6 +47,13 @@ def test_a_table_in_the_format_of_merl(simulate, tmp_path):
     assert float(table.min()) > 0
 
 
+def test_a_flat_samples_table_is_the_materials_own(tmp_path):
+    """As NetCDF, which is read back as a material."""
+    assert run("--sample", "flat", "--roughness", 0.2, "-o", "a.nc", cwd=tmp_path).returncode == 0
+    assert run("--sample", "flat", "--roughness", 0.2, "-o", "a.binary", cwd=tmp_path).returncode == 0
+    np.testing.assert_allclose(read_table(tmp_path / "a.nc"), read_merl(tmp_path / "a.binary"), rtol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -64,6 +72,8 @@ def test_a_table_in_the_format_of_merl(simulate, tmp_path):
         (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),
         (("-o", "a.binary", "--sample", "cylinder"), "not a Cylinder"),
         (("-o", "a.binary", "--preview", "a.png"), "--preview shows a picture"),
+        (("-o", "a.exr", "--sample", "flat"), "a flat sample shows one normal"),
+        (("-o", "a.binary", "--crop", 0, 5), "--crop must be (height, width)"),
         (("absent.binary", "-o", "a.exr"), "absent.binary"),
     ],
 )

@@ -7,7 +7,7 @@ import xarray as xr
 from matcam import Camera, GaussianOptics
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import brdf_table
-from matcam.exchange.contents import read, read_contents, write
+from matcam.exchange.contents import read, read_contents, read_table, write
 from matcam.files.formats import CONTENTS, FORMATS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
 from matcam.io import read_samples, write_sidecar
 from matcam.targets import design_chart
@@ -122,3 +122,25 @@ def test_json_of_no_format_of_ours_is_read_as_a_camera_profile_and_refused(tmp_p
     assert identify(tmp_path / "a.json") == "camera profile"
     with pytest.raises(FileFormatError, match="not a camera profile"):
         read(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("suffix", [".binary", ".nc"])
+def test_a_table_is_read_by_any_name(tmp_path, suffix):
+    """Also with a coordinate beside it, as `measure` writes it, and among a correction's other results."""
+    path, plain = tmp_path / f"a{suffix}", table()
+    write(path, plain)
+    np.testing.assert_allclose(read_table(path, "edge").values, plain.values, rtol=1e-15)
+    if suffix == ".nc":
+        dims = ("theta_h", "theta_d", "phi_d")
+        measured = plain.assign_coords(pixels=(dims, np.ones(plain.shape[:3])))
+        results = xr.Dataset({"brdf": measured, "brdf_std": measured * 0.01, "noise_std": 0.1})
+        write(tmp_path / "b.nc", results)
+        again = read_table(tmp_path / "b.nc")
+        np.testing.assert_array_equal(again.values, plain.values)
+        assert again.attrs["sampling"] == "edge"
+
+
+def test_what_holds_no_table_is_refused(tmp_path):
+    write(tmp_path / "a.nc", xr.Dataset({"raw": ("theta_d", np.arange(3.0))}))
+    with pytest.raises(FileFormatError, match=r"a\.nc: holds .*, no BRDF table on the MERL grid"):
+        read_table(tmp_path / "a.nc")

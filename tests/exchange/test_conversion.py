@@ -9,7 +9,9 @@ import xarray as xr
 from matcam import GGX, Conductor, Flat, Microfacet, Rig, convert, measure, read_merl, rigs, write_merl
 from matcam.cli import _run
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.jax import jnp
 from matcam.exchange import adaptive_grid
+from matcam.exchange.conversion import resampling_error
 from matcam.io import (
     read_exr,
     read_float_tiff,
@@ -22,6 +24,7 @@ from matcam.io import (
     write_sidecar,
 )
 from matcam.material import Adaptive
+from matcam.material.material import Material
 
 
 @pytest.fixture(scope="module")
@@ -149,3 +152,22 @@ def test_the_command(folder, tmp_path, capsys):
     assert "exists: use --force" in capsys.readouterr().err
     assert _run(["convert", str(folder / "a.exr"), str(tmp_path / "c.tif")]) == 0
     assert "every value is kept" in capsys.readouterr().out
+
+
+def test_the_error_of_a_conversion_counts_channels_above_zero():
+    """A measured channel may be negative where nothing was measured: what its relative error would be means nothing."""
+
+    class Red(Material):
+        first: float
+
+        def reflected(self, shading):
+            one = jnp.ones_like(shading.cos_i)
+            return jnp.stack([one * self.first, -0.01 * one, 0 * one], axis=-1)
+
+        @property
+        def finest(self):
+            return jnp.asarray(0.1)
+
+    found = resampling_error(Red(1.0), Red(1.1))
+    assert found == pytest.approx({"median": 0.1, "p99": 0.1, "largest": 0.1, "known": 1.0})
+    assert resampling_error(Red(-1.0), Red(1.0))["known"] == 0

@@ -26,9 +26,10 @@ from matcam.core.io import (
     write_json,
 )
 from matcam.core.workspace import Workspace
+from matcam.exchange.contents import read_table
 from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf
-from matcam.files.merl import read_merl, write_merl
+from matcam.files.merl import write_merl
 from matcam.inverse.correction.correction import supported_values
 
 _WRITING = threading.Lock()
@@ -166,7 +167,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         check_output(path, force=job.force, inputs=[job.source])
     started = time.perf_counter()
     before = fingerprint(job.source)
-    table = read_merl(job.source, sampling=job.recipe.sampling)
+    table = read_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is whole")
     options = job.recipe.options

@@ -22,9 +22,9 @@ from matcam.core.errors import FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.core.io import plain
 from matcam.core.workspace import Workspace
+from matcam.exchange.contents import read_table
 from matcam.exchange.inspection import lobe_widths
 from matcam.figures.pages import write_correction_page
-from matcam.files.merl import read_merl
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
 from matcam.inverse.operator.rig_axes import LENS, known_lens
@@ -195,7 +195,7 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
     widths: list[tuple[float, Path]] = []
     for place in places:
         try:
-            table = read_merl(inputs[place], sampling=sampling)
+            table = read_table(inputs[place], sampling=sampling)
         except MatcamError:
             continue
         across = lobe_widths(table).across
@@ -204,4 +204,4 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
     if not widths:
         raise FitError("no table can be read: there is nothing to fit a camera to")
     narrowest = sorted(widths, key=lambda entry: entry[0])[:_FITTED]
-    return [(file, read_merl(file, sampling=sampling)) for _, file in narrowest]
+    return [(file, read_table(file, sampling=sampling)) for _, file in narrowest]

@@ -28,7 +28,9 @@ SOME_FAILED, NONE_DONE = 1, 2
 def command(
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="PATH...", help="MERL files to read, and folders that stand for their *.binary."),
+        typer.Argument(
+            metavar="PATH...", help="Tables to read (.binary, .nc, .csv), and folders that stand for their *.binary."
+        ),
     ],
     ndf: FamilyOrAuto = "auto",
     glare: Annotated[

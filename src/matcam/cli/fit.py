@@ -24,7 +24,8 @@ from matcam.cli.options import (
 
 def command(
     files: Annotated[
-        list[Path], typer.Argument(help="MERL files to read; several of one rig are fitted with one camera.")
+        list[Path],
+        typer.Argument(help="Tables to read (.binary, .nc, .csv); several of one rig are fitted with one camera."),
     ],
     ndf: Family = "ggx",
     fresnel: FresnelModel = "conductor",
@@ -74,13 +75,13 @@ def command(
     from matcam.core.workspace import Workspace
 
     use_compilation_cache()
-    from matcam.files.merl import read_merl
+    from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
     rig = None if blind else rig_of(camera, radius, lamp, cell_value=sampling)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(
-            [read_merl(file, sampling=sampling) for file in files],
+            [read_table(file, sampling=sampling) for file in files],
             rig,
             ndf,
             fresnel=fresnel,
@@ -111,11 +112,11 @@ def command(
 
 def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
     from matcam.core.workspace import Workspace
-    from matcam.files.merl import read_merl
+    from matcam.exchange.contents import read_table
     from matcam.inverse.rival_fits import rivals
 
     with show.working(f"fitting {file} with free shadowing instead"):
-        return rivals(read_merl(file, sampling=sampling), rig, ndf, every=every, workspace=Workspace.user()).to_dict()
+        return rivals(read_table(file, sampling=sampling), rig, ndf, every=every, workspace=Workspace.user()).to_dict()
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:

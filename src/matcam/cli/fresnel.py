@@ -26,7 +26,7 @@ _ANGLES = (10, 30, 45, 60, 70, 75, 80, 85)
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="MERL file to read.")],
+    file: Annotated[Path, typer.Argument(help="Table to read (.binary, .nc, .csv).")],
     metal: Annotated[
         str | None,
         typer.Option(
@@ -81,14 +81,14 @@ def command(
         from matcam.core.workspace import Workspace
 
         use_compilation_cache()
-        from matcam.files.merl import read_merl
+        from matcam.exchange.contents import read_table
         from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
         from matcam.material.optical_constants import metals
 
         if metal is not None:
             metals(metal)  # an unknown name should cost nothing
         result = fresnel(
-            read_merl(file, sampling=sampling),
+            read_table(file, sampling=sampling),
             rig_of(camera, radius, lamp),
             ndf=ndf,
             masking=None if masking == "none" else masking,

@@ -37,7 +37,8 @@ def command(
         ),
     ],
     table: Annotated[
-        Path | None, typer.Argument(help="MERL file of the material. Default: the lobe that the options describe.")
+        Path | None,
+        typer.Argument(help="Table of the material (.binary, .nc, .csv). Default: the lobe that the options describe."),
     ] = None,
     roughness: Annotated[
         float, typer.Option("--roughness", help="Width of the lobe: alpha or beta (slopes), rad for gaussian.")
@@ -142,11 +143,11 @@ def command(
 
 
 def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:
-    """Read the material of a MERL file, and describe it."""
-    from matcam.files.merl import read_merl
+    """Read the material of a table, and describe it."""
+    from matcam.exchange.contents import read_table
     from matcam.material.measured import Tabulated
 
-    return Tabulated(read_merl(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
+    return Tabulated(read_table(table, sampling=sampling)), {"table": table.name, "sampling": sampling}
 
 
 def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

@@ -62,6 +62,22 @@ def scalar(name: str, value: jax.Array) -> jax.Array:
     return value
 
 
+def outside_jit(value: ArrayLike, what: str) -> float:
+    """Return a number that sets how something is computed; its derivative is left out.
+
+    Args:
+        value: the number.
+        what: the numbers in words, plural, for the message.
+
+    Raises:
+        ArgumentError: it has no value yet, because the call stands inside jax.jit or vmap.
+    """
+    value = jax.lax.stop_gradient(value)
+    if not is_concrete(value):
+        raise ArgumentError(f"{what} set how a record is integrated: call this outside of jax.jit and vmap")
+    return float(value)
+
+
 def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
     """Return an angle between a surface normal and a direction that it can be seen from, [0, pi/2) rad."""
     return within(name, value, 0, np.pi / 2, "rad (below 90 degrees)", open_high=True)

@@ -17,10 +17,13 @@ from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import DIMS, Sampling, checked_table
 from matcam.core.io import check_output
 from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
+from matcam.files.merl import read_merl
 from matcam.files.rgl import check_fields
 from matcam.files.samples import samples_of, table_of
 from matcam.material.material import Material
 from matcam.material.measured import Adaptive, Tabulated
+
+MERL_SUFFIX = ".binary"
 
 
 @dataclass(frozen=True)
@@ -191,6 +194,33 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     if len(form.holds) > 1:
         return _labelled(Path(path), form.name, data)
     return dataclasses.replace(Contents(form.name), **{form.holds[0]: data})
+
+
+def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
+    """Read a BRDF table on the MERL grid from a file of any format that holds one.
+
+    Args:
+        path: file to read: MERL, CSV, or NetCDF and Zarr as `measure`, `correct` and `convert` write them.
+        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. The others say it themselves.
+            Default: "centre".
+
+    Returns:
+        The table, 1/sr; of a correction's results the corrected one.
+
+    Raises:
+        FileFormatError: the file holds no table, or is damaged.
+    """
+    if Path(path).suffix.lower() == MERL_SUFFIX:  # its own reader says best what is wrong with it
+        return read_merl(path, sampling=sampling)
+    contents = read_contents(path, sampling)
+    if contents.table is not None:
+        return contents.table
+    if contents.result is not None and "brdf" in contents.result and contents.result["brdf"].dims == DIMS:
+        try:
+            return checked_table(contents.result["brdf"])
+        except ArgumentError as error:
+            raise FileFormatError(f"{path}: {error}") from None
+    raise FileFormatError(f"{path}: holds {contents.kind}, no BRDF table on the MERL grid")
 
 
 def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:

@@ -90,16 +90,16 @@ def convert(
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
     """Compare two materials' BRDFs at random pairs of directions.
 
-    There are 4096 pairs, up to 80 degrees from the normal. The relative difference is the largest of the channels.
-    Returned are its `median`, `p99` (exceeded by 1 %) and `largest`, and `known`, the share of pairs where the first
-    material has a value.
+    There are 4096 pairs, up to 80 degrees from the normal. The relative difference is the largest of the channels in which
+    the first material has a value above 0. Returned are its `median`, `p99` (exceeded by 1 %) and `largest`, and `known`,
+    the share of pairs with such a channel.
     """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
     seen = local_shading(light, view)
     first, second = (np.asarray(m.reflected(seen)).reshape(_PAIRS, -1) for m in (before, after))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative = np.max(np.abs(second - first) / np.abs(first), axis=1)
+    above = first > 0  # measured tables go below zero where nothing was measured; NaN is not above it
+    relative = np.max(np.abs(second - first) / np.where(above, first, 1.0), axis=1, where=above, initial=-np.inf)
     known = np.isfinite(relative)
     if not known.any():
         return {"median": np.nan, "p99": np.nan, "largest": np.nan, "known": 0.0}

@@ -33,11 +33,13 @@ class CellChoice(NamedTuple):
         cell_value: what a cell stands for.
         crop: (height, width) of the sensor, px; None: it shows all.
         azimuth: of the lamp in all pictures, rad.
+        elongation: of the material's lobe, no unit.
     """
 
     cell_value: CellValue
     crop: tuple[int, int] | None = None
     azimuth: float = 0.0
+    elongation: float = 1.0
 
 
 class TableCells(NamedTuple):

@@ -183,12 +183,12 @@ def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Curved):
         raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
-    angle = checked_lamp_angle(lamp[0], rig.lamp, float(rig.sample.distance))
+    angle = checked_lamp_angle(lamp[0], rig.lamp, rig.sample.distance)
     azimuth, imaging = checked_azimuth(lamp[1]), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample))
     height, width = _picture_shape(rig, shape, reach)
     if isinstance(rig.sample, Sphere):
-        fineness = disc_fineness(rig, imaging, np.array(angle), float(material.finest))
+        fineness = disc_fineness(rig, imaging, np.array(angle), material)
         points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
     else:
         points = [LampPoint(np.array(angle), np.array(turned_cylinder(rig, azimuth)), 1.0, 1.0)]
@@ -232,7 +232,7 @@ def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray
             None if turned is None else turned[which],
         )
         imaging = nearer(view.imaging, points[0].distance)
-        values = record(material, imaging, integration_plan(imaging, angles, places, turned))
+        values = record(material, imaging, integration_plan(imaging, angles, places, turned, material.elongation))
         weights = np.array([point.weight for point in points])
         total += jnp.tensordot(weights, values.reshape(len(points), x.size, -1), axes=1)
     return jnp.asarray(total)

@@ -34,7 +34,7 @@ from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
-from matcam.lamp.lamps import checked_azimuth, lamp_points
+from matcam.lamp.lamps import checked_azimuth, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
@@ -140,8 +140,8 @@ def table_values(
             f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
         )
     imaging, turned = imaging_of(rig), checked_azimuth(azimuth)
-    chosen = CellChoice(rig.cell_value, rig.crop, turned)
-    if float(rig.lamp_radius) == 0:
+    chosen = CellChoice(rig.cell_value, rig.crop, turned, material.elongation)
+    if disc_of(rig.lamp) == 0:
         cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())
         return cell_means(record(material, imaging, plan), cells), cells.pixels
     return _under_disc(material, rig, imaging, chosen)
@@ -186,7 +186,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> T
         cells = table_cells(imaging.sample, chosen.cell_value, chosen.crop, chosen.azimuth, imaging.lamp_nearness)
         lamps = _slice_lamps(imaging, chosen)
         turned = None if cells.mirrored else np.full(lamps.size, chosen.azimuth)
-        return TablePlan(cells, integration_plan(imaging, lamps, cells.places, turned))
+        return TablePlan(cells, integration_plan(imaging, lamps, cells.places, turned, chosen.elongation))
 
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen
     return workspace.remember("table plan", key, plan, most=1)
@@ -205,7 +205,7 @@ def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoi
     """
     cells = table_cells(imaging.sample, chosen.cell_value, chosen.crop, chosen.azimuth, imaging.lamp_nearness)
     lamps, places = _slice_lamps(imaging, chosen), cells.places
-    fineness = np.exp2(np.ceil(2 * np.log2(np.maximum(disc_fineness(rig, imaging, lamps), 0.25))) / 2)
+    fineness = np.exp2(np.ceil(2 * np.log2(np.maximum(disc_fineness(rig, imaging, lamps, material), 0.25))) / 2)
     total = jnp.zeros((places.x.size, 1))
     for level in np.unique(fineness):
         slices = np.flatnonzero(fineness == level)
@@ -219,7 +219,7 @@ def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoi
         for at, point in zip(of_slices, lamp_points(rig.lamp, angle, chosen.azimuth, float(level)), strict=True):
             one = RecordPlaces(x, y, point.angle, centre, point.azimuth)
             near = nearer(imaging, point.distance)
-            plan = integration_plan(near, at.angle, one, at.azimuth)
+            plan = integration_plan(near, at.angle, one, at.azimuth, chosen.elongation)
             recorded += point.weight * record(material, near, plan)
         recorded = jnp.asarray(recorded)
         total = jnp.broadcast_to(total, (total.shape[0], recorded.shape[1])).at[index].set(recorded)

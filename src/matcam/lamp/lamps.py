@@ -170,7 +170,7 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: float, fineness: fl
     Returns:
         One point of the rule after the other, ring by ring.
     """
-    angle, disc = np.asarray(lamp_angle, dtype=np.float64), float(lamp.angular_radius)
+    angle, disc = np.asarray(lamp_angle, dtype=np.float64), disc_of(lamp)
     if disc == 0:
         return [LampPoint(angle, np.full_like(angle, azimuth), 1.0, 1.0)]
     rings, spokes = int(np.ceil(1.3 + 1.1 * fineness)), int(np.ceil(6.5 + 4.2 * fineness))
@@ -193,13 +193,18 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: float, fineness: fl
     return points
 
 
+def disc_of(lamp: Lamp) -> float:
+    """Return the angular radius of a lamp's disc, which sets how many points stand for it, rad; outside of jax.jit."""
+    return checks.outside_jit(lamp.angular_radius, "the lamp's numbers")
+
+
 def checked_azimuth(azimuth: ArrayLike) -> float:
     """Return an azimuth in [-2 pi, 2 pi] rad; more is degrees by mistake."""
     what = "rad (2 pi is a turn; of degrees give np.radians)"
     return float(checks.scalar("azimuth", checks.within("azimuth", azimuth, -_TURNS, _TURNS, what)))
 
 
-def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: float) -> float:
+def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> float:
     """Return the angle between lamp and optical axis, rad, if the lamp lights anything that is seen.
 
     Args:
@@ -210,7 +215,8 @@ def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: float
     Raises:
         ArgumentError: the lamp stands behind all that is seen, or in the camera.
     """
-    nearness = 0.0 if lamp.nearness is None else float(lamp.nearness)
+    camera_distance = checks.outside_jit(camera_distance, "the rig's numbers")
+    nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's numbers")
     most = float(np.arccos(1 / camera_distance) + np.arccos(nearness))
     behind = f"rad (beyond {'pi' if most == np.pi else 'that'} the lamp is behind the sample)"
     checked = checks.within("lamp_angle", lamp_angle, 0, most, behind, open_high=True)

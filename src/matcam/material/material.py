@@ -37,6 +37,11 @@ class Material(eqx.Module):
     def finest(self) -> jax.Array:
         """Narrowest angular scale of the lobe, rad, shape (): quadrature is graded to it."""
 
+    @property
+    def elongation(self) -> float:
+        """Return how much longer than wide the lobe is, no unit; 1 where it is round."""
+        return 1.0
+
     def brdf(self, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> jax.Array:
         """Evaluate the BRDF, 1/sr, at half and difference angles, which broadcast.
 

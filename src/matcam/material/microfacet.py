@@ -82,6 +82,11 @@ class Microfacet(Material):
         """Narrowest scale of the facets' slopes, about rad."""
         return self.ndf.finest
 
+    @property
+    def elongation(self) -> float:
+        """Return the ratio of the facets' largest to smallest roughness, no unit."""
+        return self.ndf.elongation
+
     def smooth_part(self, shading: Shading) -> jax.Array:
         """Return the factor of D in the BRDF.
 

@@ -66,6 +66,9 @@ def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
 def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
     """Return values at fractional (row, column) of the grids numbered `which`.
 
+    Where the points around a place are nowhere negative, neither is the value: where a function falls by orders of magnitude
+    between points, the polynomial would ripple about 0. There the least of the points takes its place.
+
     grids: (n, rows, columns, channels), the others (targets,). Shape (targets, channels).
     """
     first_row, row_weight = _on_steps(row)
@@ -74,7 +77,8 @@ def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax
     patch = grids[
         which[:, None, None], (first_row[:, None] + steps)[:, :, None], (first_column[:, None] + steps)[:, None, :]
     ]
-    return jnp.einsum("trkc,tr,tk->tc", patch, row_weight, column_weight)
+    value, least = jnp.einsum("trkc,tr,tk->tc", patch, row_weight, column_weight), jnp.min(patch, axis=(1, 2))
+    return jnp.where((value < 0) & (least >= 0), least, value)
 
 
 def _on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:

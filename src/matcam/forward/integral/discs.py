@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import jnp
+from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Imaging
+from matcam.lamp.lamps import disc_of
+from matcam.material.material import Material
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
@@ -21,18 +24,20 @@ _WIDEST = 2.0
 """Largest radius of a disc's image, in radii of the sample."""
 
 
-def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, finest: float = 0.0) -> np.ndarray:
+def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, material: Material | None = None) -> np.ndarray:
     """Return the radius of a lamp's image over the standard deviation of its blur, no unit.
 
     Args:
         rig: the rig.
         imaging: its imaging.
         lamp_angle: angle between lamp and optical axis, rad, any shape.
-        finest: narrowest scale of the lobe, rad. Default: 0, a mirror's.
+        material: what the lamp is seen in. Default: None, a mirror.
     """
-    disc = float(rig.lamp.angular_radius)
+    disc = disc_of(rig.lamp)
     if disc == 0:
         return np.zeros_like(lamp_angle)
+    rig, imaging = jax.lax.stop_gradient((rig, imaging))
+    finest = 0.0 if material is None else checks.outside_jit(material.finest, "the material's numbers")
     theta_d = imaging.sample.theta_d(jnp.asarray(lamp_angle), rig.lamp.nearness)
     std = float(np.min(np.asarray(imaging.blur.stds)))
     along, across = (np.asarray(a) for a in rig.px_per_rad(theta_d))

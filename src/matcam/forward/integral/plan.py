@@ -16,12 +16,15 @@ from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
 from matcam.forward.integral.integrals import Turn, highlight_x
 from matcam.numerics.approximation import POINTS
+from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
 """(reach along the surface in units of the kernel's own, panels in v): the first row that holds the kernel counts."""
 _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
+_STRAIGHT = 1.2
+"""How much further a straight limb must be than a round one for the surroundings of a pixel to be as smooth."""
 
 
 class RecordPlaces(NamedTuple):
@@ -106,7 +109,11 @@ class IntegrationPlan(NamedTuple):
 
 
 def integration_plan(
-    imaging: Imaging, lamp_angles: np.ndarray, places: RecordPlaces, azimuths: np.ndarray | None = None
+    imaging: Imaging,
+    lamp_angles: np.ndarray,
+    places: RecordPlaces,
+    azimuths: np.ndarray | None = None,
+    elongation: float = 1.0,
 ) -> IntegrationPlan:
     """Plan a record. ArgumentError inside jax.jit.
 
@@ -115,13 +122,17 @@ def integration_plan(
         lamp_angles: lamp of each picture, (pictures,), rad.
         places: places to record.
         azimuths: azimuth of each picture's lamp, (pictures,), rad; None, as in `places`: 0.
+        elongation: of the lobe, no unit. So much further from a highlight a lobe may still be narrow on the kernel's scale.
+            Default: 1, a round lobe, which is as wide anywhere as it is far from its peak.
 
     Returns:
         The plan, which serves any material and any camera whose parameters differ little.
     """
     imaging = jax.lax.stop_gradient(imaging)
     groups = groups_of(imaging.blur, imaging.sample, turned=azimuths is not None)
-    return IntegrationPlan(places, tuple(_part(imaging, group, (lamp_angles, azimuths), places) for group in groups))
+    return IntegrationPlan(
+        places, tuple(_part(imaging, g, (lamp_angles, azimuths), places, elongation) for g in groups)
+    )
 
 
 def pad_indices(index: np.ndarray) -> np.ndarray:
@@ -136,17 +147,24 @@ def pad_indices(index: np.ndarray) -> np.ndarray:
 
 
 def _part(
-    imaging: Imaging, group: BlurGroup, lamps: tuple[np.ndarray, np.ndarray | None], places: RecordPlaces
+    imaging: Imaging,
+    group: BlurGroup,
+    lamps: tuple[np.ndarray, np.ndarray | None],
+    places: RecordPlaces,
+    elongation: float,
 ) -> PlanPart:
     scale, sample, lamp_angles = group.scale, imaging.sample, lamps[0]
-    x, y, near = _in_the_scene(imaging, places, scale.near)
+    x, y, aside = _in_the_scene(imaging, places)
+    near = aside < scale.near
     lamp = _SceneLamp(jnp.asarray(places.lamp_angle), imaging.lamp_nearness)
     whole = np.asarray(_away_from_ends(sample, x, y, lamp, scale.reach))
-    smooth = np.asarray(_away_from_ends(sample, x, y, lamp, scale.margin))
+    # a cylinder's limb is as close all along the kernel; a sphere's bends away
+    margin = scale.margin * (_STRAIGHT if isinstance(sample, Cylinder) else 1.0)
+    smooth = np.asarray(_away_from_ends(sample, x, y, lamp, margin))
     ridge = np.asarray(_crowded(sample, x, y, lamp, scale.reach))
     lit = np.asarray(_lit_within(sample, x, y, lamp, scale.reach))
     turn = np.asarray(_turn_along_v(sample, x, y, scale.reach)) / scale.reach
-    inside = smooth & ~ridge & ~near
+    inside = smooth & ~ridge & ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
     beside = lit & ~near & ~inside
     windows, least = [], 0.0
     for most, panels in _PANELS_ALONG_V:
@@ -185,8 +203,8 @@ class _SceneLamp(NamedTuple):
     nearness: jax.Array | None
 
 
-def _in_the_scene(imaging: Imaging, places: RecordPlaces, near: float) -> tuple[jax.Array, jax.Array, np.ndarray]:
-    """Return the places in the axes of camera and lamp, px, and which lie within `near` px of their highlight."""
+def _in_the_scene(imaging: Imaging, places: RecordPlaces) -> tuple[jax.Array, jax.Array, np.ndarray]:
+    """Return the places in the axes of camera and lamp, px, and how far they are from their highlight, by the larger axis."""
     peak = np.asarray(highlight_x(imaging.sample, jnp.asarray(places.lamp_angle), imaging.lamp_nearness))
     turn = places.turn
     if turn is None:
@@ -195,7 +213,7 @@ def _in_the_scene(imaging: Imaging, places: RecordPlaces, near: float) -> tuple[
     else:  # the rectangle around a highlight is the sensor's
         aside = np.abs(places.x - peak * turn.cosine), np.abs(places.y - peak * turn.sine)
         x, y = places.x * turn.cosine + places.y * turn.sine, places.y * turn.cosine - places.x * turn.sine
-    return jnp.asarray(x), jnp.asarray(y), np.asarray((aside[0] < near) & (aside[1] < near))
+    return jnp.asarray(x), jnp.asarray(y), np.asarray(np.maximum(*aside))
 
 
 def _even_panels(scale: BlurScale, longer: float) -> int:

@@ -50,6 +50,11 @@ class SlopeDistribution(eqx.Module):
     def finest(self) -> jax.Array:
         """Narrowest scale on which P22 changes, a slope, shape ()."""
 
+    @property
+    def elongation(self) -> float:
+        """Return how much longer than wide P22 is, no unit; 1 where it is round."""
+        return 1.0
+
 
 class NDF(SlopeDistribution):
     """Describe an isotropic distribution of microfacet normals.
@@ -229,6 +234,12 @@ class StretchedSlopes(SlopeDistribution):
     def finest(self) -> jax.Array:
         """Narrowest scale on which P22 changes: the smaller roughness."""
         return jnp.minimum(self.alpha_along, self.alpha_across)
+
+    @property
+    def elongation(self) -> float:
+        """Return the larger over the smaller roughness, no unit."""
+        along, across = (checks.outside_jit(a, "the roughnesses") for a in (self.alpha_along, self.alpha_across))
+        return max(along / across, across / along)
 
 
 def _roughness(name: str, alpha: ArrayLike) -> jax.Array:
