@@ -197,7 +197,7 @@ def fresnel(
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
 ) -> xr.Dataset:
-    """Return the Fresnel curves of all tables of a metal, or of all metals and of dielectrics.
+    """Return the Fresnel curves of metals and dielectrics from tables.
 
     Args:
         result: Dataset as from `fresnel`.

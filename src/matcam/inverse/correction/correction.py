@@ -64,7 +64,7 @@ class Correction:
         doubts: the same fit with a parameter of the rig free, one for each parameter.
         shape: what was changed of the family's lobe.
         remarks: what a reader should know of the correction.
-        withheld: whether the table stays as it is, because rig and data contradict each other.
+        withheld: whether the table stays as it is, because rig and data contradict each other. Default: False.
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP

@@ -37,6 +37,8 @@ from matcam.rigs import Rig
 
 _MOST_BEND = 1.0
 """How far a lobe whose family fails may leave it at most (`fit`, bend): as far as the data ask, up to this."""
+_STIFF = 0.125
+"""Share of a lobe's half width below which a bend is stiff: a broad lobe has no fine structure."""
 _BEND_EVERY = 3 * SEARCH_EVERY
 _SMOOTH_CORE = "ggx"
 """Family that is bent if it was tried: unlike EPD's it has no cusp, of which no pixel could say whether it is there."""
@@ -137,11 +139,12 @@ def explain(
         few = setup.with_(every=max(_BEND_EVERY, every))
         bend = min(shape.scale, _MOST_BEND)
         base = next((one for one in candidates if one.family == _SMOOTH_CORE), found)
-        bent_setup = few.with_(bend=bend, ndf=base.family)
+        stiff = _STIFF * base.hwhm if np.isfinite(base.hwhm) else 0.0
+        bent_setup = few.with_(bend=bend, stiff_below=stiff, ndf=base.family)
         through_camera = bent_setup.solve(start=base)
         blind_setup = blind_setup.with_(every=few.every, ndf=base.family)
         plain = blind_setup.solve()
-        blind_setup = blind_setup.with_(bend=bend)
+        blind_setup = blind_setup.with_(bend=bend, stiff_below=stiff)
         blind = blind_setup.solve(start=plain)
         if _explains(through_camera, noise):
             found, setup, shape = through_camera, bent_setup, no_correction(through_camera, shape.scale)

@@ -119,6 +119,6 @@ def _directions(sampling: Sampling) -> tuple[np.ndarray, np.ndarray]:
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)
-    return tuple(  # type: ignore[return-value]
+    return tuple(
         np.clip(np.degrees(np.arccos(np.clip(cos, 0, 1))).astype(int), 0, 89) for cos in (mean - half, mean + half)
     )

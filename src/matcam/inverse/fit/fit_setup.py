@@ -73,6 +73,7 @@ class FitSetup:
         lens_shape: whether the shape of the lens's kernel is fitted, too: between a disc's and one with long tails. Default:
             False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
+        stiff_below: slope (no unit) below which a bend is ten times stiffer; below a pixel it always is. Default: 0.
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
         every: spacing of the slices of theta_d (no unit). Default: 1.
@@ -104,6 +105,7 @@ class FitSetup:
     also: tuple[str, ...] = ()
     lens_shape: bool = False
     bend: float = 0.0
+    stiff_below: float = 0.0
     free_masking: bool = False
     noise: PixelNoise | None = None
     every: int = 1
@@ -209,7 +211,7 @@ class FitSetup:
                 raise ArgumentError(
                     "without a rig there is no camera to fit: camera_parameters must be None or 'fixed'"
                 )
-            return Prior(bend=self.bend)
+            return Prior(bend=self.bend, finest=self.stiff_below)
         check_rig(self.rig)
         known = known_lens(self.rig.camera)
         if camera_parameters is None:
@@ -233,7 +235,7 @@ class FitSetup:
             axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))
             root[-1, -1] = 1.0
         finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_radius(self.rig)
-        return Prior(axes, root, self.bend, finest)
+        return Prior(axes, root, self.bend, max(finest, self.stiff_below))
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
