@@ -47,10 +47,10 @@ def test_a_table_in_the_format_of_merl(simulate, tmp_path):
     assert float(table.min()) > 0
 
 
-def test_a_flat_samples_table_is_the_materials_own(tmp_path):
+def test_a_flat_samples_table_is_the_materials_own(simulate, tmp_path):
     """As NetCDF, which is read back as a material."""
-    assert run("--sample", "flat", "--roughness", 0.2, "-o", "a.nc", cwd=tmp_path).returncode == 0
-    assert run("--sample", "flat", "--roughness", 0.2, "-o", "a.binary", cwd=tmp_path).returncode == 0
+    simulate("--sample", "flat", "--roughness", 0.2, "-o", "a.nc")
+    simulate("--sample", "flat", "--roughness", 0.2, "-o", "a.binary")
     np.testing.assert_allclose(read_table(tmp_path / "a.nc"), read_merl(tmp_path / "a.binary"), rtol=1e-14)
 
 
