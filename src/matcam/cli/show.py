@@ -71,8 +71,8 @@ def _print(text: str, end: str = "\n") -> None:
 
 
 def broken_output() -> OSError | None:
-    """Return what standard output answered when it could not be written; None if it could."""
-    return _broken[0] if _broken else None
+    """Return, once, what standard output answered when it could not be written; None if it could."""
+    return _broken.pop() if _broken else None
 
 
 @contextlib.contextmanager

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
-from jax._src import compilation_cache
 
 from matcam.core.io import user_cache_folder
 from matcam.core.sealed import CompiledFunctions
@@ -40,15 +40,28 @@ def use_compilation_cache() -> None:
     A program may choose this for its user; a library must not. What was used longest ago is removed where the folder holds more
     than a limit: each shape of a picture has functions of its own.
     """
-    # JAX has no public way to a cache of one's own; without this one its own is used, in another folder
-    own = hasattr(compilation_cache, "get_file_cache")
-    if own:
-        compilation_cache.get_file_cache = lambda path: (CompiledFunctions(path), path)
-    folder = user_cache_folder() / ("compiled" if own else "jax")
+    folder = user_cache_folder() / ("compiled" if _use_sealed_cache() else "jax")
     _trim(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _use_sealed_cache() -> bool:
+    """Let JAX use a cache of ours. It has no public way to that; where there is none at all, its own is used."""
+    try:
+        from jax._src import compilation_cache
+    except ImportError:
+        return False
+    there = hasattr(compilation_cache, "get_file_cache")
+    if there:
+        compilation_cache.get_file_cache = _sealed_cache
+    return there
+
+
+def _sealed_cache(path: str) -> Any:
+    """Return what JAX asks for: a cache, and where it is."""
+    return CompiledFunctions(path), path
 
 
 def _trim(folder: Path) -> None:
