@@ -75,7 +75,7 @@ def outside_jit(value: ArrayLike, what: str) -> float:
     value = jax.lax.stop_gradient(value)
     if not is_concrete(value):
         raise ArgumentError(f"{what} set how a record is integrated: call this outside of jax.jit and vmap")
-    return float(value)
+    return float(np.asarray(value))
 
 
 def viewing_angle(name: str, value: ArrayLike) -> jax.Array:

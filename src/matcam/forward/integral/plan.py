@@ -47,7 +47,7 @@ class RecordPlaces(NamedTuple):
     @property
     def turn(self) -> Turn | None:
         """Return the azimuth's cosine and sine."""
-        return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))  # type: ignore[arg-type]
+        return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
 
 
 class PixelWindow(eqx.Module):
@@ -291,7 +291,7 @@ def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, re
     """
     first, last = sample.rows(x, y, reach)
     if lamp.nearness is not None:
-        most = sample.lit_rows(*lamp)
+        most = sample.lit_rows(lamp.angle, lamp.nearness)
         first, last = jnp.clip(first, -most, most), jnp.clip(last, -most, most)
     # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
     left, right = jnp.full(first.shape, jnp.inf), jnp.full(first.shape, -jnp.inf)
