@@ -106,11 +106,13 @@ class Rig(eqx.Module):
 
     @property
     def lamp_radius(self) -> jax.Array:
-        """Return the angular radius of the lamp's disc, seen from the sample's centre, rad."""
+        """Return the lamp's angular radius, seen from the sample, rad."""
         return self.lamp.angular_radius
 
     def px_per_rad(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the picture's shift per turn of the normal away from the half vector, px/rad.
+        """Return the picture's shift per turn of the normal, px/rad.
+
+        It turns away from the half vector, which a near camera or lamp turns, too.
 
         Args:
             theta_d: half the angle between lamp and camera as the highlight sees it, rad.

@@ -42,7 +42,7 @@ class Lamp(eqx.Module):
 
 
 class DistantLamp(Lamp):
-    """Describe a lamp so far away that its light falls parallel on the sample.
+    """Describe a lamp whose light falls parallel on the sample.
 
     Args:
         radius: angular radius of the lamp's disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
@@ -78,7 +78,7 @@ class DistantLamp(Lamp):
 
 
 class NearLamp(Lamp):
-    """Describe a lamp at a finite distance, whose light falls off and aslant.
+    """Describe a lamp close by, whose light falls off.
 
     Irradiance goes as the inverse square of the distance from the lamp, and as the cosine at the surface.
 

@@ -39,7 +39,7 @@ class Material(eqx.Module):
 
     @property
     def elongation(self) -> float:
-        """Return how much longer than wide the lobe is, no unit; 1 where it is round."""
+        """Return the length of the lobe over its width, no unit."""
         return 1.0
 
     def brdf(self, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> jax.Array:

@@ -52,7 +52,7 @@ class SlopeDistribution(eqx.Module):
 
     @property
     def elongation(self) -> float:
-        """Return how much longer than wide P22 is, no unit; 1 where it is round."""
+        """Return the length of P22 over its width, no unit."""
         return 1.0
 
 
