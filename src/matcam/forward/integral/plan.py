@@ -23,8 +23,8 @@ _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
 """(reach along the surface in units of the kernel's own, panels in v): the first row that holds the kernel counts."""
 _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
-_STRAIGHT = 1.2
-"""How much further a straight limb must be than a round one for the surroundings of a pixel to be as smooth."""
+_FINER = 1.4
+"""How much longer a window counts along v, for more panels: one that holds a turned pixel's corners, or a straight limb."""
 
 
 class RecordPlaces(NamedTuple):
@@ -158,12 +158,11 @@ def _part(
     near = aside < scale.near
     lamp = _SceneLamp(jnp.asarray(places.lamp_angle), imaging.lamp_nearness)
     whole = np.asarray(_away_from_ends(sample, x, y, lamp, scale.reach))
-    # a cylinder's limb is as close all along the kernel; a sphere's bends away
-    margin = scale.margin * (_STRAIGHT if isinstance(sample, Cylinder) else 1.0)
-    smooth = np.asarray(_away_from_ends(sample, x, y, lamp, margin))
+    smooth = np.asarray(_away_from_ends(sample, x, y, lamp, scale.margin))
     ridge = np.asarray(_crowded(sample, x, y, lamp, scale.reach))
     lit = np.asarray(_lit_within(sample, x, y, lamp, scale.reach))
     turn = np.asarray(_turn_along_v(sample, x, y, scale.reach)) / scale.reach
+    turn *= _FINER if lamps[1] is not None or isinstance(sample, Cylinder) else 1.0
     inside = smooth & ~ridge & ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
     beside = lit & ~near & ~inside
     windows, least = [], 0.0
