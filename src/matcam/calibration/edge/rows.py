@@ -149,17 +149,17 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
                 "too-narrow",
                 f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
             )
-        if not accept_sharpened and found.misfit[i] > _UNEXPLAINED:
-            return Remark(
-                "unexplained",
-                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; a ghost, "
-                "a second edge, a shadow's border or dirt lies in it: choose another region",
-            )
         if not accept_sharpened and over[i] > least[i]:
             return Remark(
                 "sharpened",
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
                 "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
+            )
+        if not accept_sharpened and found.misfit[i] > _UNEXPLAINED:
+            return Remark(
+                "unexplained",
+                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; a ghost, "
+                "a second edge, a shadow's border or dirt lies in it: choose another region",
             )
         return None
 
