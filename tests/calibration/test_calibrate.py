@@ -273,3 +273,29 @@ def test_bad_arguments():
         planes_of(mosaic, None, "srgb")
     with pytest.raises(ArgumentError, match="channel 'Y' is not in this picture; it has R, G, B"):
         planes_of(mosaic, ["Y"], None)
+
+
+def test_too_few_edges_are_no_camera():
+    picture = chart(0.5)
+    with pytest.raises(FitError, match="good edges are too few for a camera, it takes 8 in two directions"):
+        calibrate([picture[:150, :150]])
+
+
+def test_mostly_processed_pictures_are_no_camera():
+    picture = chart(0.5)
+    sharp = picture + 1.2 * (picture - gaussian_filter(picture, 1.0))
+    sharp[:, 260:] = picture[:, 260:]
+    with pytest.raises(FitError, match=r"edges are sharpened or saturated: this is a processed"):
+        calibrate([sharp])
+
+
+def test_an_edge_that_disagrees_is_left_out():
+    picture = chart(0.5)
+    # one square of the four out of focus
+    blurred = gaussian_filter(picture, 1.6)
+    blurred = np.random.default_rng(3).poisson(np.maximum(blurred, 0)).astype(float)
+    picture[:205, :215] = blurred[:205, :215]
+    found = calibrate([picture])
+    fit = found.channels["grey"]
+    assert any(remark.code == "no-consensus" for remark in found.remarks)
+    assert abs(fit.values[0] - 0.5) < 4 * fit.std[0] < 0.05

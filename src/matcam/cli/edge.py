@@ -39,8 +39,11 @@ def command(
     ] = None,
     tone: Annotated[
         Literal["linear", "srgb", "auto"],
-        typer.Option("--tone", help="What the codes are: linear, or sRGB, which is undone; auto: sRGB for 8 bits."),
-    ] = "linear",
+        typer.Option(
+            "--tone",
+            help="What the codes are: linear, or sRGB, which is undone; auto: sRGB for 8 bits, and it says so.",
+        ),
+    ] = "auto",
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture all the same.")
     ] = False,

@@ -159,7 +159,8 @@ def calibrate(
 
     Raises:
         ArgumentError: if an argument is out of range, or the pictures are of different cameras.
-        FitError: if measurements contradict one another, or do not determine what was asked.
+        FitError: if measurements contradict one another, or do not determine what was asked; if there are edges only, fewer
+            than 8 or all in one direction, or more than 30 % of them sharpened or saturated.
         MatcamError: the error of the first bad picture, if there is no good one.
 
     Source:
@@ -194,7 +195,9 @@ def calibrate(
     request = CameraRequest(model, half_width, wavelength, pixel_pitch)
     fits = {}
     for channel in dict.fromkeys(f.channel for f in findings):
-        fit = fit_camera(Evidence(f for f in findings if f.channel == channel), channel, request)
+        evidence = Evidence(f for f in findings if f.channel == channel)
+        measured.remarks += evidence.check(channel, accept_sharpened=accept_sharpened)
+        fit = fit_camera(evidence, channel, request)
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
@@ -166,13 +167,24 @@ class Evidence:
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         findings = tuple(findings)
-        self._stacks = [(f.edges, f.source, f.f_number) for f in findings if f.edges is not None]
+        found = [f for f in findings if f.edges is not None]
+        stacks = in_consensus([f.edges for f in found if f.edges is not None])
+        self._stacks = [(edges, f.source, f.f_number) for edges, f in zip(stacks, found, strict=True)]
         self._samples = [samples for f in findings for samples in f.samples]
 
     @property
     def f_numbers(self) -> list[float | None]:
         """Return the f-number of every measurement's picture."""
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
+
+    def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
+        """Return remarks on edges that were left out; FitError where edges alone are not enough for a camera."""
+        edges = [stack for stack, _, _ in self._stacks]
+        if edges and not self._samples:
+            refuse_too_few(edges, channel, accept_sharpened=accept_sharpened)
+        lost = sum(problem is not None and problem.code == "no-consensus" for e in edges for problem in e.problems)
+        text = f"{channel}: {lost} edges disagree with all others, and are left out"
+        return [Remark("no-consensus", text)] if lost else []
 
     def measurements(self, lens_at: LensAt) -> Measurements:
         """Return everything as the joint fit takes it."""

@@ -42,7 +42,8 @@ class EdgeMeasurements(NamedTuple):
         angle: rad, of the normal.
         noise: of the pixels.
         excess: by how much an edge's own fit found its variance above the noise's (no unit).
-        linear: (n, 5) levels, light and shift: `State.linear`.
+        linear: (n, LINEAR) levels, light and shift: `State.linear`.
+        used: (n, LINEAR) which of them are free.
         lens: family of lenses; its arrays have leading axes, too.
     """
 
@@ -51,6 +52,7 @@ class EdgeMeasurements(NamedTuple):
     noise: Noise
     excess: AnyArray
     linear: AnyArray
+    used: AnyArray
     lens: LensModel
 
 
@@ -244,14 +246,16 @@ def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeas
         good = result.good
         found = jax.tree.map(lambda a, good=good: np.asarray(a)[good], result.fits)
         lenses = _stack_lenses([lens] * good.size)
-        parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, found.state.linear, lenses))
+        own = (found.state.linear, found.state.used)
+        parts.append(EdgeMeasurements(found.cells, found.angle, found.noise, found.excess, *own, lenses))
     if not parts:
         return None
     most = max(part.cells.pixels.shape[1] for part in parts)
 
     def widened(part: EdgeMeasurements) -> EdgeMeasurements:
-        more = ((0, 0), (0, most - part.cells.pixels.shape[1]))  # cells without pixels
-        return part._replace(cells=jax.tree.map(lambda column: np.pad(column, more), part.cells))
+        more = (0, most - part.cells.pixels.shape[1])  # cells without pixels
+        pad = lambda column: np.pad(column, [(0, 0)] * (column.ndim - 1) + [more])  # noqa: E731
+        return part._replace(cells=jax.tree.map(pad, part.cells))
 
     return jax.tree.map(lambda *a: np.concatenate(a), *map(widened, parts))
 
@@ -307,15 +311,15 @@ def _after_step(
 def _edge_shares(
     edges: EdgeMeasurements, theta: jax.Array, half_width: jax.Array
 ) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Return shares, and how each edge's own five parameters respond.
+    """Return shares, and how each edge's own parameters respond.
 
     They move by themselves, and with the shared parameters.
     """
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
-        at = edge_model(edge.cells, State(jnp.asarray(edge.linear), theta), profile)
-        weight = edge.cells.pixels / (edge.noise.variance(at.value) * edge.excess)
+        at = edge_model(edge.cells, State(jnp.asarray(edge.linear), theta, edge.used), profile)
+        weight = edge.cells.pixels / (edge.noise.variance(at.value, edge.cells.dim) * edge.excess)
         residual = edge.cells.value - at.value
         normal, score = (at.design * weight) @ at.design.T, at.design @ (weight * residual)
         inverse = scaled_inverse(normal[:LINEAR, :LINEAR])
@@ -324,7 +328,7 @@ def _edge_shares(
             normal[LINEAR:, LINEAR:] - normal[LINEAR:, :LINEAR] @ shared,
             score[LINEAR:] - normal[LINEAR:, :LINEAR] @ alone,
             (weight * residual**2).sum(),
-            (edge.cells.pixels > 0).sum() - LINEAR,
+            (edge.cells.pixels > 0).sum() - edge.used.sum(),
         )
         return share, (alone, shared)
 

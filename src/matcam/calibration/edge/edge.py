@@ -6,7 +6,7 @@ Many edges run through one compiled program, ten of them at once, over and over.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,7 +57,7 @@ def edge_mtf(
     half_width: float = 0.5,
     cfa: str | None = None,
     channel: str | None = None,
-    tone: Tone = "linear",
+    tone: Tone = "auto",
     gain: float | None = None,
     read_noise: float | None = None,
     accept_sharpened: bool = False,
@@ -65,8 +65,8 @@ def edge_mtf(
     """Measure the MTF of lens and pixel across one slanted edge.
 
     It is measured along the edge's normal, free of a model and as a lens model.
-    The edge may be bowed by a few px and lit unevenly. It may lie at any angle whose pixels see it in different phases: not
-    along the grid, nor at 45 degrees. Method, accuracy and their tests stand in `docs/edge.md`.
+    The edge may be bent by a few px, and the light may vary over the region. It may lie at any angle whose pixels see it in
+    different phases: not along the grid, nor at 45 degrees. Method, accuracy and their tests stand in `docs/edge.md`.
 
     Args:
         image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN where there are no
@@ -82,7 +82,8 @@ def edge_mtf(
         cfa: colours of the image's first 2 x 2 px, row by row, if it is a mosaic: "RGGB", ... (no unit). The sites of `channel`
             are samples as they are; nothing is demosaiced. Default: None, no mosaic.
         channel: "R", "G", "B" of a mosaic or a colour image, or "Y" for its luminance (no unit). Default: None, luminance.
-        tone: what the codes are, as in `LinearImage.of` (no unit). Default: "linear".
+        tone: what the codes are, as in `LinearImage.of` (no unit). Default: "auto", as in `calibrate`: 8 bits of a
+            photograph's file are taken for sRGB, and `remarks` says so; arrays, 16 bits and camera raw for linear.
         gain: system gain: a pixel's variance is gain * value + read_noise^2, in the linear image's units (counts of
             photo-electrons have gain 1). Default: None, both are estimated.
         read_noise: standard deviation of the read noise, in the linear image's units. Default: None, both are estimated.
@@ -119,7 +120,8 @@ def edge_mtf(
     if problem := refusals(fits, rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem.text)
     frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
-    return stack_result(fits, frame, settings.lens, settings.half_width, (None,))[0]
+    result = stack_result(fits, frame, settings.lens, settings.half_width, (None,))[0]
+    return replace(result, given=region.remarks)
 
 
 def edge_mtf_stack(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.edge import free_curve
 from matcam.calibration.edge.free_curve import FREQUENCIES, GLARE, SampledCurve
+from matcam.calibration.edge.maximum_likelihood import SHIFT, Noise, light_of
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.parametric_result import (
     Number,
@@ -24,13 +25,15 @@ from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.edge.rows import RegionFrame
 from matcam.core import checks
 from matcam.core.io import plain
-from matcam.core.jax import AnyArray, jax
-from matcam.core.remark import Remark
+from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.remark import Remark, texts
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _LENGTH = 512
+_MISFIT = 0.002  # of the step, from which it is remarked on
+_ROUGH = 0.03  # px, from which it is remarked on
 _SHARPENED = 0.02  # overshoot of the step from which it is remarked on
 
 
@@ -84,6 +87,9 @@ class _EdgeNumbers(Generic[Number]):
     gain: Number
     read_noise: Number
     excess: Number
+    outliers: Number
+    roughness: Number
+    misfit: Number
     overshoot: Number
     overshoot_std: Number
 
@@ -117,11 +123,15 @@ class EdgeMTF(_EdgeNumbers[float]):
         light: relative change of the light per px, along the picture's rows and columns, 1/px.
         gain: system gain: a pixel's variance is gain * value + read_noise^2; given, or estimated from neighbours.
         read_noise: standard deviation of the read noise, in the picture's units; given, or estimated.
-        excess: factor by which variances were raised because the picture scatters more than the estimated noise; 1 if not.
+        excess: factor by which variances were raised because the picture scatters more than its noise; 1 if not.
+        outliers: how many pixels were left out because they stand out from their likes (no unit).
+        roughness: standard deviation of the edge's place in single rows, beyond noise, px; its blur is part of `mtf_std`.
+        misfit: what neither lens nor light explains near the edge, in units of the step; part of `mtf_std`.
         overshoot: overshoot of the ESF beyond its levels, relative to the step; a lens has none, sharpening has (no unit).
         overshoot_std: its standard deviation (no unit).
         parametric: the fit of a family of lenses, a `ParametricEdge`.
         fits: everything that was fitted, about the middle of the region.
+        given: remarks on the picture itself, as on its tone curve.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -136,6 +146,7 @@ class EdgeMTF(_EdgeNumbers[float]):
 
     parametric: ParametricEdge
     fits: EdgeFits
+    given: tuple[Remark, ...] = ()
 
     def esf(self, distance: ArrayLike) -> SampledCurve:
         """Return the edge response, 0 to 1.
@@ -167,7 +178,7 @@ class EdgeMTF(_EdgeNumbers[float]):
     @property
     def remarks(self) -> tuple[Remark, ...]:
         """Return what a reader should know of this edge."""
-        remarks = []
+        remarks = list(self.given)
         if self.overshoot > _SHARPENED:
             text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
             remarks.append(Remark("sharpened", text))
@@ -175,6 +186,15 @@ class EdgeMTF(_EdgeNumbers[float]):
             raised = np.sqrt(self.excess)
             text = f"the picture scatters more than its noise: errors were raised by {raised:.1f}"
             remarks.append(Remark("scatter", text))
+        if self.misfit > _MISFIT:
+            text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: a ghost, a shadow or dirt"
+            remarks.append(Remark("unexplained", f"{text}? Errors were raised for it"))
+        if self.roughness > _ROUGH:
+            text = f"the edge itself is rough by {self.roughness:.2f} px, which blurs it: errors were raised for it"
+            remarks.append(Remark("rough-edge", text))
+        if self.outliers:
+            text = f"{self.outliers} pixels stand out (hot, dead, dust): left out"
+            remarks.append(Remark("outliers", text))
         return tuple(remarks)
 
     def dataset(self) -> xr.Dataset:
@@ -221,7 +241,11 @@ class EdgeMTF(_EdgeNumbers[float]):
                 "gain": self.gain,
                 "read_noise": self.read_noise,
                 "excess": self.excess,
+                "outliers": self.outliers,
+                "roughness_px": self.roughness,
+                "misfit": self.misfit,
                 "overshoot": self.overshoot,
+                "remarks": texts(self.remarks),
                 "parametric": self.parametric.to_dict(),
                 "frequency_cycles_per_px": self.frequency,
                 "mtf": self.mtf,
@@ -232,18 +256,19 @@ class EdgeMTF(_EdgeNumbers[float]):
     @cached_property
     def samples(self) -> EdgeSamples:
         """Return the picture's own edge response, sorted by distance."""
-        cells, fit, shift = self.fits.cells, self.fits.parametric, self.fits.state.linear[4]
+        cells, fit, shift = self.fits.cells, self.fits.parametric, self.fits.state.linear[SHIFT]
         used = np.asarray(cells.pixels) > 0
-        dark, bright, gx, gy = self.fits.free.levels
-        light = 1 + gx * cells.x + gy * cells.y
+        levels = np.asarray(self.fits.free.levels)
+        dark, bright = levels[:2]
+        light, addend = (np.asarray(part) for part in light_of(jnp.asarray(levels), jnp.asarray(cells.terms)))
         unit = (bright - dark) * light
-        variance = self.gain * np.maximum(fit.expected, 0) + self.read_noise**2
+        variance = Noise(np.float64(self.gain), np.float64(self.read_noise)).variance(fit.expected, cells.dim)
         order = np.argsort(np.asarray(cells.distance)[used])
         columns = (
             cells.distance + shift,
-            (cells.value - dark * light) / unit,
+            (cells.value - addend - dark * light) / unit,
             np.sqrt(self.excess * variance / np.maximum(cells.pixels, 1)) / unit,
-            (fit.expected - dark * light) / unit,
+            (fit.expected - addend - dark * light) / unit,
         )
         return EdgeSamples(*(np.asarray(column)[used][order] for column in columns))
 
@@ -284,6 +309,9 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         gain: system gain (n,), in the picture's units.
         read_noise: standard deviation of the read noise (n,), in the picture's units.
         excess: factor by which variances were raised (n,) (no unit).
+        outliers: how many pixels were left out (n,) (no unit).
+        roughness: standard deviation of the edge's place in single rows, beyond noise (n,), px.
+        misfit: what neither lens nor light explains near the edge, in units of the step (n,).
         overshoot: overshoot of the ESF, relative to the step (n,) (no unit).
         overshoot_std: its standard deviation (n,).
         problems: for each edge why it cannot be measured, None where it can.
@@ -327,8 +355,8 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
 
     def __getitem__(self, index: int) -> EdgeMTF:
         lens = {f.name: _of_one(getattr(self.parametric, f.name), index) for f in fields(ParametricEdge)}
-        numbers = {f.name: _of_one(getattr(self, f.name), index) for f in fields(_EdgeNumbers)}
-        numbers["frequency"] = self.frequency
+        own = (f.name for f in fields(_EdgeNumbers) if f.name != "frequency")
+        numbers = {"frequency": self.frequency} | {name: _of_one(getattr(self, name), index) for name in own}
         fits = jax.tree.map(lambda a: a[index], self.fits)
         return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits)
 
@@ -351,7 +379,9 @@ def stack_result(
     """
     free = fits.free
     glare = free.even[..., GLARE]
-    offset, slope, bend = np.moveaxis(np.asarray(fits.curve), -1, 0)
+    curve = np.moveaxis(np.asarray(fits.curve), -1, 0)
+    offset, slope = curve[0], np.asarray(fits.slope)
+    half = np.asarray(frame.length) / 2
     levels = np.moveaxis(np.asarray(free.levels), -1, 0)
     bad = np.array([problem is not None for problem in problems])
 
@@ -375,9 +405,9 @@ def stack_result(
         glare_fraction_std=numbers(np.sqrt(free.covariance[..., GLARE, GLARE])),
         glare_radius=numbers(np.where(glare != 0, free.shape.radius, np.nan)),
         angle=numbers(np.arctan2(ny, nx)),
-        angle_std=numbers(np.sqrt(fits.curve_covariance[..., 1, 1]) / (1 + slope**2)),
-        # the curve x0(y) = ... + bend y^2 lies below its chord by bend (length / 2)^2, measured along x
-        bow=numbers(-bend * frame.length**2 / 4 / np.hypot(1, slope)),
+        angle_std=numbers(np.asarray(fits.slope_std) / (1 + slope**2)),
+        # the middle lies below the chord by the curve's even powers at its ends, measured along x
+        bow=numbers(-(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope)),
         place=(numbers(frame.x + x), numbers(frame.y + y)),
         dark=numbers(levels[0]),
         bright=numbers(levels[1]),
@@ -385,10 +415,13 @@ def stack_result(
         gain=numbers(fits.noise.gain),
         read_noise=numbers(fits.noise.read),
         excess=numbers(fits.excess),
+        outliers=np.asarray(fits.outliers).astype(int),
+        roughness=numbers(fits.roughness),
+        misfit=numbers(fits.misfit),
         overshoot=numbers(fits.overshoot.value),
         overshoot_std=numbers(fits.overshoot.std),
         problems=problems,
-        parametric=parametric_stack(fits.parametric, bad, lens, half_width),
+        parametric=parametric_stack(fits.parametric, (fits.mtf, fits.mtf50), bad, lens, half_width),
         fits=fits,
     )
 

@@ -70,7 +70,7 @@ class FreeCurve(NamedTuple):
         shape: of the basis.
         even: (EVEN,) strengths, relative to the step; the last one, glare's, is 0 where none was found.
         odd: (ODD,).
-        levels: (4,) dark, bright, and the light's relative change per px in x and y.
+        levels: (SHIFT,) dark, bright, and the light: `State.linear` of the fit.
         covariance: (EVEN + ODD + 1,) squared, of the even strengths, the odd ones, and ln of the glare's radius.
     """
 

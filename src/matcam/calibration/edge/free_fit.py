@@ -26,10 +26,10 @@ from matcam.calibration.edge.free_curve import (
     glare_edge,
     line_width,
 )
-from matcam.calibration.edge.geometry import EdgeCells
-from matcam.calibration.edge.maximum_likelihood import EdgeModel, Noise
+from matcam.calibration.edge.geometry import TERMS, EdgeCells
+from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, light_of
 from matcam.core.jax import jax, jnp
-from matcam.numerics.linalg import scaled_inverse
+from matcam.numerics.linalg import FLOOR, scaled_inverse
 
 FOUND = 25.0
 """Rise of 2 ln likelihood, 5 sigma, that glare must bring to be believed."""
@@ -38,7 +38,7 @@ _PRIOR_ODD = 0.03  # of the step, at most
 _PRIOR_TAIL = 0.3  # of the step
 _PRIOR_GLARE = 0.1  # of the step
 _MISFIT = 2e-4  # of the step: what bumps of 0.6 s cannot describe; weighs only in pictures with less noise than that
-_LEVELS = 4
+_LEVELS = SHIFT
 _COLUMN = _LEVELS + GLARE
 """Where glare stands among the columns; 0 until it is looked for."""
 _PRIOR_RADIUS = 1.0  # of ln radius
@@ -54,11 +54,13 @@ class LinearFit(NamedTuple):
         cells: about the pilot's edge.
         pilot: (n,) P.
         step: (n,) bright less dark, in this light.
-        levels: (5,) `State.linear` about which the columns stand.
+        levels: (LINEAR,) `State.linear` about which the columns stand.
+        used: (LINEAR,) which of them are free.
         weight: (n,).
         noisy: (n,) weight^2 times the variance of a cell.
         columns: (p, n) levels and light, even strengths, odd strengths.
         inverse: (p, p) A^-1.
+        normal: (p, p) what the cells alone say.
         residual: (n,) before the fit.
         left: (n,) after the fit.
         strength: (p,).
@@ -71,10 +73,12 @@ class LinearFit(NamedTuple):
     pilot: jax.Array
     step: jax.Array
     levels: jax.Array
+    used: jax.Array
     weight: jax.Array
     noisy: jax.Array
     columns: jax.Array
     inverse: jax.Array
+    normal: jax.Array
     residual: jax.Array
     left: jax.Array
     strength: jax.Array
@@ -110,54 +114,120 @@ class GlareCandidate(NamedTuple):
     spacing: jax.Array
 
 
-def linear_fit(
-    cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape, tested: EdgeModel
-) -> tuple[LinearFit, Structure]:
-    """Fit the free curve, and judge another model by it.
+class _Columns(NamedTuple):
+    """Hold the linear problem about given levels."""
 
-    at: Gaussian model about which the curve is fitted. tested: the model that is judged.
+    columns: jax.Array
+    normal: jax.Array
+    residual: jax.Array
+    step: jax.Array
+
+
+def linear_fit(cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape) -> LinearFit:
+    """Fit the free curve, and choose how much the light may vary.
+
+    at: Gaussian model about which the curve is fitted, in light of all orders.
     """
     state = at.state
-    cells = cells._replace(distance=cells.distance + state.linear[4])
+    cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
     basis = edge_basis(shape, cells.distance, cells.spread)
     even, odd = (basis.even - basis.pilot).at[GLARE].set(0.0), basis.odd
-    variance = noise.variance(at.value)
+    variance = noise.variance(at.value, cells.dim)
     weight = cells.pixels / (variance + cells.pixels * (_MISFIT * (state.linear[1] - state.linear[0])) ** 2)
 
-    def solved(linear: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-        light = 1 + linear[2] * cells.x + linear[3] * cells.y
-        step = (linear[1] - linear[0]) * light
+    def problem(linear: jax.Array) -> _Columns:
+        light = light_of(linear, cells.terms)
+        step = (linear[1] - linear[0]) * light.factor
         level = linear[0] + (linear[1] - linear[0]) * basis.pilot
-        levels = jnp.stack([(1 - basis.pilot) * light, basis.pilot * light, level * cells.x, level * cells.y])
-        columns = jnp.concatenate([levels, even * step, odd * step])
-        normal = (columns * weight) @ columns.T
+        levels = jnp.stack([(1 - basis.pilot) * light.factor, basis.pilot * light.factor])
+        columns = jnp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], even * step, odd * step])
+        residual = cells.value - level * light.factor - light.addend
+        return _Columns(columns, (columns * weight) @ columns.T, residual, step)
+
+    used = _chosen_light(problem(state.linear), state.linear, cells, weight, basis.pilot, shape)
+    free = jnp.concatenate([used[:_LEVELS], jnp.ones(EVEN + ODD)])
+
+    def solved(linear: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+        columns, normal, residual, step = problem(linear)
+        columns, normal = columns * free[:, None], normal * free * free[:, None]
         inverse = scaled_inverse(normal + jnp.diag(_PRECISIONS))
-        residual = cells.value - level * light
         strength = inverse @ (columns @ (weight * residual))
         return linear.at[:_LEVELS].add(strength[:_LEVELS]), (linear, step, columns, normal, inverse, residual, strength)
 
     # light is a factor: where the pilot has got it wrong, the second pass starts from the right one
-    _, passes = jax.lax.scan(solved, state.linear, None, length=2)
+    _, passes = jax.lax.scan(solved, state.linear * used, None, length=2)
     levels, step, columns, normal, inverse, residual, strength = (a[-1] for a in passes)
     left = residual - strength @ columns
     degrees = jnp.maximum((cells.pixels > 0).sum() - jnp.trace(inverse @ normal), 1.0)
-    fit = LinearFit(
+    return LinearFit(
         shape=shape,
         cells=cells,
         pilot=basis.pilot,
         step=step,
         levels=levels,
+        used=used,
         weight=weight,
         noisy=weight**2 * variance / jnp.maximum(cells.pixels, 1.0),
         columns=columns,
         inverse=inverse,
+        normal=normal,
         residual=residual,
         left=left,
         strength=strength,
         chi2=(cells.pixels / variance * left**2).sum(),
         degrees=degrees,
     )
-    return fit, _structure(columns, weight, inverse, normal, cells.value - tested.value, tested.design)
+
+
+def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
+    """Return what the free curve finds in the residuals of another model."""
+    return _structure(fit.columns, fit.weight, fit.inverse, fit.normal, fit.cells.value - tested.value, tested.design)
+
+
+def _chosen_light(
+    full: _Columns, linear: jax.Array, cells: EdgeCells, weight: jax.Array, pilot: jax.Array, shape: CoreShape
+) -> jax.Array:
+    """Return which linear parameters (LINEAR,) the data ask for.
+
+    It is the one of `LIGHTS` that Schwarz's criterion (1978) prefers, with glare or without: a light that bends and a lens
+    that glares look alike, and neither may be taken for the other.
+    """
+    radii = _radii(shape)
+    glare = (jax.vmap(lambda r: glare_edge(jnp.exp(r), cells.distance, cells.spread))(radii) - pilot) * full.step
+    score = full.columns @ (weight * full.residual)
+    by_glare = (glare * weight) @ full.residual
+    cross = (glare * weight) @ full.columns.T
+    alone = (weight * glare**2).sum(1) + _PRIOR_GLARE**-2
+    each = jnp.log(jnp.maximum(cells.pixels.sum(), 2.0))
+    degrees = jnp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
+    before = (weight * full.residual**2).sum()
+    size = jnp.diagonal(full.normal) + _PRECISIONS
+    unit = jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 0.0)
+
+    def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return chi2, and by how much glare lowers it."""
+        free = jnp.concatenate([used[:_LEVELS], jnp.ones(EVEN + ODD)])
+        # what is not free is 0: in everything linear this adds to the residual
+        given = jnp.concatenate([(linear * (1 - used))[:_LEVELS], jnp.zeros(EVEN + ODD)])
+        towards = full.normal @ given
+        # in units in which the diagonal is 1; what is not free stands alone in it
+        precise = (full.normal + jnp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
+        root = jnp.linalg.cholesky(precise + jnp.diag(jnp.where(free * unit > 0, FLOOR, 1.0)))
+        mine, shared = (score + towards) * free * unit, cross * free * unit
+        solved = jax.scipy.linalg.solve_triangular(root, jnp.concatenate([mine[None], shared]).T, lower=True)
+        mine, shared = solved[:, 0], solved[:, 1:]
+        chi2 = before + 2 * score @ given + given @ towards - mine @ mine
+        left = by_glare + cross @ given - mine @ shared
+        rise = jnp.max(jnp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)))
+        return chi2, rise
+
+    lights = jnp.asarray(LIGHTS)
+    chi2, rise = jax.vmap(judged)(lights)
+    # what no light and no glare explains is as much noise as any
+    scatter = jnp.maximum(jnp.min(chi2 - rise) / degrees, 1.0)
+    chi2, rise = chi2 / scatter, rise / scatter
+    cost = chi2 + each * lights.sum(1) - jnp.where(rise > FOUND, rise - 2 * each, 0.0)
+    return lights[jnp.argmin(cost)]
 
 
 def curve_without_glare(fit: LinearFit) -> FreeCurve:
@@ -168,12 +238,10 @@ def curve_without_glare(fit: LinearFit) -> FreeCurve:
 
 def glare_candidate(fit: LinearFit) -> GlareCandidate:
     """Return the likeliest glare of a row of radii."""
-    narrowest = _narrowest(fit)
-    spacing = (jnp.log(_WIDEST) - narrowest) / (_CANDIDATES - 1)
-    radii = narrowest + spacing * jnp.arange(_CANDIDATES)
+    radii = _radii(fit.shape)
     rises = _rises(fit, radii)
     best = jnp.argmax(rises)
-    return GlareCandidate(radii[best], rises[best], spacing)
+    return GlareCandidate(radii[best], rises[best], radii[1] - radii[0])
 
 
 def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
@@ -189,7 +257,7 @@ def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
         bend = three[0] - 2 * three[1] + three[2]
         vertex = middle + width / 2 * jnp.clip((three[0] - three[2]) / jnp.where(bend < 0, 2 * bend, -1.0), -1, 1)
         better = jnp.where(bend < 0, vertex, nearby[jnp.argmax(three)])
-        return jnp.clip(better, _narrowest(fit), jnp.log(_WIDEST)), width / 2
+        return jnp.clip(better, _narrowest(fit.shape), jnp.log(_WIDEST)), width / 2
 
     log_radius, _ = jax.lax.fori_loop(0, _REFINEMENTS, refine, (seen.log_radius, seen.spacing))
     column, slope = jax.jvp(lambda r: _column(fit, r), (log_radius,), (jnp.ones(()),))
@@ -214,7 +282,7 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
     scaling = jnp.append(jnp.full(EVEN + ODD, before / now), 1.0)
     by_step = jnp.append(relative, 0.0) / now
     jacobian = jnp.concatenate(
-        [by_step[:, None], -by_step[:, None], jnp.zeros((EVEN + ODD + 1, 2)), jnp.diag(scaling)], 1
+        [by_step[:, None], -by_step[:, None], jnp.zeros((EVEN + ODD + 1, _LEVELS - 2)), jnp.diag(scaling)], 1
     )
     shape = fit.shape._replace(radius=radius)
     levels = fit.levels[:_LEVELS] + strength[:_LEVELS]
@@ -252,9 +320,32 @@ def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
     return (glare_edge(jnp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 
-def _narrowest(fit: LinearFit) -> jax.Array:
+def _narrowest(shape: CoreShape) -> jax.Array:
     """Return ln of the smallest radius that is tried, px."""
-    return jnp.log(jnp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(fit.shape)))
+    return jnp.log(jnp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape)))
+
+
+def _radii(shape: CoreShape) -> jax.Array:
+    """Return ln of the radii that are tried, px."""
+    return jnp.linspace(_narrowest(shape), jnp.log(_WIDEST), _CANDIDATES)
+
+
+def _lights() -> np.ndarray:
+    """Return how light may vary, from least to most (6, LINEAR).
+
+    Its factor is of order 1, 2 or 3, what it adds of order 0, 1 or 2. A level on both sides, and the edge's shift, are
+    always free.
+    """
+    factor, addend = {1: 2, 2: 4, 3: 7}, {0: 0, 1: 2, 2: 4}
+    lights = []
+    for m, a in ((1, 0), (2, 0), (1, 1), (2, 1), (2, 2), (3, 2)):
+        multiplied, added = np.arange(TERMS) < factor[m], np.arange(ADDED) < addend[a]
+        lights.append(np.concatenate([[1, 1], multiplied, added, [1]]).astype(float))
+    return np.stack(lights)
+
+
+LIGHTS = _lights()
+"""Which linear parameters are free in each kind of light (6, LINEAR)."""
 
 
 def _precisions() -> np.ndarray:

@@ -1,6 +1,8 @@
 """Maximum likelihood for an edge of known profile: the profile's parameters, the levels, uneven light, the edge's curve.
 
-A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + gx x + gy y),  E the edge response at distance d. Its
+A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + sum of m_k t_k) + sum of a_k t_k,  E the edge response at
+distance d, t_k the terms of the light in two dimensions: m_k of a lamp or a lens's vignetting, which multiply the scene, a_k
+of flare or haze, which add to it. `State.used` says which of them are free. A pixel's
 variance is the MODEL's, gain * value + read^2, held fixed within a step (iteratively reweighted least squares: the fixed
 point is the maximum of the Poisson likelihood where variance and mean are one, and nothing is biased by noise in weights,
 docs/model.md 8).
@@ -18,12 +20,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge.geometry import EdgeCells, PhasedRows
+from matcam.calibration.edge.geometry import (
+    CURVE,
+    TERMS,
+    EdgeCells,
+    PhasedRows,
+    edge_slope,
+    legendre,
+    light_terms,
+)
+from matcam.calibration.edge.start import to_coefficients
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.numerics.linalg import scaled_inverse
 
-LINEAR = 5
-"""Parameters that every profile has: dark, bright, gx, gy, shift."""
+ADDED = 4
+"""Terms of the light that may be added to the scene: the first so many."""
+SHIFT = 2 + TERMS + ADDED
+"""Where the edge's shift stands among the linear parameters, last of them."""
+LINEAR = SHIFT + 1
+"""Parameters that every profile has: dark, bright, light that multiplies, light that adds, shift."""
 
 Profile = Callable[[EdgeCells, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]
 """(cells, parameters (k,)) -> means over the cells of E, of dE/dd, and of dE/dparameters (k, n)."""
@@ -40,9 +55,12 @@ class Noise(NamedTuple):
     gain: AnyArray | np.float64
     read: AnyArray | np.float64
 
-    def variance(self, value: AnyArray) -> jax.Array:
-        """Return the variance of a pixel expected to read `value`."""
-        return jnp.asarray(self.gain * jnp.maximum(value, 0.0) + self.read**2)
+    def variance(self, value: AnyArray, dim: AnyArray | float = 1.0) -> jax.Array:
+        """Return the variance of a pixel expected to read `value`.
+
+        dim: by which it was multiplied, to make the light even.
+        """
+        return jnp.asarray(self.gain * jnp.maximum(value, 0.0) * dim + (self.read * dim) ** 2)
 
 
 UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
@@ -52,12 +70,14 @@ class State(NamedTuple):
     """Hold the parameters of the fit.
 
     Attributes:
-        linear: (5,) dark, bright, gx and gy in 1/px, shift in px (added to every distance).
+        linear: (LINEAR,) dark, bright, m_k (of x and y in 1/px), a_k, shift in px (added to every distance).
         profile: (k,) the profile's own.
+        used: (LINEAR,) 1 where a linear parameter is free, 0 where it stays.
     """
 
     linear: jax.Array
     profile: jax.Array
+    used: AnyArray
 
 
 class EdgeModel(NamedTuple):
@@ -67,8 +87,8 @@ class EdgeModel(NamedTuple):
         state: the parameters.
         value: (n,).
         edge: (n,) E.
-        light: (n,) 1 + gx x + gy y.
-        design: (5 + k, n) derivatives by the parameters.
+        light: (n,) by which the scene is multiplied.
+        design: (LINEAR + k, n) derivatives by the parameters; 0 for those that are not free.
     """
 
     state: State
@@ -78,15 +98,30 @@ class EdgeModel(NamedTuple):
     design: jax.Array
 
 
+class Light(NamedTuple):
+    """Hold what light does to a scene: `factor` times it, and `addend` more."""
+
+    factor: jax.Array
+    addend: jax.Array
+
+
+def light_of(linear: jax.Array, terms: jax.Array) -> Light:
+    """Return the light where its terms are `terms` (TERMS, ...). linear: as in `State`."""
+    factor = 1 + jnp.tensordot(linear[2 : 2 + TERMS], terms, 1)
+    return Light(factor, jnp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
+
+
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     """Return what the cells should read."""
-    dark, bright, gx, gy, shift = state.linear
+    dark, bright, shift = state.linear[0], state.linear[1], state.linear[SHIFT]
     edge, line, slopes = profile(cells._replace(distance=cells.distance + shift), state.profile)
-    light = 1 + gx * cells.x + gy * cells.y
+    light = light_of(state.linear, cells.terms)
     level = dark + (bright - dark) * edge
-    step = (bright - dark) * light
-    rows = [(1 - edge) * light, edge * light, level * cells.x, level * cells.y, step * line]
-    return EdgeModel(state, level * light, edge, light, jnp.concatenate([jnp.stack(rows), step * slopes]))
+    step = (bright - dark) * light.factor
+    levels = jnp.stack([(1 - edge) * light.factor, edge * light.factor])
+    design = jnp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], (step * line)[None]])
+    design = jnp.concatenate([design * jnp.asarray(state.used)[:, None], step * slopes])
+    return EdgeModel(state, level * light.factor + light.addend, edge, light.factor, design)
 
 
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: jax.Array) -> State:
@@ -95,13 +130,13 @@ def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise,
     longest: (k,) largest change of the profile's parameters.
     """
     at = edge_model(cells, state, profile)
-    weight = cells.pixels / noise.variance(at.value)
+    weight = cells.pixels / noise.variance(at.value, cells.dim)
     inverse = scaled_inverse((at.design * weight) @ at.design.T)
     change = inverse @ (at.design @ (weight * (cells.value - at.value)))
-    shift = jnp.clip(change[4], -1.0, 1.0)
-    return State(
-        state.linear + change[:LINEAR].at[4].set(shift),
-        state.profile + jnp.clip(change[LINEAR:], -longest, longest),
+    shift = jnp.clip(change[SHIFT], -1.0, 1.0)
+    return state._replace(
+        linear=state.linear + change[:LINEAR].at[SHIFT].set(shift),
+        profile=state.profile + jnp.clip(change[LINEAR:], -longest, longest),
     )
 
 
@@ -109,43 +144,61 @@ class CurveStep(NamedTuple):
     """Hold what the pixels near the edge say of its curve.
 
     Attributes:
-        curve: (3,) coefficients.
-        covariance: (3, 3) of them, for these levels and this profile.
+        curve: (CURVE,) coefficients.
+        covariance: (CURVE, CURVE) of them, for these levels and this profile.
         residual: standard deviation of the pixels about their model.
+        roughness: px, standard deviation of the edge's place in single rows, beyond the noise; 0 where noise makes as much.
     """
 
     curve: jax.Array
     covariance: jax.Array
     residual: jax.Array
+    roughness: jax.Array
 
 
-def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise) -> CurveStep:
+_CLEAR = 4.0  # standard deviations, beyond which an edge is called rough
+_STIFF = 0.3  # px: standard deviation of what is believed of a change of a curve's higher orders
+
+
+def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
     """Return the curve after a step of Fisher scoring, from single pixels.
 
     A pixel's model is its cell's, moved along the slope: within a cell the distances differ by a sixteenth of a px, and
-    what the second order leaves is even in the distance, which tells nothing of position.
+    what the second order leaves is even in the distance, which tells nothing of position. The orders beyond the bow cost
+    next to nothing: an error of the course of 0.01 px is a blur of 0.0001 px^2.
     """
-    aligned, distance, curve, state = phased.rows, phased.distance, phased.curve, at.state
+    aligned, curve, state = phased.rows, phased.curve, at.state
     near = aligned.near
     shape = (phased.member.shape[0], near.stop - near.start)
     size = shape[0] * shape[1]
     of_row = lambda a: a[:size].reshape(shape)[phased.phase]  # noqa: E731
-    light = 1 + state.linear[2] * aligned.x[:, near] + state.linear[3] * aligned.y[:, None]
-    slope = of_row(at.design[4] / at.light) * light
-    expected = of_row(at.value / at.light) * light + slope * (distance[:, near] - of_row(cells.distance))
-    weight = aligned.valid[:, near] / noise.variance(expected)
+    y, distance = aligned.y[:, None], phased.distance[:, near]
+    terms = jnp.stack(light_terms(aligned.x[:, near], y, distance, jnp.maximum(jnp.max(jnp.abs(aligned.y)), 1.0)))
+    light = light_of(state.linear, terms)
+    of_cell = light_of(state.linear, cells.terms)
+    slope = of_row(at.design[SHIFT] / at.light) * light.factor
+    scene = of_row((at.value - of_cell.addend) / at.light)
+    expected = scene * light.factor + light.addend + slope * (distance - of_row(cells.distance))
+    weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
     # moving the curve by +1 px along x brings the bright side c px nearer
-    tilt = 1 / jnp.sqrt(1 + (curve[1] + 2 * curve[2] * aligned.y) ** 2)
+    tilt = 1 / jnp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
     by_row = -slope * tilt[:, None]
     information = (weight * by_row**2).sum(1)
     residual = aligned.valid[:, near] * (aligned.value[:, near] - expected)
     score = (weight * by_row * residual).sum(1)
-    length = jnp.max(jnp.abs(aligned.y))
-    powers = (aligned.y / length) ** jnp.arange(3)[:, None]
+    powers = legendre(aligned.y / length, CURVE)
     normal = (powers * information) @ powers.T
-    normal = normal + 1e-9 * jnp.trace(normal) * jnp.eye(3) + 1e-300 * jnp.eye(3)
-    units = length ** -jnp.arange(3.0)
+    stiff = jnp.where(jnp.arange(CURVE) < 3, 0.0, _STIFF**-2)
+    normal = normal + jnp.diag(stiff + 1e-9 * jnp.trace(normal) + 1e-300)
     covariance = jnp.linalg.inv(normal)
     change = jnp.clip(covariance @ (powers @ score), -1.0, 1.0)
     rms = jnp.sqrt((residual**2).sum() / jnp.maximum(aligned.valid[:, near].sum(), 1.0))
-    return CurveStep(curve + change * units, covariance * units[:, None] * units, rms)
+    by = jax.vmap(to_coefficients, in_axes=(0, None))(jnp.eye(CURVE), length)
+    # each row's own place, about the new curve
+    shift = score / jnp.where(information > 0, information, 1.0) - powers.T @ change
+    count = jnp.maximum((information > 0).sum() - CURVE, 1.0)
+    weight = information / jnp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
+    expected = (information > 0).sum() / jnp.maximum(information.sum(), 1e-300)
+    extra = (weight * shift**2).sum() - expected
+    rough = jnp.where(extra > _CLEAR * expected * jnp.sqrt(2 / count), jnp.sqrt(jnp.maximum(extra, 0.0)), 0.0)
+    return CurveStep(curve + to_coefficients(change, length), by.T @ covariance @ by, rms, rough)

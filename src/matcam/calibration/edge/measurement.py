@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge import free_curve, free_fit, geometry
+from matcam.calibration.edge import free_curve, free_fit, geometry, start
 from matcam.calibration.edge.free_curve import FREQUENCIES, CoreShape, FreeCurve, SampledCurve
 from matcam.calibration.edge.geometry import AlignedRows, EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
     LINEAR,
+    SHIFT,
     CurveStep,
     EdgeModel,
     Noise,
@@ -20,14 +21,20 @@ from matcam.calibration.edge.maximum_likelihood import (
     edge_model,
     scoring_step,
 )
+from matcam.calibration.edge.outliers import without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.numerics.linalg import scaled_inverse
 
+_CORE = 7.0  # px
+_PER_MISFIT = 5.0  # of an MTF, by an equal misfit of the cells: ghosts and shadows of tests/oracle/real_edges.py
+_LOW = 0.1  # cycles/px, below which an MTF is ever surer: at 0 it is 1
 _START = -0.5  # ln px: sigma 0.6
 _STEPS, _MODEL_STEPS = 3, 12
+_LAST_LIGHT = 3  # of `LIGHTS`, with which the edge's profile and place take their last turn
 _LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
 _LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
+_ROBUST, _LARGE = 4, 20.0  # rounds; of the mean square, above which a difference counts as so much
 _EXPECTED = 1.4  # chi2 per degree of freedom of some 200 cells: 4 sigma
 
 
@@ -36,7 +43,7 @@ class LensFit(NamedTuple):
 
     Attributes:
         state: the parameters.
-        covariance: (5 + k,) squared.
+        covariance: (LINEAR + k,) squared.
         chi2: of the cells, under the noise.
         degrees: cells less parameters.
         structure: what the free curve finds in the residuals.
@@ -65,8 +72,9 @@ class EdgeFits(NamedTuple):
     Lengths are px from the region's centre, values the picture's units.
 
     Attributes:
-        curve: (3,) where the edge runs.
-        curve_covariance: (3, 3).
+        curve: (CURVE,) where the edge runs.
+        slope: dx/dy of the straight line through it.
+        slope_std: its standard deviation.
         angle: rad, of the normal to the grid.
         crossing: how many rows the edge crosses, away from the borders.
         noise: given, or estimated.
@@ -80,11 +88,15 @@ class EdgeFits(NamedTuple):
         overshoot: largest excess of the ESF over its levels.
         cells: means of the pixels.
         state: of the Gaussian fit, about which everything stands.
-        excess: factor by which variances were raised, because cells scatter more than the estimated noise.
+        excess: factor by which variances were raised, because cells scatter more than the noise.
+        outliers: pixels that were left out.
+        roughness: px, standard deviation of the edge's place in single rows, beyond the noise.
+        misfit: standard deviation of cells about the free curve, beyond the noise, in units of the step.
     """
 
     curve: jax.Array
-    curve_covariance: jax.Array
+    slope: jax.Array
+    slope_std: jax.Array
     angle: jax.Array
     crossing: jax.Array
     noise: Noise
@@ -99,6 +111,9 @@ class EdgeFits(NamedTuple):
     cells: EdgeCells
     state: State
     excess: jax.Array
+    outliers: jax.Array
+    roughness: jax.Array
+    misfit: jax.Array
 
 
 class _Stage(NamedTuple):
@@ -108,12 +123,33 @@ class _Stage(NamedTuple):
     known: jax.Array
     noise: Noise
     curve: jax.Array
+    to_slope: jax.Array
     moved: CurveStep
     cells: EdgeCells
     model: EdgeModel
     free: free_fit.LinearFit
     structure: free_fit.Structure
     glare: free_fit.GlareCandidate
+    scatter: jax.Array
+    outliers: jax.Array
+
+
+class _Doubt(NamedTuple):
+    """Hold what no noise explains, and what it may have done to an MTF.
+
+    Attributes:
+        roughness: px, of the edge. It blurs, as a lens does.
+        misfit: of the cells near the edge, in units of the step.
+    """
+
+    roughness: jax.Array
+    misfit: jax.Array
+
+    def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
+        """Return a curve at f cycles/px whose standard deviation contains it."""
+        blurred = 2 * (jnp.pi * self.roughness * f) ** 2 * jnp.abs(curve.value)
+        unknown = _PER_MISFIT * self.misfit * jnp.minimum(f / _LOW, 1.0)
+        return SampledCurve(curve.value, jnp.sqrt(curve.std**2 + blurred**2 + unknown**2))
 
 
 class _Turn(NamedTuple):
@@ -142,7 +178,7 @@ def edge_fits(
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
     stage = _stage(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
-    found = stage.glare.rise > free_fit.FOUND
+    found = stage.glare.rise > free_fit.FOUND * stage.scatter
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
     curve = jax.lax.cond(found, free_fit.curve_with_glare, plain, stage.free, stage.glare)
     return _edge_fits(stage, curve, jnp.asarray(half_width))
@@ -169,7 +205,7 @@ def edge_fits_of_stack(
         return _stage(Rows(value, y, start, step), noise, half_width, turns)
 
     stages = jax.vmap(of_one)(*map(jnp.asarray, (values, y, start)))
-    found = stages.glare.rise > free_fit.FOUND
+    found = stages.glare.rise > free_fit.FOUND * stages.scatter
 
     def without(stages: _Stage) -> FreeCurve:
         return jax.vmap(free_fit.curve_without_glare)(stages.free)
@@ -187,69 +223,110 @@ def edge_fits_of_stack(
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
     """Return the parametric estimate by another family of lenses."""
     seen = LensAtEdge(lens, found.angle, jnp.asarray(half_width))
-    start = State(found.state.linear, lens.start(found.state.profile[0]))
-    fitted = _climb(found.cells, start, seen, found.noise, _MODEL_STEPS)
+    first = found.state._replace(profile=lens.start(found.state.profile[0]))
+    fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
     tested = edge_model(found.cells, fitted, seen.profile)
     at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
-    _, structure = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, tested)
-    return _lens_fit(found.cells, tested, found.noise, structure, seen, found.excess)
+    fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape)
+    doubt = _Doubt(found.roughness, found.misfit)
+    return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
 
 
 def _stage(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Stage:
     """Fit curve, Gaussian lens and free curve."""
-    start, crossing = geometry.first_curve(rows)
-    aligned = geometry.aligned_rows(rows, start)
-    dark, bright = geometry.side_levels(aligned)
+    length = geometry.half_length(rows)
+    to_slope = geometry.to_mean_slope(length)
+    first_curve, crossing = start.first_curve(rows)
+    bare = geometry.aligned_rows(rows, first_curve)
     known = ~(jnp.isnan(noise.gain) | jnp.isnan(noise.read))
-    noise = _or_estimated(noise, aligned, geometry.edge_distance(start, aligned.x, aligned.y[:, None]))
+    noise = _or_estimated(noise, bare, geometry.edge_distance(first_curve, bare.x, bare.y[:, None]))
+    even_rows = start.in_even_rows(bare, length)
+    aligned = without_outliers(even_rows, first_curve, noise)
+    outliers = (even_rows.valid - aligned.valid).sum()
+    dark, bright = start.side_levels(aligned)
 
-    def turn(at: tuple[jax.Array, State], _: None) -> tuple[tuple[jax.Array, State], _Turn]:
+    def seen_along(curve: jax.Array) -> LensAtEdge:
+        return LensAtEdge(Gaussian(), jnp.arctan(to_slope @ curve), half_width)
+
+    def turn(at: tuple[jax.Array, State], used: jax.Array) -> tuple[tuple[jax.Array, State], _Turn]:
         """Fit profile and levels to cells, then the curve to pixels."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)
-        seen = LensAtEdge(Gaussian(), jnp.arctan(curve[1]), half_width)
-        state = _climb(cells, state, seen, noise, _STEPS)
+        seen = seen_along(curve)
+        state = _climb(cells, state._replace(used=used), seen, noise, _STEPS)
         now = edge_model(cells, state, seen.profile)
-        moved = curve_step(phased, cells, now, noise)
-        centred = state._replace(linear=state.linear.at[4].set(0.0))
+        moved = curve_step(phased, cells, now, noise, length)
+        centred = state._replace(linear=state.linear.at[SHIFT].set(0.0))
         return (moved.curve, centred), _Turn(curve, cells, now, moved)
 
-    first = State(jnp.stack([dark.mean(), bright.mean(), *jnp.zeros(3)]), jnp.array([_START]))
-    _, turns = jax.lax.scan(turn, (start, first), None, length=rounds)
+    even = jnp.asarray(free_fit.LIGHTS[0])
+    levels = jnp.zeros(even.size).at[:2].set(jnp.stack([dark.mean(), bright.mean()]))
+    first = State(levels, jnp.array([_START]), even)
+    # the last turn sees light of most orders: what it takes from the levels, the curve must not
+    uses = jnp.asarray(free_fit.LIGHTS)[jnp.where(jnp.arange(rounds) < rounds - 1, 0, _LAST_LIGHT)]
+    _, turns = jax.lax.scan(turn, (first_curve, first), uses)
     curve, cells, at, moved = jax.tree.map(lambda a: a[-1], turns)
-    shape = CoreShape(jnp.exp(at.state.profile[0]), jnp.arctan(curve[1]), half_width, jnp.ones(()))
-    free, structure = free_fit.linear_fit(cells, at, noise, shape, at)
-    return _Stage(crossing, known, noise, curve, moved, cells, at, free, structure, free_fit.glare_candidate(free))
+    seen = seen_along(curve)
+    shape = CoreShape(jnp.exp(at.state.profile[0]), seen.angle, half_width, jnp.ones(()))
+    free = free_fit.linear_fit(cells, at, noise, shape)
+    chosen = at.state._replace(linear=at.state.linear * free.used, used=free.used)
+    at = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
+    structure = free_fit.structure(free, at)
+    candidate = free_fit.glare_candidate(free)
+    # glare is judged by what is left with it
+    left = (free.weight * free.left**2).sum() - candidate.rise
+    scatter = jnp.where(known, 1.0, jnp.maximum(left / free.degrees, 1.0))
+    return _Stage(
+        crossing, known, noise, curve, to_slope, moved, cells, at, free, structure, candidate, scatter, outliers
+    )
 
 
 def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFits:
     """Read everything off the fits."""
     # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
-    by_glare = jnp.where(stage.glare.rise > free_fit.FOUND, stage.glare.rise, 0.0)
+    by_glare = jnp.where(stage.glare.rise > free_fit.FOUND * stage.scatter, stage.glare.rise, 0.0)
     scatter = (stage.free.chi2 - by_glare) / stage.free.degrees
-    excess = jnp.where(stage.known | (scatter < _EXPECTED), 1.0, scatter)
+    excess = jnp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
-    seen = LensAtEdge(Gaussian(), jnp.arctan(stage.curve[1]), half_width)
-    mtf, core = free_curve.transfer(free, jnp.asarray(FREQUENCIES))
+    slope = stage.to_slope @ stage.curve
+    seen = LensAtEdge(Gaussian(), jnp.arctan(slope), half_width)
+    misfit = jnp.where(excess > 1, jnp.sqrt(1 - 1 / excess) * _residual(stage.free), 0.0)
+    doubt = _Doubt(stage.moved.roughness, misfit)
+
+    def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
+        total, core = free_curve.transfer(free, f)
+        return doubt.of(total, f), doubt.of(core, f)
+
+    mtf, core = transfer(jnp.asarray(FREQUENCIES))
     return EdgeFits(
         curve=stage.curve,
-        curve_covariance=stage.moved.covariance * excess,
+        slope=slope,
+        slope_std=jnp.sqrt(excess * (stage.to_slope @ stage.moved.covariance @ stage.to_slope)),
         angle=seen.angle,
         crossing=stage.crossing,
         noise=stage.noise,
         residual=stage.moved.residual,
-        parametric=_lens_fit(stage.cells, stage.model, stage.noise, stage.structure, seen, excess),
+        parametric=_lens_fit(stage.cells, stage.model, stage.noise, stage.structure, seen, excess, doubt),
         free=free,
         mtf=mtf,
-        mtf50=free_curve.half_frequency(mtf.value, lambda f: free_curve.transfer(free, f)[0]),
+        mtf50=free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0]),
         core_mtf=core,
-        core_mtf50=free_curve.half_frequency(core.value, lambda f: free_curve.transfer(free, f)[1]),
+        core_mtf50=free_curve.half_frequency(core.value, lambda f: transfer(f)[1]),
         overshoot=_overshoot(free),
         cells=stage.cells,
         state=stage.model.state,
         excess=excess,
+        outliers=stage.outliers,
+        roughness=stage.moved.roughness,
+        misfit=misfit,
     )
+
+
+def _residual(fit: free_fit.LinearFit) -> jax.Array:
+    """Return the standard deviation of the cells near the edge about the free curve, in units of the step."""
+    near = (fit.cells.pixels > 0) & (jnp.abs(fit.cells.distance) < _CORE)
+    return jnp.sqrt((near * (fit.left / fit.step) ** 2).sum() / jnp.maximum(near.sum(), 1.0))
 
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
@@ -262,17 +339,21 @@ def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps
 def _or_estimated(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
     """Return the noise; estimate what is not known of it.
 
-    The differences of neighbours but one, on both sides of the edge, tell it.
+    The differences of neighbours but one, on both sides of the edge, tell it: those of one colour in a picture of three.
     """
-    difference = aligned.value[:, 2:] - aligned.value[:, :-2]
-    both = aligned.valid[:, 2:] * aligned.valid[:, :-2]
-    away = distance[:, 1:-1]
-    far = both * (jnp.abs(away) > jnp.minimum(_LEVEL_REACH, 0.3 * aligned.step * aligned.value.shape[1]))
+    # second differences: light that changes across the edge is no noise
+    difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
+    all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
+    away = distance[:, 2:-2]
+    far = all_three * (jnp.abs(away) > jnp.minimum(_LEVEL_REACH, 0.3 * aligned.step * aligned.value.shape[1]))
 
     def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
         weight = far * part
         count = jnp.maximum(weight.sum(), 1.0)
-        return (weight * aligned.value[:, 1:-1]).sum() / count, (weight * difference**2).sum() / (2 * count)
+        power = jnp.asarray(jnp.inf)
+        for _ in range(_ROBUST):  # one hot pixel is no noise
+            power = (weight * jnp.minimum(difference**2, _LARGE * power)).sum() / count
+        return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
 
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
     gain = jnp.clip((v_high - v_low) / (high - low), 0.0, v_high / jnp.maximum(high, 1e-300))
@@ -293,17 +374,24 @@ def _overshoot(free: FreeCurve) -> SampledCurve:
 
 
 def _lens_fit(
-    cells: EdgeCells, at: EdgeModel, noise: Noise, structure: free_fit.Structure, seen: LensAtEdge, excess: jax.Array
+    cells: EdgeCells,
+    at: EdgeModel,
+    noise: Noise,
+    structure: free_fit.Structure,
+    seen: LensAtEdge,
+    excess: jax.Array,
+    doubt: _Doubt,
 ) -> LensFit:
     """Read everything off a fitted family of lenses."""
     parameters = at.state.profile
-    weight = cells.pixels / noise.variance(at.value)
+    weight = cells.pixels / noise.variance(at.value, cells.dim)
     covariance = excess * scaled_inverse((at.design * weight) @ at.design.T)
     lens_covariance = covariance[LINEAR:, LINEAR:]
 
     def response(f: jax.Array) -> SampledCurve:
         value, slopes = _with_slopes(lambda p: seen.mtf(p, f), parameters)
-        return SampledCurve(value, jnp.sqrt(jnp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0)))
+        std = jnp.sqrt(jnp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))
+        return doubt.of(SampledCurve(value, std), f)
 
     numbers, by = _with_slopes(seen.lens.numbers, parameters)
     mtf = response(jnp.asarray(FREQUENCIES))

@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from matcam.calibration.edge.free_curve import SampledCurve
 from matcam.calibration.edge.measurement import LensFit
 from matcam.calibration.edge.profiles import LensModel
 from matcam.camera.camera import Camera
@@ -138,23 +139,33 @@ class ParametricStack(_LensNumbers[np.ndarray]):
         return self.misfit_probability > _WRONG
 
 
-def parametric_stack(fit: LensFit, bad: np.ndarray, lens: LensModel, half_width: float) -> ParametricStack:
+def parametric_stack(
+    fit: LensFit, free: tuple[SampledCurve, SampledCurve], bad: np.ndarray, lens: LensModel, half_width: float
+) -> ParametricStack:
     """Return the fits of a stack as a result.
 
-    All arrays are NumPy's. Numbers of bad edges (n,) become NaN.
+    All arrays are NumPy's. Numbers of bad edges (n,) become NaN. free: MTF and MTF50 without a model; where the model is
+    wrong, its difference from them is part of its errors.
     """
+    probability = _misfit_probability(*map(np.asarray, fit.structure))
+    wrong = ~(probability > _WRONG)
+
+    def std(own: SampledCurve, other: SampledCurve) -> np.ndarray:
+        off = np.asarray(own.value) - np.asarray(other.value)
+        return np.hypot(own.std, np.where(wrong.reshape(-1, *[1] * (off.ndim - 1)), off, 0.0))
+
     return ParametricStack(
         model=lens.name,
         names=lens.names,
         values=with_nan(fit.numbers, bad),
         covariance=with_nan(fit.numbers_covariance, bad),
         mtf=with_nan(fit.mtf.value, bad),
-        mtf_std=with_nan(fit.mtf.std, bad),
+        mtf_std=with_nan(std(fit.mtf, free[0]), bad),
         mtf50=with_nan(fit.mtf50.value, bad),
-        mtf50_std=with_nan(fit.mtf50.std, bad),
+        mtf50_std=with_nan(std(fit.mtf50, free[1]), bad),
         chi2=with_nan(fit.chi2, bad),
         degrees=np.asarray(fit.degrees),
-        misfit_probability=with_nan(_misfit_probability(*map(np.asarray, fit.structure)), bad),
+        misfit_probability=with_nan(probability, bad),
         lens=lens,
         fitted=np.asarray(fit.state.profile),
         half_width=half_width,

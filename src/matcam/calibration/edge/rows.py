@@ -19,6 +19,7 @@ _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
 _WIDEST_GAP = 0.55  # px: sampling the edge more coarsely leaves the MTF50 of a sharp lens undetermined
 _OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # of the step, standard deviations
+_UNEXPLAINED = 0.015  # of the step: misfit near the edge
 _BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
 
 
@@ -129,7 +130,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     over, least = found.overshoot.value, np.maximum(_OVERSHOOT, _SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
-    gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve))
+    gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve), np.where(lost, 0.0, found.slope))
 
     def refusal(i: int) -> Remark | None:
         if lost[i]:
@@ -140,7 +141,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
-                f"phases are missing: an edge at {np.degrees(np.arctan(abs(found.curve[i, 1]))):.1f} degrees to the grid "
+                f"phases are missing: an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the grid "
                 f"passes all pixels at the same places ({gap[i]:.2f} px apart): turn the target by a few degrees",
             )
         if blur[i] > _BLUR * width:
@@ -154,17 +155,24 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
                 "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
+        if not accept_sharpened and found.misfit[i] > _UNEXPLAINED:
+            return Remark(
+                "unexplained",
+                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; a ghost, "
+                "a second edge, a shadow's border or dirt lies in it: choose another region",
+            )
         return None
 
     return [refusal(i) for i in range(len(lost))]
 
 
-def _largest_gap(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
+def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Return the widest gap between the distances of samples, px (n,).
 
-    curves: (n, 3), of each edge.
+    curves: (n, CURVE), of each edge. slopes: (n,), their means.
     """
-    place = curves[:, :1] + region.y * (curves[:, 1:2] + region.y * curves[:, 2:])
+    y = np.broadcast_to(region.y, region.value.shape[:2])
+    place = np.stack([np.polyval(curve[::-1], at) for curve, at in zip(curves, y, strict=True)])
     offset = (place - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])
@@ -174,7 +182,7 @@ def _largest_gap(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
     last = np.take_along_axis(phase, np.maximum(crossed.sum(1, keepdims=True) - 1, 0), axis=1)[:, 0]
     steps = np.where(phase[:, 1:] < 2, np.diff(phase, axis=1), 0.0).max(axis=1)
     widest = np.maximum(steps, phase[:, 0] + 1 - last)
-    return np.where(crossed.any(1), widest * region.step / np.hypot(1, curves[:, 1]), np.inf)
+    return np.where(crossed.any(1), widest * region.step / np.hypot(1, slopes), np.inf)
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:

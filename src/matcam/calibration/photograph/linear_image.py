@@ -139,7 +139,8 @@ class LinearImage:
             ((18, 16), (4, 2), 0.503)
         """
         if isinstance(image, LinearImage):
-            if channel is not None or cfa is not None or not is_linear(tone):
+            own = is_linear(tone) or (isinstance(tone, str) and tone == "auto")
+            if channel is not None or cfa is not None or not own:
                 raise ArgumentError("channel, cfa and tone are those of the LinearImage already: leave them out")
             return image.cut(roi)
         photograph = image if isinstance(image, Photograph) else as_photograph(image, "image must be numbers", (3, 4))

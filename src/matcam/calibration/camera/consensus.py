@@ -1,0 +1,76 @@
+"""Which edges speak for a camera, and whether there are enough of them.
+
+Any picture has edges: a doll's, a page's, a shadow's. One of them is no camera. Edges that lie far from all others in their
+blur, or have impossible levels, are left out; what is left must be enough to know that they agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.core.errors import FitError
+from matcam.core.remark import Remark
+
+FEWEST_EDGES = 8
+_APART = np.radians(20.0)  # least angle between two directions
+_PROCESSED = 0.3  # share of edges that are sharpened or saturated, beyond which the rest is no sample of the lens
+_FAR, _LEAST = 5.0, 0.5  # standard deviations; of ln sigma: blur may vary by a half over a field
+_IMPOSSIBLE = 0.5  # of the step: a dark level below minus that is none
+
+
+def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
+    """Return the stacks with problems for edges that no other edge agrees with."""
+    good = [stack.good for stack in stacks]
+    counts = [which.size for which in good]
+    if not sum(counts):
+        return list(stacks)
+    value = np.concatenate([np.log(s.parametric.values[g, 0]) for s, g in zip(stacks, good, strict=True)])
+    std = np.concatenate([_relative_std(s, g) for s, g in zip(stacks, good, strict=True)])
+    middle = np.median(value)
+    scatter = 1.4826 * np.median(np.abs(value - middle))
+    far = np.abs(value - middle) > np.maximum(_FAR * np.hypot(std, scatter), _LEAST)
+    result = []
+    for stack, which, off in zip(stacks, good, np.split(far, np.cumsum(counts)[:-1]), strict=True):
+        impossible = stack.dark[which] < -_IMPOSSIBLE * (stack.bright[which] - stack.dark[which])
+        problems = list(stack.problems)
+        for i, blurred, wrong in zip(which, off, impossible, strict=True):
+            if blurred or wrong:
+                text = "its dark level is impossible" if wrong else "its blur is not that of the other edges"
+                problems[i] = Remark("no-consensus", text)
+        result.append(replace(stack, problems=tuple(problems)))
+    return result
+
+
+def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpened: bool) -> None:
+    """Raise FitError where edges alone are to make a camera, and are too few, too alike, or mostly processed.
+
+    accept_sharpened: sharpened edges do not count against a picture.
+    """
+    codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
+    good, processed = codes.count(""), codes.count("saturated")
+    processed += 0 if accept_sharpened else codes.count("sharpened")
+    if processed > _PROCESSED * (good + processed):
+        raise FitError(
+            f"channel {channel}: {processed} of {good + processed} edges are sharpened or saturated: this is a processed or "
+            "overexposed picture, whose MTF is not the lens's: use camera raw, and expose less"
+        )
+    if good < FEWEST_EDGES:
+        raise FitError(
+            f"channel {channel}: {good} good edges are too few for a camera, it takes {FEWEST_EDGES} in two directions: "
+            "photograph a chart of slanted squares (matcam chart), or measure one edge with matcam edge"
+        )
+    angle = np.concatenate([stack.angle[stack.good] for stack in stacks])
+    off = np.abs((angle[:, None] - angle + np.pi / 2) % np.pi - np.pi / 2)
+    if off.max() < _APART:
+        raise FitError(
+            f"channel {channel}: all {good} edges lie within {np.degrees(off.max()):.0f} degrees: a camera takes edges in two "
+            "directions"
+        )
+
+
+def _relative_std(stack: EdgeStack, which: np.ndarray) -> np.ndarray:
+    return np.sqrt(stack.parametric.covariance[which, 0, 0]) / stack.parametric.values[which, 0]

@@ -1,0 +1,172 @@
+"""Where an edge is looked for first, and the light of its rows: found without a model, row by row, whatever the light does.
+
+In each row the edge stands where the means of some px on both sides differ most. No level is common to all rows, so that light
+that falls by half along the edge, or a shadow across it, moves nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.calibration.edge.geometry import (
+    CURVE,
+    AlignedRows,
+    Rows,
+    aligned_rows,
+    edge_place,
+    half_length,
+    legendre,
+)
+from matcam.core.jax import AnyArray, jax, jnp
+
+_REACH = 8  # px to both sides of the edge in which its position in a row is read
+_MARGIN = 3  # px to the border within which an edge does not count as crossing a row
+_NARROW = 3  # px, least reach in narrow regions
+_WEAK = 0.4  # of the usual relative step, below which a row shows no edge
+_ROUNDS = 4  # of the fit of a line
+_OUTLIER = 3.0  # px
+_LIGHT = 10  # highest order of the rows' light
+_STIFF = 0.02  # px^2 over px^2: how little is believed of a course beyond its bow
+_FAINTEST = 0.2  # of the light's straight line
+
+
+def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
+    """Return a first curve, and how many rows it crosses.
+
+    The curve is right to a few hundredths of a px, without a model of the blur. A row's edge stands where a sharp one would
+    have to stand to let in the same light: unlike the centroid of the derivative, this does not amplify noise. It is found
+    first as a straight line through the largest steps, then near that.
+    """
+    length = half_length(rows)
+    found, weight = _largest_steps(rows)
+    crossing = weight
+
+    def closer(_: int, at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        line = _polynomial(rows.y, found, at[1], 2, length)
+        off = jnp.abs(found - edge_place(line, rows.y))
+        return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / jnp.maximum(at[1].sum(), 1))
+
+    curve, _ = jax.lax.fori_loop(0, _ROUNDS, closer, (jnp.zeros(CURVE), crossing))
+    aligned = in_even_rows(aligned_rows(rows, curve), length)
+    middle, reach = aligned.value.shape[1] // 2, _REACH // rows.step
+    near = slice(max(middle - reach, 0), middle + reach + 1)
+    low, high = side_levels(aligned)
+    # near a border a row shows less of its sides
+    span, there = aligned.value[:, near], aligned.valid[:, near]
+    x = aligned.x[:, near]
+    bright = (there * (span - low[:, None])).sum(1) / (high - low) * rows.step
+    last = jnp.max(jnp.where(there > 0, x, -jnp.inf), axis=1)
+    found = jnp.where(there.sum(1) > 0, last, 0.0) + rows.step / 2 - bright
+    margin = _MARGIN * rows.step
+    place = edge_place(curve, rows.y)
+    first = jnp.min(jnp.where(there > 0, x, jnp.inf), axis=1)
+    gaps = (there.sum(1) - 1) * rows.step < last - first
+    whole = (first <= place - margin) & (last >= place + margin) & ~gaps
+    off = jnp.abs(found - place)
+    weight = (whole & (off < _REACH / 2)).astype(float)
+    return _polynomial(rows.y, found, weight, CURVE, length), whole.sum()
+
+
+def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
+    """Return both levels (rows,) a few px from the edge.
+
+    They are lines in y. Light changes little at this distance, and the blur is over.
+    """
+    length = jnp.max(jnp.abs(aligned.y))
+
+    def line(mean: jax.Array, count: jax.Array) -> jax.Array:
+        return edge_place(_polynomial(aligned.y, mean, count, 2, length), aligned.y)
+
+    (low, dark), (high, bright) = _sides(aligned)
+    return line(low, dark), line(high, bright)
+
+
+def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
+    """Divide the rows by their light, less the straight line that the fit itself has.
+
+    The light is a polynomial over the rows, through the means of both sides. Its order, up to 10, is the one that
+    Schwarz's criterion (1978) prefers; a line leaves the rows as they are.
+    """
+    (low, dark), (high, bright) = _sides(aligned)
+    weight = ((dark > 0) & (bright > 0)).astype(float)
+    level = jnp.where(weight > 0, (low + high) / 2, 0.0)
+    powers = legendre(aligned.y / length, _LIGHT + 1)
+    normal = (powers * weight) @ powers.T + 1e-9 * jnp.eye(_LIGHT + 1)
+    root = jnp.linalg.cholesky(normal)
+    # the part of each order that lower ones do not have: a row of `own` is orthogonal to those above it
+    own = jax.scipy.linalg.solve_triangular(root, powers, lower=True)
+    share = own @ (weight * level)
+    count = jnp.maximum(weight.sum(), 2.0)
+    left = jnp.maximum((weight * level**2).sum() - jnp.cumsum(share**2), 1e-12 * (weight * level**2).sum() + 1e-300)
+    order = jnp.arange(_LIGHT + 1)
+    cost = jnp.where(
+        (order >= 1) & (order <= count / 6), count * jnp.log(left / count) + order * jnp.log(count), jnp.inf
+    )
+    best = jnp.maximum(jnp.argmin(cost), 1)
+    line = share[:2] @ own[:2]
+    full = (share * (order <= best)) @ own
+    light = jnp.where((best > 1) & (line > 0), full / jnp.where(line > 0, line, 1.0), 1.0)
+    light = jnp.clip(light, _FAINTEST, 1 / _FAINTEST)
+    return aligned._replace(value=aligned.value / light[:, None], light=light)
+
+
+def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """Return means (rows,) on both sides, and how many samples they have."""
+    middle, reach = aligned.value.shape[1] // 2, _REACH // aligned.step
+    outer = 2 * reach
+
+    def mean(part: slice) -> tuple[jax.Array, jax.Array]:
+        count = aligned.valid[:, part].sum(1)
+        return (aligned.valid[:, part] * aligned.value[:, part]).sum(1) / jnp.maximum(count, 1.0), count
+
+    return mean(slice(max(middle - outer, 0), middle - reach // 2)), mean(
+        slice(middle + reach // 2 + 1, middle + outer + 1)
+    )
+
+
+def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
+    """Return where each row steps up most (rows,), px, and a weight: 1 where it does, 0 where it shows no edge."""
+    width = rows.value.shape[1]
+    reach = max(min(_REACH // rows.step, width // 4), _NARROW)
+    there = jnp.isfinite(rows.value)
+    # between columns k - 1 and k: the window to its right less that to its left, cut at the borders
+
+    def windows(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+        ends = ((0, 0), (reach, reach))
+        total = jax.lax.reduce_window(a, 0.0, jax.lax.add, (1, reach), (1, 1), ends)
+        return total[:, 1:width], total[:, reach + 1 : reach + width]
+
+    before, after = windows(there.astype(float))
+    dark, bright = (
+        total / jnp.maximum(count, 1.0)
+        for total, count in zip(windows(jnp.where(there, rows.value, 0.0)), (before, after), strict=True)
+    )
+    # means of fewer samples scatter more
+    sure = 2 / (1 / jnp.maximum(before, 1e-9) + 1 / jnp.maximum(after, 1e-9))
+    enough = (before >= _MARGIN) & (after >= _MARGIN)
+    step = jnp.where(enough, (bright - dark) * jnp.sqrt(sure), -jnp.inf)
+    best = jnp.argmax(step, axis=1)
+    at = lambda a: jnp.take_along_axis(a, best[:, None], axis=1)[:, 0]  # noqa: E731
+    size = (at(bright) - at(dark)) / jnp.maximum(jnp.abs(at(bright)) + jnp.abs(at(dark)), 1e-300)
+    shown = jnp.isfinite(at(step)) & (size > 0)
+    usual = jnp.nanmedian(jnp.where(shown, size, jnp.nan))
+    place = rows.start + (best + 0.5) * rows.step
+    return jnp.asarray(place), (shown & (size > _WEAK * usual)).astype(float)
+
+
+def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:
+    """Return coefficients (CURVE,) of a weighted polynomial fit x(y), the last ones 0."""
+    powers = legendre(y / length, terms)
+    stiff = jnp.where(jnp.arange(terms) < 3, 1e-9, _STIFF)
+    found = jnp.linalg.solve((powers * weight) @ powers.T + jnp.diag(stiff), (powers * weight) @ x)
+    return to_coefficients(found, length)
+
+
+def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
+    """Return the coefficients (CURVE,) of powers of y from those of Legendre's polynomials of y / length."""
+    return jnp.pad(strengths, (0, CURVE - strengths.size)) @ _TO_POWERS / length ** jnp.arange(CURVE)
+
+
+_TO_POWERS = np.array(
+    [np.pad(np.polynomial.legendre.leg2poly([0.0] * k + [1.0]), (0, CURVE - 1 - k)) for k in range(CURVE)]
+)
