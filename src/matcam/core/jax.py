@@ -7,6 +7,7 @@ are 1e3 to 1e6 times brighter than what surrounds them.
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from matcam.core.sealed import CompiledFunctions
 
 jax.config.update("jax_enable_x64", True)
 
-__all__ = ["AnyArray", "FloatArray", "is_concrete", "jax", "jnp", "use_compilation_cache"]
+__all__ = ["AnyArray", "FloatArray", "is_concrete", "jax", "jnp", "plainly_compiled", "use_compilation_cache"]
 
 AnyArray = jax.Array | np.ndarray
 FloatArray = npt.NDArray[np.float64]
@@ -32,6 +33,23 @@ _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
 def is_concrete(value: object) -> bool:
     """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
     return not isinstance(value, jax.core.Tracer)
+
+
+@cache
+def plainly_compiled(*, once: bool) -> dict[str, Any] | None:
+    """Return options for `jax.jit` with which XLA compiles a large program in less time.
+
+    once: for a program that runs once: a quarter of the time to compile, twice the time to run. Otherwise three quarters of the
+    time to compile, none of it lost in running.
+    """
+    options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+    if once:
+        options["xla_backend_optimization_level"] = 0
+    try:  # XLA's options come and go with its versions
+        jax.jit(lambda x: x, compiler_options=options).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return None
+    return options
 
 
 def use_compilation_cache() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from matcam.calibration.edge.maximum_likelihood import (
 )
 from matcam.calibration.edge.outliers import without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.jax import AnyArray, jax, jnp, plainly_compiled
 from matcam.numerics.linalg import scaled_inverse
 
 _CORE = 7.0  # px
@@ -161,7 +162,6 @@ class _Turn(NamedTuple):
     moved: CurveStep
 
 
-@partial(jax.jit, static_argnames=("step", "turns"))
 def edge_fits(
     value: AnyArray,
     y: AnyArray,
@@ -177,14 +177,9 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    stage = _stage(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
-    found = stage.glare.rise > free_fit.FOUND * stage.scatter
-    plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    curve = jax.lax.cond(found, free_fit.curve_with_glare, plain, stage.free, stage.glare)
-    return _edge_fits(stage, curve, jnp.asarray(half_width))
+    return _program(_fits_of_one, once=True)(value, y, start, noise, half_width, step=step, turns=turns)
 
 
-@partial(jax.jit, static_argnames=("step", "turns"))
 def edge_fits_of_stack(
     values: AnyArray,
     y: AnyArray,
@@ -199,24 +194,7 @@ def edge_fits_of_stack(
 
     value: (n, rows, columns). y and start: (n, rows).
     """
-    half_width = jnp.asarray(half_width)
-
-    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Stage:
-        return _stage(Rows(value, y, start, step), noise, half_width, turns)
-
-    stages = jax.vmap(of_one)(*map(jnp.asarray, (values, y, start)))
-    found = stages.glare.rise > free_fit.FOUND * stages.scatter
-
-    def without(stages: _Stage) -> FreeCurve:
-        return jax.vmap(free_fit.curve_without_glare)(stages.free)
-
-    def some(stages: _Stage) -> FreeCurve:
-        plain, glaring = without(stages), jax.vmap(free_fit.curve_with_glare)(stages.free, stages.glare)
-        return jax.tree.map(lambda a, b: jnp.where(found.reshape(-1, *[1] * (a.ndim - 1)), a, b), glaring, plain)
-
-    # under vmap both sides of a condition are computed: ask once for all of them
-    curves = jax.lax.cond(jnp.any(found), some, without, stages)
-    return jax.vmap(lambda stage, curve: _edge_fits(stage, curve, half_width))(stages, curves)
+    return _program(_fits_of_stack, once=False)(values, y, start, noise, half_width, step=step, turns=turns)
 
 
 @jax.jit
@@ -230,6 +208,43 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape)
     doubt = _Doubt(found.roughness, found.misfit)
     return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
+
+
+@cache
+def _program(function: Callable[..., EdgeFits], *, once: bool) -> Callable[..., EdgeFits]:
+    """Return a compiled function, of which little or much is asked."""
+    return jax.jit(function, static_argnames=("step", "turns"), compiler_options=plainly_compiled(once=once))
+
+
+def _fits_of_one(
+    value: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
+) -> EdgeFits:
+    stage = _stage(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
+    found = stage.glare.rise > free_fit.FOUND * stage.scatter
+    plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
+    curve = jax.lax.cond(found, free_fit.curve_with_glare, plain, stage.free, stage.glare)
+    return _edge_fits(stage, curve, jnp.asarray(half_width))
+
+
+def _fits_of_stack(
+    values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
+) -> EdgeFits:
+    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Stage:
+        return _stage(Rows(value, y, start, step), noise, half_width, turns)
+
+    stages = jax.vmap(of_one)(values, y, start)
+    found = stages.glare.rise > free_fit.FOUND * stages.scatter
+
+    def without(stages: _Stage) -> FreeCurve:
+        return jax.vmap(free_fit.curve_without_glare)(stages.free)
+
+    def some(stages: _Stage) -> FreeCurve:
+        plain, glaring = without(stages), jax.vmap(free_fit.curve_with_glare)(stages.free, stages.glare)
+        return jax.tree.map(lambda a, b: jnp.where(found.reshape(-1, *[1] * (a.ndim - 1)), a, b), glaring, plain)
+
+    # under vmap both sides of a condition are computed: ask once for all of them
+    curves = jax.lax.cond(jnp.any(found), some, without, stages)
+    return jax.vmap(lambda stage, curve: _edge_fits(stage, curve, half_width))(stages, curves)
 
 
 def _stage(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Stage:
