@@ -54,6 +54,21 @@ def test_a_negative_by_another_name_is_still_one(tmp_path):
     assert open_photograph(write_dng(tmp_path / "a.tif", COUNTS)).cfa == "RGGB"
 
 
+@pytest.mark.parametrize("canon", [False, True])
+def test_a_preview_in_camera_raw_is_no_picture(tmp_path, canon):
+    """As NEF and ARW have it under another name: a small preview first, the mosaic in a page of that page."""
+    preview, path = np.full((16, 24, 3), 90, np.uint8), tmp_path / "shot.tif"
+    with tifffile.TiffWriter(path) as file:
+        file.write(preview, photometric="rgb", subfiletype=not canon, subifds=1)
+        file.write(COUNTS, photometric=32803, subfiletype=0)
+    if canon:  # its mark stands where the first directory was; that goes to the end
+        data = path.read_bytes()
+        directory = data[8 : 8 + 2 + 12 * int.from_bytes(data[8:10], "little") + 4]
+        path.write_bytes(data[:4] + len(data).to_bytes(4, "little") + b"CR\2\0" + data[12:] + directory)
+    with pytest.raises(FileFormatError, match="a preview of 24 x 16 px, as camera raw has"):
+        open_photograph(path)
+
+
 def test_other_formats(tmp_path):
     colour = RNG.integers(0, 65536, (20, 30, 3), dtype=np.uint16)
     (tmp_path / "a.png").write_bytes(imagecodecs.png_encode(colour))

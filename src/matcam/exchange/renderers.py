@@ -10,6 +10,7 @@ Such exports go wrong over the meaning of "roughness". Here it is alpha, the sca
 
 from __future__ import annotations
 
+import contextvars
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -208,7 +209,8 @@ def rendered_sphere(
     mitsuba = _mitsuba()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
-        write_rgl(path, adaptive_grid(material))
+        # no output of the command's, which would have its name at the end only: outside of the command's context
+        contextvars.Context().run(write_rgl, path, adaptive_grid(material))
         scene = mitsuba.load_dict(_scene(mitsuba, path, lamp_angle, environment, size, samples))
         picture = np.asarray(mitsuba.render(scene), dtype=np.float32)
     return picture[..., :3]

@@ -18,6 +18,7 @@ from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promi
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _START = 26  # bytes: up to the size in a PNG
+_PREVIEW, _CANON = 1, b"CR"  # a bit of NewSubfileType (TIFF 6.0); what stands behind a CR2's TIFF header
 
 
 def decode_photograph(path: Path, *, there: int) -> np.ndarray:
@@ -47,6 +48,11 @@ def _decoded(path: Path, start: bytes, there: int) -> np.ndarray:
 
         with tifffile.TiffFile(path) as file:
             page = file.pages[0].aspage()
+            if page.subfiletype & _PREVIEW or start[8:10] == _CANON:
+                raise FileFormatError(
+                    f"{path}: holds first a preview of {page.imagewidth} x {page.imagelength} px, as camera raw has: "
+                    "give the raw file its own suffix (.dng, .nef, .cr2, ...)"
+                )
             check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize, there)
             size = path.stat().st_size
             ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]

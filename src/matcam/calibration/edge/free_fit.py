@@ -38,6 +38,7 @@ _PRIOR_ODD = 0.03  # of the step, at most
 _PRIOR_TAIL = 0.3  # of the step
 _PRIOR_GLARE = 0.1  # of the step
 _MISFIT = 2e-4  # of the step: what bumps of 0.6 s cannot describe; weighs only in pictures with less noise than that
+_LEAST_COST = 10.8  # 2 ln likelihood that a parameter of the light must bring at least: once in 1,000 by chance
 _LEVELS = SHIFT
 _COLUMN = _LEVELS + GLARE
 """Where glare stands among the columns; 0 until it is looked for."""
@@ -226,7 +227,7 @@ def _chosen_light(
     # what no light and no glare explains is as much noise as any
     scatter = jnp.maximum(jnp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
-    cost = chi2 + each * lights.sum(1) - jnp.where(rise > FOUND, rise - 2 * each, 0.0)
+    cost = chi2 + jnp.maximum(each, _LEAST_COST) * lights.sum(1) - jnp.where(rise > FOUND, rise - 2 * each, 0.0)
     return lights[jnp.argmin(cost)]
 
 
