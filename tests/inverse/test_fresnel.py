@@ -178,6 +178,7 @@ def test_pulls_with_an_exact_camera(shot):
     assert abs(found.mean()) < 0.3
 
 
+@pytest.mark.slow
 def test_the_gain_of_each_picture_is_seen(shot, noisy):
     """1 % of gain in every picture: F is rougher than its noise, by about as much; without it nothing is said."""
     random = np.random.default_rng(6)

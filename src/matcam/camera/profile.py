@@ -41,7 +41,7 @@ from matcam.camera.sensor import Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import checked_version, first_problem, read_json
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp
 from matcam.core.registry import LENSES, PIXELS
 
 
@@ -72,7 +72,9 @@ class Uncertainty(eqx.Module):
             raise ArgumentError(f"covariance of {n} parameters must have shape ({n}, {n}), got {self.covariance.shape}")
         if len(set(self.names)) != n:
             raise ArgumentError(f"covariance names a parameter twice: {', '.join(self.names)}")
-        matrix = np.asarray(self.covariance)
+        if not is_concrete(covariance):
+            return
+        matrix = np.asarray(covariance, dtype=float)  # as it was given: within jax.jit its copy is a tracer
         scale = np.sqrt(np.maximum(np.diag(matrix), 0))
         tolerance = 1e-9 * np.outer(scale, scale) + 1e-300
         if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > tolerance):

@@ -131,7 +131,7 @@ class EdgeMTF(_EdgeNumbers[float]):
         overshoot_std: its standard deviation (no unit).
         parametric: the fit of a family of lenses, a `ParametricEdge`.
         fits: everything that was fitted, about the middle of the region.
-        given: remarks on the picture itself, as on its tone curve.
+        given: remarks on the picture itself, as on its tone curve (no unit). Default: (), none.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
