@@ -10,7 +10,6 @@ Such exports go wrong over the meaning of "roughness". Here it is alpha, the sca
 
 from __future__ import annotations
 
-import contextvars
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, CHANNELS
+from matcam.core.io import one_by_one
 from matcam.exchange.parameterisation import adaptive_grid
 from matcam.files.float_pictures import read_exr
 from matcam.files.rgl import write_rgl
@@ -209,8 +209,8 @@ def rendered_sphere(
     mitsuba = _mitsuba()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
-        # no output of the command's, which would have its name at the end only: outside of the command's context
-        contextvars.Context().run(write_rgl, path, adaptive_grid(material))
+        with one_by_one():  # no output of the command's, which would have its name at the end only
+            write_rgl(path, adaptive_grid(material))
         scene = mitsuba.load_dict(_scene(mitsuba, path, lamp_angle, environment, size, samples))
         picture = np.asarray(mitsuba.render(scene), dtype=np.float32)
     return picture[..., :3]

@@ -62,6 +62,11 @@ class AlignedRows(NamedTuple):
         middle, reach = self.value.shape[1] // 2, _NEAR // self.step
         return slice(max(middle - reach, 0), middle + reach + 1)
 
+    @property
+    def length(self) -> jax.Array:
+        """Return the unit of the light's terms, px: the largest |y|, also of empty rows."""
+        return jnp.maximum(jnp.max(jnp.abs(self.y)), 1.0)
+
 
 class PhasedRows(NamedTuple):
     """Hold aligned rows with distances to a curve, and phases.
@@ -177,12 +182,11 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
     """Return the cells of aligned rows."""
     aligned = phased.rows
     near = aligned.near
-    length = jnp.maximum(jnp.max(jnp.abs(aligned.y)), 1.0)
 
     def channels(part: slice) -> list[jax.Array]:
         valid, apart, x = aligned.valid[:, part], phased.distance[:, part], aligned.x[:, part]
         y, dim = aligned.y[:, None], 1 / aligned.light[:, None]
-        quantities = [apart, apart**2, dim, *light_terms(x, y, apart, length)]
+        quantities = [apart, apart**2, dim, *light_terms(x, y, apart, aligned.length)]
         return [valid, aligned.value[:, part], *(valid * q for q in quantities)]
 
     # one product for all channels: many small ones cost three times as much

@@ -173,7 +173,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     size = shape[0] * shape[1]
     of_row = lambda a: a[:size].reshape(shape)[phased.phase]  # noqa: E731
     y, distance = aligned.y[:, None], phased.distance[:, near]
-    terms = jnp.stack(light_terms(aligned.x[:, near], y, distance, jnp.maximum(jnp.max(jnp.abs(aligned.y)), 1.0)))
+    terms = jnp.stack(light_terms(aligned.x[:, near], y, distance, aligned.length))
     light = light_of(state.linear, terms)
     of_cell = light_of(state.linear, cells.terms)
     slope = of_row(at.design[SHIFT] / at.light) * light.factor

@@ -134,6 +134,11 @@ class _Stage(NamedTuple):
     scatter: jax.Array
     outliers: jax.Array
 
+    @property
+    def glares(self) -> jax.Array:
+        """Say whether glare was found."""
+        return self.glare.rise > free_fit.FOUND * self.scatter
+
 
 class _Doubt(NamedTuple):
     """Hold what no noise explains, and what it may have done to an MTF.
@@ -220,9 +225,8 @@ def _fits_of_one(
     value: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
 ) -> EdgeFits:
     stage = _stage(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
-    found = stage.glare.rise > free_fit.FOUND * stage.scatter
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    curve = jax.lax.cond(found, free_fit.curve_with_glare, plain, stage.free, stage.glare)
+    curve = jax.lax.cond(stage.glares, free_fit.curve_with_glare, plain, stage.free, stage.glare)
     return _edge_fits(stage, curve, jnp.asarray(half_width))
 
 
@@ -233,7 +237,7 @@ def _fits_of_stack(
         return _stage(Rows(value, y, start, step), noise, half_width, turns)
 
     stages = jax.vmap(of_one)(values, y, start)
-    found = stages.glare.rise > free_fit.FOUND * stages.scatter
+    found = stages.glares
 
     def without(stages: _Stage) -> FreeCurve:
         return jax.vmap(free_fit.curve_without_glare)(stages.free)
@@ -300,7 +304,7 @@ def _stage(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Sta
 def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFits:
     """Read everything off the fits."""
     # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
-    by_glare = jnp.where(stage.glare.rise > free_fit.FOUND * stage.scatter, stage.glare.rise, 0.0)
+    by_glare = jnp.where(stage.glares, stage.glare.rise, 0.0)
     scatter = (stage.free.chi2 - by_glare) / stage.free.degrees
     excess = jnp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
