@@ -1,0 +1,29 @@
+"""The light of one lamp position, merged from its exposures: what a reconstruction reads instead of photographs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class MergedPicture:
+    """Hold the linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
+
+    Attributes:
+        name: the lamp position, as `frames.csv` calls it.
+        values: linear radiance of each pixel, of shape (height, width), in one unit for all pictures of a capture:
+            electrons, or digital numbers, of the reference exposure. Dark is subtracted. NaN: no value.
+        std: standard deviation of `values` by photon and read noise, same shape and unit.
+        clipped: pixels that were clipped in every exposure, same shape: the truth is at least `values`.
+        channel: index into `channels` of each pixel, same shape: a mosaic stays a mosaic.
+        channels: names of the colours, ("R", "G", "B") or ("grey",).
+        origin: row and column of the first pixel in the frame, when the picture was cropped.
+    """
+
+    name: str
+    values: np.ndarray
+    std: np.ndarray
+    clipped: np.ndarray
+    channel: np.ndarray
+    channels: tuple[str, ...]
+    origin: tuple[int, int] = (0, 0)
