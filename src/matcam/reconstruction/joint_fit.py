@@ -1,0 +1,355 @@
+"""All pictures of a sphere fitted at once: lobe, reflectance, lens, lamps and distances in one likelihood (docs/model.md 10).
+
+The model of pixel i of channel c in picture k is
+
+    exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
+
+with a strength F_kc that is free in every picture, and the gain g_k within what is known of it. A pixel that was clipped says
+that the truth is at least its value. What the noise does not explain enters as a share of the model, so that errors of any kind
+widen the stated uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from matcam.core.errors import FitError
+from matcam.numerics.linalg import scaled_inverse
+from matcam.reconstruction.observed_pixels import Pixels
+from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, PictureModel, Recorded
+
+_CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
+_HUBER = 4.0
+_STEPS = 25
+_SETTLED = 1e-3  # of a standard deviation
+
+
+class JointLayout(NamedTuple):
+    """Order the vector of all parameters: lobe, scene, diffuse, then each picture's own, its gain and its strengths.
+
+    Attributes:
+        lobe: number of the lobe's parameters.
+        channels: number of channels.
+        pictures: number of pictures.
+    """
+
+    lobe: int
+    channels: int
+    pictures: int
+
+    @property
+    def shared(self) -> int:
+        """Count the parameters of all pictures."""
+        return self.lobe + len(SCENE) + self.channels
+
+    @property
+    def each(self) -> int:
+        """Count the parameters of one picture."""
+        return len(OWN) + 1 + self.channels
+
+    @property
+    def size(self) -> int:
+        """Count all parameters."""
+        return self.shared + self.pictures * self.each
+
+    @property
+    def scene(self) -> slice:
+        """Place of lens, radius and nearnesses."""
+        return slice(self.lobe, self.lobe + len(SCENE))
+
+    @property
+    def diffuse(self) -> slice:
+        """Place of the diffuse parts."""
+        return slice(self.lobe + len(SCENE), self.shared)
+
+    def own(self, k: int) -> slice:
+        """Place of a picture's centre and lamp."""
+        first = self.shared + k * self.each
+        return slice(first, first + len(OWN))
+
+    def gain(self, k: int) -> int:
+        """Place of a picture's gain."""
+        return self.own(k).stop
+
+    def strengths(self, k: int) -> slice:
+        """Place of a picture's strengths, one per channel."""
+        first = self.gain(k) + 1
+        return slice(first, first + self.channels)
+
+    def of_picture(self, k: int) -> np.ndarray:
+        """Return the places of the parameters that the picture model takes."""
+        own = self.own(k)
+        return np.concatenate([np.arange(self.lobe + len(SCENE)), np.arange(own.start, own.stop)])
+
+
+@dataclass(frozen=True)
+class JointProblem:
+    """Hold pictures, model and what is known beforehand.
+
+    Attributes:
+        model: what pixels record.
+        layout: order of the parameters.
+        pixels: chosen pixels of each picture.
+        frames: base direction of each picture's lamp.
+        prior_rows: combinations of the parameters, (rows, size), that are
+        prior_values: these values +- 1, (rows,).
+        low: smallest value of each parameter.
+        high: largest value of each parameter.
+        slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
+        fixed: parameters that stay as they are, (size,).
+    """
+
+    model: PictureModel
+    layout: JointLayout
+    pixels: Sequence[Pixels]
+    frames: Sequence[LampFrame]
+    prior_rows: np.ndarray
+    prior_values: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    slope: np.ndarray
+    fixed: np.ndarray
+
+    def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
+        """Return what the chosen pixels of picture k record of unit strengths, window first, with derivatives."""
+        at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
+        near, near_slopes = self.model.window(at, frame, pixels.window, slopes=slopes)
+        far, far_slopes = self.model.pixels(at, frame, pixels.column, pixels.row, slopes=slopes)
+
+        def joined(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+            first = np.asarray(first)
+            return np.concatenate([first.reshape(-1, *first.shape[2:]), np.asarray(second)])
+
+        value = Recorded(*map(joined, near, far))
+        if near_slopes is None or far_slopes is None:
+            return value, None
+        return value, Recorded(*map(joined, near_slopes, far_slopes))
+
+    def picture(self, p: np.ndarray, k: int, *, slopes: bool) -> PictureFit:
+        """Return the model of the chosen pixels of picture k, and its derivatives."""
+        layout, pixels = self.layout, self.pixels[k]
+        recorded, derivative = self.recorded(p, k, slopes=slopes)
+        channel = pixels.channel
+        strength, diffuse = p[layout.strengths(k)][channel], p[layout.diffuse][channel]
+        gain = np.exp(p[layout.gain(k)])
+        peak = int(np.argmax(np.where(pixels.used, recorded.lobe, -1.0)))
+        theta = recorded.theta_d[peak]
+        slope = self.slope[k][channel]
+        bend = 1 + slope * (recorded.theta_d - theta)
+        lobe, lambert = strength * bend * recorded.lobe, diffuse * recorded.lambert
+        value = gain * (lobe + lambert)
+        if derivative is None:
+            return PictureFit(value, None, theta, None)
+        jacobian = np.zeros((value.size, layout.size))
+        columns = layout.of_picture(k)
+        by_theta = derivative.theta_d - derivative.theta_d[peak]
+        jacobian[:, columns] = gain * (
+            (strength * bend)[:, None] * derivative.lobe
+            + (strength * slope * recorded.lobe)[:, None] * by_theta
+            + diffuse[:, None] * derivative.lambert
+        )
+        jacobian[:, layout.gain(k)] = value
+        everything = np.arange(value.size)
+        jacobian[everything, layout.strengths(k).start + channel] = gain * bend * recorded.lobe
+        jacobian[everything, layout.diffuse.start + channel] = gain * recorded.lambert
+        angle = np.zeros(layout.size)
+        angle[columns] = derivative.theta_d[peak]
+        return PictureFit(value, jacobian, float(theta), angle)
+
+
+class PictureFit(NamedTuple):
+    """Hold the model of one picture's chosen pixels.
+
+    Attributes:
+        value: (pixels,).
+        jacobian: its derivatives, (pixels, parameters); None: not asked for.
+        theta_d: where its strengths are read, rad.
+        theta_d_slope: derivatives of that angle, (parameters,).
+    """
+
+    value: np.ndarray
+    jacobian: np.ndarray | None
+    theta_d: float
+    theta_d_slope: np.ndarray | None
+
+
+class JointSolution(NamedTuple):
+    """Hold the best fit.
+
+    Attributes:
+        problem: what was solved.
+        p: parameters.
+        covariance: of the parameters, with what the fit does not explain.
+        cost: minus twice the logarithm of likelihood and prior, but for a constant.
+        unexplained: share of the model that enters the noise, no unit.
+        theta_d: angle of each picture's strengths, rad, (pictures,).
+        theta_d_slope: derivatives of these angles, (pictures, parameters).
+        chi2: mean squared residual of each picture, in standard deviations of photon and read noise, (pictures,).
+        left_out: pixels beyond 6 standard deviations in each picture, (pictures,).
+    """
+
+    problem: JointProblem
+    p: np.ndarray
+    covariance: np.ndarray
+    cost: float
+    unexplained: float
+    theta_d: np.ndarray
+    theta_d_slope: np.ndarray
+    chi2: np.ndarray
+    left_out: np.ndarray
+
+
+class Likelihood:
+    """Judge a model by its pixels, with a share of the model as noise.
+
+    Args:
+        unexplained: that share, no unit.
+    """
+
+    def __init__(self, unexplained: float):
+        self.unexplained = unexplained
+
+    def residual(self, pixels: Pixels, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return standardised residuals, their derivatives by the model, and their robust weights, (pixels,).
+
+        A clipped pixel's residual is the root of minus twice the logarithm of the chance that it was clipped.
+        """
+        std = np.hypot(pixels.std, self.unexplained * np.abs(value))
+        z = (value - pixels.values) / std
+        by_value = 1 / std
+        bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
+        chance = log_ndtr(bound)
+        root = np.sqrt(np.maximum(-2 * chance, 1e-300))
+        hazard = np.exp(-0.5 * bound**2 - chance) / np.sqrt(2 * np.pi)
+        residual = np.where(pixels.clipped, -root, z)
+        slope = np.where(pixels.clipped, hazard / np.maximum(root, 1e-12), 1.0) * by_value
+        slope = np.where(pixels.clipped & (np.abs(z) > _CLIPPED_OUT), 0.0, slope)
+        weight = np.where(np.abs(residual) > _HUBER, _HUBER / np.maximum(np.abs(residual), _HUBER), 1.0)
+        used = pixels.used
+        return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
+
+    def cost(self, pixels: Pixels, value: np.ndarray) -> float:
+        """Return Huber's cost of a picture, with the logarithm of its noise."""
+        residual, _, _ = self.residual(pixels, value)
+        size = np.abs(residual)
+        huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
+        return float(huber.sum())
+
+
+def solve(
+    problem: JointProblem, start: np.ndarray, unexplained: float, progress: Callable[[str], None] | None = None
+) -> tuple[np.ndarray, float]:
+    """Return the parameters of least cost and the cost, at a given share of unexplained noise, by Levenberg and Marquardt."""
+    judge = Likelihood(unexplained)
+    p = np.clip(start, problem.low, problem.high)
+    free = ~problem.fixed
+    damping = 1e-3
+    cost, gradient, normal = _assembled(problem, judge, p)
+    for _ in range(_STEPS):
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
+        accepted = False
+        for _ in range(8):
+            matrix = normal / np.outer(scale, scale) + damping * np.eye(len(p))
+            step = np.zeros_like(p)
+            inner = np.ix_(free, free)
+            step[free] = -np.linalg.solve(matrix[inner], (gradient / scale)[free]) / scale[free]
+            trial = np.clip(p + step, problem.low, problem.high)
+            trial_cost = _cost(problem, judge, trial)
+            if np.isfinite(trial_cost) and trial_cost <= cost + 1e-9 * abs(cost):
+                accepted = True
+                break
+            damping *= 8
+        if not accepted:
+            break
+        gained, moved = cost - trial_cost, np.abs((trial - p) * scale).max()
+        p, damping = trial, max(damping / 10, 1e-9)
+        if progress is not None:
+            progress(f"cost {trial_cost:.6g}")
+        if gained < 1e-2 or moved < _SETTLED:
+            cost = trial_cost
+            break
+        cost, gradient, normal = _assembled(problem, judge, p)
+    if not np.all(np.isfinite(p)):
+        raise FitError("the fit of the pictures ran into numbers that are none: they do not look like a sphere's highlights")
+    return p, cost
+
+
+def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> JointSolution:
+    """Return the solution at parameters: covariance, angles and how well each picture is explained."""
+    judge = Likelihood(unexplained)
+    layout = problem.layout
+    cost, _, normal = _assembled(problem, judge, p)
+    free = ~problem.fixed
+    covariance = np.zeros_like(normal)
+    covariance[np.ix_(free, free)] = scaled_inverse(normal[np.ix_(free, free)], undetermined=1e14)
+    theta, slopes, chi2, out = [], [], [], []
+    for k in range(layout.pictures):
+        fit = problem.picture(p, k, slopes=True)
+        plain, _, _ = Likelihood(0.0).residual(problem.pixels[k], fit.value)
+        theta.append(fit.theta_d)
+        slopes.append(fit.theta_d_slope)
+        count = max(int(problem.pixels[k].used.sum()), 1)
+        chi2.append(float((plain**2).sum() / count))
+        residual, _, _ = judge.residual(problem.pixels[k], fit.value)
+        out.append(int((np.abs(residual) > 6).sum()))
+    return JointSolution(
+        problem, p, covariance, cost, unexplained, np.array(theta), np.array(slopes), np.array(chi2), np.array(out)
+    )
+
+
+def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
+    """Return the share of the model that, added to photon and read noise, makes the residuals of the bright pixels normal.
+
+    It is judged by the median of squared residuals, so that dust on a few pixels does not decide.
+    """
+    values, residuals, stds = [], [], []
+    for k in range(problem.layout.pictures):
+        fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
+        bright = pixels.used & ~pixels.clipped & (fit.value > 10 * pixels.std)
+        values.append(fit.value[bright])
+        residuals.append((pixels.values - fit.value)[bright])
+        stds.append(pixels.std[bright])
+    value, residual, std = map(np.concatenate, (values, residuals, stds))
+    if value.size < 50:
+        return 0.0
+
+    def excess(share: float) -> float:
+        u2 = residual**2 / (std**2 + (share * value) ** 2)
+        return float(np.mean(np.minimum(u2, 9.0)) / 0.9733 - 1)  # the mean of a normal's square, cut at 9
+
+    if excess(0.0) <= 0:
+        return 0.0
+    low, high = 1e-5, 1.0
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return float(high)
+
+
+def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return cost, half its gradient and half its curvature (Gauss and Newton)."""
+    away = problem.prior_rows @ p - problem.prior_values
+    cost = float(away @ away)
+    gradient, normal = problem.prior_rows.T @ away, problem.prior_rows.T @ problem.prior_rows
+    for k in range(problem.layout.pictures):
+        fit = problem.picture(p, k, slopes=True)
+        residual, slope, weight = judge.residual(problem.pixels[k], fit.value)
+        columns = np.flatnonzero(np.any(fit.jacobian != 0, axis=0))
+        jacobian = fit.jacobian[:, columns] * slope[:, None]
+        weighted = jacobian * weight[:, None]
+        gradient[columns] += weighted.T @ residual
+        normal[np.ix_(columns, columns)] += weighted.T @ jacobian
+        cost += judge.cost(problem.pixels[k], fit.value)
+    return cost, gradient, normal
+
+
+def _cost(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> float:
+    away = problem.prior_rows @ p - problem.prior_values
+    return float(away @ away) + sum(
+        judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(problem.layout.pictures)
+    )

@@ -1,0 +1,151 @@
+"""Which pixels of a picture are fitted: all about the highlight, and some everywhere else.
+
+The window about the highlight holds what the lens and a narrow lobe do. Beyond it the picture is smooth, and pixels at every half
+angle say what tails and diffuse part are. They are drawn evenly in the logarithm of the half angle, with a fixed seed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.reconstruction.picture_rule import WINDOW, Window, window_about
+
+SCATTERED = 768
+"""Pixels of a picture beside its window."""
+_STRATA = 24
+_LIMB = 3.0  # px from the outline within which a pixel's own rule does not follow the border
+_OUTSIDE = 1.5  # px beyond the outline up to which the window's pixels are read: what lies behind is not the sphere
+_LIT = 0.05  # least cosine to the lamp
+
+
+class Pixels(NamedTuple):
+    """Hold the chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
+
+    Attributes:
+        window: nodes and pixels about the highlight.
+        column: of the scattered pixels, px, (SCATTERED,).
+        row: of the scattered pixels, px, (SCATTERED,).
+        values: of all pixels, (WINDOW^2 + SCATTERED,); 0 where not used.
+        std: of the noise, same shape; 1 where not used.
+        clipped: pixels that are at least their value.
+        channel: index of each pixel's colour.
+        used: pixels that hold a value and are fitted.
+    """
+
+    window: Window
+    column: np.ndarray
+    row: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
+    clipped: np.ndarray
+    channel: np.ndarray
+    used: np.ndarray
+
+
+class Place(NamedTuple):
+    """Say where a highlight and its sphere are in the frame.
+
+    Attributes:
+        column: of the outline's centre, px.
+        row: of the outline's centre, px.
+        radius: of the outline, px.
+        lamp: direction to the lamp, (3,).
+        highlight: p_x, p_y of the mirror point on the outline's disc.
+    """
+
+    column: float
+    row: float
+    radius: float
+    lamp: np.ndarray
+    highlight: tuple[float, float]
+
+
+def mirror_point(lamp: np.ndarray, camera_nearness: float, lamp_nearness: float) -> tuple[float, float]:
+    """Return where the sphere mirrors the lamp, on the outline's disc (Alhazen's problem, by iteration)."""
+    axis = np.array([0.0, 0.0, 1.0])
+    normal = lamp + axis
+    normal = normal / max(np.linalg.norm(normal), 1e-12)
+    for _ in range(200):
+        light, view = lamp - lamp_nearness * normal, axis - camera_nearness * normal
+        half = light / np.linalg.norm(light) + view / np.linalg.norm(view)
+        half /= max(np.linalg.norm(half), 1e-12)
+        moved, normal = np.abs(half - normal).max(), half
+        if moved < 1e-14:
+            break
+    scale = np.sqrt(1 - camera_nearness**2) / (1 - camera_nearness * normal[2])
+    return float(scale * normal[0]), float(scale * normal[1])
+
+
+def chosen_pixels(picture: MergedPicture, place: Place, *, scale: float, plateau: float, seed: int) -> Pixels:
+    """Return the pixels of a picture that are fitted.
+
+    Args:
+        picture: its values and their noise.
+        place: where sphere and highlight are.
+        scale: angle on which the lobe changes at its peak, rad.
+        plateau: half the lamp's angular radius, rad.
+        seed: of the draw of the scattered pixels.
+    """
+    window = window_about((place.column, place.row), place.radius, place.highlight, scale=scale, plateau=plateau)
+    first, second = np.meshgrid(window.pixel_u, window.pixel_v)
+    near_column, near_row = (second, first) if window.turned else (first, second)
+    far_column, far_row = _scattered(picture, place, (near_column, near_row), seed)
+    column = np.concatenate([near_column.ravel(), far_column])
+    row = np.concatenate([near_row.ravel(), far_row])
+    at_row, at_column = row.astype(int) - picture.origin[0], column.astype(int) - picture.origin[1]
+    height, width = picture.values.shape
+    inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
+    at_row, at_column = np.where(inside, at_row, 0), np.where(inside, at_column, 0)
+    values, std = picture.values[at_row, at_column], picture.std[at_row, at_column]
+    away = np.hypot(column - place.column, row - place.row)
+    used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
+    return Pixels(
+        window=window,
+        column=far_column,
+        row=far_row,
+        values=np.where(used, values, 0.0),
+        std=np.where(used, std, 1.0),
+        clipped=picture.clipped[at_row, at_column] & used,
+        channel=picture.channel[at_row, at_column].astype(int),
+        used=used,
+    )
+
+
+def _scattered(
+    picture: MergedPicture, place: Place, near: tuple[np.ndarray, np.ndarray], seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw pixels beyond the window, evenly over strata of ln theta_h; NaN-free but possibly outside the frame: not used."""
+    height, width = picture.values.shape
+    row, column = np.mgrid[0:height, 0:width]
+    row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]
+    p_x, p_y = (column - place.column) / place.radius, (place.row - row) / place.radius
+    depth2 = 1 - p_x**2 - p_y**2
+    out = (np.abs(column - near[0].mean()) > WINDOW // 2) | (np.abs(row - near[1].mean()) > WINDOW // 2)
+    keep = (np.hypot(p_x, p_y) < 1 - _LIMB / place.radius) & out
+    depth = np.sqrt(np.where(keep, depth2, 1.0))
+    keep &= p_x * place.lamp[0] + p_y * place.lamp[1] + depth * place.lamp[2] > _LIT
+    index = np.flatnonzero(keep)
+    random = np.random.default_rng(seed)
+    half = place.lamp + np.array([0.0, 0.0, 1.0])
+    half /= max(np.linalg.norm(half), 1e-12)
+    normal = np.stack([p_x[index], p_y[index], depth[index]])
+    chord = np.linalg.norm(normal - half[:, None], axis=0)
+    order = np.argsort(np.log(chord + 1e-9) + 1e-9 * random.random(index.size))
+    edges = np.geomspace(max(chord.min(initial=1.0), 1e-4), max(chord.max(initial=1.0), 2e-4), _STRATA + 1)
+    stratum = np.searchsorted(edges, chord[order])
+    chosen: list[np.ndarray] = []
+    left, strata = SCATTERED, np.unique(stratum)
+    for count, one in enumerate(sorted(strata, key=lambda s: int((stratum == s).sum()))):
+        members = order[stratum == one]
+        share = min(left // (len(strata) - count), members.size)
+        chosen.append(random.choice(members, share, replace=False))
+        left -= share
+    picked = index[np.concatenate(chosen)] if chosen else np.zeros(0, int)
+    column_out, row_out = np.full(SCATTERED, -1.0), np.full(SCATTERED, -1.0)
+    column_out[: picked.size], row_out[: picked.size] = column[picked], row[picked]
+    # places that hold no pixel are outside the frame, and stay inside the disc for the model's sake
+    column_out[picked.size :], row_out[picked.size :] = np.nan, np.nan
+    return np.nan_to_num(column_out, nan=-(10.0**6)), np.nan_to_num(row_out, nan=-(10.0**6))

@@ -1,0 +1,281 @@
+"""What the pixels of one picture record of a lobe, and how that changes with every parameter.
+
+A pixel reads  integral of kernel(place - pixel) L(place) over the picture.  In a window about the highlight the nodes stand on the
+sphere, so that the outline moves with its centre and radius; pixels elsewhere, where the picture is smooth on their own scale, take
+Gauss's rule of the kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from matcam.core.jax import jax, jnp, plainly_compiled
+from matcam.forward.integral.blur import Blur
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.reconstruction.picture_rule import Window
+from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, shading_at
+
+SCENE = ("lens", "radius", "camera", "lamp")
+"""Parameters of all pictures behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses."""
+OWN = ("column", "row", "lamp_a", "lamp_b")
+"""Parameters of one picture: the outline's centre, px, and the lamp's turn from its base direction along two tangents, rad."""
+
+
+class LampFrame(NamedTuple):
+    """Hold the base direction of a picture's lamp, and two tangents: unit vectors, (3,) each."""
+
+    base: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+
+class Recorded(NamedTuple):
+    """Hold what pixels record under unit irradiance at the sphere's centre.
+
+    Attributes:
+        lobe: of a lobe with F = 1, 1/sr.
+        lambert: of a Lambertian surface of albedo 1, 1/sr.
+        theta_d: difference angle at the pixel, rad.
+    """
+
+    lobe: Any
+    lambert: Any
+    theta_d: Any
+
+
+class KernelSlopes(NamedTuple):
+    """Hold one term of the kernel along one axis, 1/px, and its derivatives by the offset and by ln of the lens's scale."""
+
+    value: jax.Array
+    by_offset: jax.Array
+    by_lens: jax.Array
+
+
+def lamp_frame(direction: np.ndarray) -> LampFrame:
+    """Return the frame of a lamp in a direction of length 1, (3,)."""
+    helper = np.eye(3)[np.argmin(np.abs(direction))]
+    first = np.cross(direction, helper)
+    first /= np.linalg.norm(first)
+    return LampFrame(direction, first, np.cross(direction, first))
+
+
+def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
+    """Return the unit vector of a lamp that is turned by (a, b)."""
+    vector = frame.base + a * frame.first + b * frame.second
+    return vector / jnp.sqrt(jnp.sum(vector**2))
+
+
+class PictureModel:
+    """Evaluate pictures of one scene, all by two compiled programs.
+
+    Args:
+        kind: the lobe's family, masking and splines.
+        blur: the camera's kernel, its lens a sum of Gaussians.
+        disc: places on the lamp's disc and their weights, as `lamp_disc` gives.
+        disc_radius: the lamp's angular radius seen from the sphere's centre, rad.
+    """
+
+    def __init__(self, kind: LobeKind, blur: Blur, disc: tuple[np.ndarray, np.ndarray], disc_radius: float):
+        self.kind = kind
+        places, weights = disc
+        self._disc = (places * disc_radius, weights)
+        self._blur = blur
+        options = plainly_compiled(once=False)
+        self._window = {
+            False: jax.jit(self._window_value, compiler_options=options),
+            True: jax.jit(self._window_slopes, compiler_options=options),
+        }
+        self._pixels = {
+            False: jax.jit(self._pixels_value, compiler_options=options),
+            True: jax.jit(self._pixels_slopes, compiler_options=options),
+        }
+
+    @property
+    def size(self) -> int:
+        """Count the parameters of one picture: lobe, scene, own."""
+        return self.kind.size + len(SCENE) + len(OWN)
+
+    def window(self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
+        """Return what a window records, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
+        return self._window[slopes](*self._split(p), frame, window)
+
+    def pixels(
+        self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        """Return what single pixels record, (pixels,), and the derivatives, with a trailing (size,)."""
+        return self._pixels[slopes](*self._split(p), frame, (column, row))
+
+    def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Part the parameters that change the radiance from those that change the kernel."""
+        n = self.kind.size
+        return np.concatenate([p[:n], p[n + 2 : n + 4], p[n + 6 :]]), np.concatenate([p[n : n + 2], p[n + 4 : n + 6]])
+
+    def _window_value(self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window) -> tuple[Recorded, None]:
+        sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
+        emitted = self._emitted(light, frame, window) * kernel[1] ** 2
+        lobe, lambert = sum(
+            weight * jnp.einsum("bv,kva->kba", of_v.value, jnp.einsum("avu,kvu->kva", of_u.value, emitted))
+            for weight, of_u, of_v in zip(self._blur.weights, sum_u, sum_v, strict=True)
+        )
+        return Recorded(lobe, lambert, theta_d(light, kernel)), None
+
+    def _window_slopes(self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window) -> tuple[Recorded, Recorded]:
+        """Return value and derivatives, put together by hand: of the kernel three arrays serve all its parameters."""
+        sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
+        radius, along, turned = kernel[1], _along(window), window.turned > 0
+        emitted = self._emitted(light, frame, window) * radius**2
+        by_light = jax.jacfwd(lambda x: self._emitted(x, frame, window))(light) * radius**2
+        value, slopes = jnp.zeros(()), jnp.zeros(())
+        for weight, of_u, of_v in zip(self._blur.weights, sum_u, sum_v, strict=True):
+            rows = jnp.einsum("avu,kvu->kva", of_u.value, emitted)
+            moved = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted)
+            grown = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted * along)
+            wider = jnp.einsum("avu,kvu->kva", of_u.by_lens, emitted)
+            lit = jnp.einsum("avu,kvut->tkva", of_u.value, by_light)
+
+            def over_v(of_v: jax.Array, rows: jax.Array) -> jax.Array:
+                return jnp.einsum("bv,...kva->...kba", of_v, rows)
+
+            one = over_v(of_v.value, rows)
+            side_u, side_v = jnp.where(turned, -1.0, 1.0), jnp.where(turned, 1.0, -1.0)
+            by_radius = 2 * one / radius - side_u * over_v(of_v.value, grown)
+            by_radius -= side_v * over_v(of_v.by_offset * jnp.sin(window.v), rows)
+            by_lens = over_v(of_v.value, wider) + over_v(of_v.by_lens, rows)
+            by_u, by_v = -over_v(of_v.value, moved), -over_v(of_v.by_offset, rows)
+            by_kernel = jnp.stack([by_lens, by_radius, jnp.where(turned, by_v, by_u), jnp.where(turned, by_u, by_v)])
+            value += weight * one
+            slopes += weight * jnp.concatenate([over_v(of_v.value, lit), by_kernel])
+        count = light.size
+        pair = jnp.moveaxis(slopes, 0, -1)
+        angle = jax.jacfwd(theta_d, argnums=(0, 1))(light, kernel)
+        derivative = Recorded(*(_in_order(part[..., :count], part[..., count:]) for part in pair), _in_order(*angle))
+        return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
+
+    def _emitted(self, light: jax.Array, frame: LampFrame, window: Window) -> jax.Array:
+        """Return the radiance of both parts at the nodes times their weights, (2, v, u)."""
+        u, v = window.u[None, :], window.v[:, None]
+        along, across = _along(window), jnp.sin(v) + 0 * u
+        turned = window.turned > 0
+        p_x, p_y = jnp.where(turned, across, along), jnp.where(turned, along, across)
+        return jnp.stack(self._radiance(light, frame, p_x, p_y, jnp.cos(v) * jnp.cos(u))) * window.weight
+
+    def _projection(
+        self, kernel: jax.Array, window: Window, frame: LampFrame
+    ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[jax.Array, jax.Array], jax.Array]]:
+        """Return each term's kernel from nodes to pixels along u and v, and theta_d of the pixels as a function."""
+        lens, radius, column, row = kernel
+        turned = window.turned > 0
+        # columns run with x, rows against y
+        centre_u, side_u = jnp.where(turned, row, column), jnp.where(turned, -1.0, 1.0) * radius
+        centre_v, side_v = jnp.where(turned, column, row), jnp.where(turned, 1.0, -1.0) * radius
+        offset_u = window.pixel_u[:, None, None] - (centre_u + side_u * _along(window))  # (pixels, v, u)
+        offset_v = window.pixel_v[:, None] - (centre_v + side_v * jnp.sin(window.v))
+        terms = [self._blur.stds[term] * jnp.exp(lens) for term in range(self._blur.stds.size)]
+        where_u, where_v = jnp.meshgrid(window.pixel_u, window.pixel_v)
+        pixel_column, pixel_row = jnp.where(turned, where_v, where_u), jnp.where(turned, where_u, where_v)
+
+        def theta_d(light: jax.Array, kernel: jax.Array) -> jax.Array:
+            _, radius, column, row = kernel
+            return self._theta_d(light, frame, (pixel_column - column) / radius, (row - pixel_row) / radius)
+
+        of_u = [self._kernel_slopes(offset_u, std) for std in terms]
+        return of_u, [self._kernel_slopes(offset_v, std) for std in terms], theta_d
+
+    def _kernel_slopes(self, offset: jax.Array, std: jax.Array) -> KernelSlopes:
+        def of(offset: jax.Array) -> jax.Array:
+            return self._blur.pixel.of_gaussian(offset, std)
+
+        def of_std(log_std: jax.Array) -> jax.Array:
+            return self._blur.pixel.of_gaussian(offset, jnp.exp(log_std))
+
+        value, by_offset = jax.jvp(of, (offset,), (jnp.ones_like(offset),))
+        _, by_lens = jax.jvp(of_std, (jnp.log(std),), (jnp.ones(()),))
+        return KernelSlopes(value, by_offset, by_lens)
+
+    def _pixels_value(self, *parts: Any) -> tuple[Recorded, None]:
+        return self._of_pixels(*parts), None
+
+    def _pixels_slopes(self, light: jax.Array, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
+        def twice(light: jax.Array, kernel: jax.Array) -> tuple[Recorded, Recorded]:
+            recorded = self._of_pixels(light, kernel, *rest)
+            return recorded, recorded
+
+        slopes, recorded = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)(light, kernel)
+        return recorded, Recorded(*(_in_order(*pair) for pair in slopes))
+
+    def _of_pixels(
+        self, light: jax.Array, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
+    ) -> Recorded:
+        lens, radius, column, row = kernel
+        centre_x, centre_y = (at[0] - column) / radius, (row - at[1]) / radius
+        lobe, lambert = jnp.zeros_like(centre_x), jnp.zeros_like(centre_x)
+        for term in range(self._blur.stds.size):
+            scaled = _with_stds(self._blur, self._blur.stds * jnp.exp(lens))
+            offset, weight = scaled.rule(term, jnp.zeros(()))
+            p_x = centre_x[:, None, None] + offset[:, None] / radius
+            p_y = centre_y[:, None, None] + offset[None, :] / radius
+            depth2 = 1 - p_x**2 - p_y**2
+            inside = depth2 > 0
+            depth = jnp.sqrt(jnp.where(inside, depth2, 1.0))
+            parts = self._radiance(light, frame, jnp.where(inside, p_x, 0.0), jnp.where(inside, p_y, 0.0), depth)
+            share = self._blur.weights[term] * weight[:, None] * weight[None, :]
+            lobe += jnp.sum(jnp.where(inside, parts[0] * share, 0.0), axis=(1, 2))
+            lambert += jnp.sum(jnp.where(inside, parts[1] * share, 0.0), axis=(1, 2))
+        return Recorded(lobe, lambert, self._theta_d(light, frame, centre_x, centre_y))
+
+    def _radiance(
+        self, light: jax.Array, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the radiance of both parts at places of the disc, the mean over the lamp's own disc."""
+        n = self.kind.size
+        ndf, (camera, lamp, a, b) = self.kind.ndf(light[:n]), light[n:]
+        normal = normal_at(p_x, p_y, depth, camera)
+
+        def under(point: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            place, weight = point
+            x, y, z = turned_lamp(frame, a + place[0], b + place[1])
+            lobe, lambert = radiance(ndf, self.kind.masking, *shading_at(normal, (x, y, z), camera, lamp))
+            return weight * lobe, weight * lambert
+
+        places, weights = self._disc
+        if len(weights) == 1:
+            return under((jnp.asarray(places[0]), jnp.asarray(weights[0])))
+
+        def add(total: Any, point: Any) -> tuple[Any, None]:
+            return jax.tree.map(jnp.add, total, under(point)), None
+
+        start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
+        return jax.lax.scan(add, start, (jnp.asarray(places), jnp.asarray(weights)))[0]
+
+    def _theta_d(self, light: jax.Array, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
+        """Return theta_d where the line of sight through a pixel's centre meets the sphere, or passes closest."""
+        camera, lamp, a, b = light[self.kind.size :]
+        beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
+        shrink = 1 / jnp.maximum(beyond, 1.0)
+        p_x, p_y = p_x * shrink, p_y * shrink
+        depth = jnp.sqrt(1 - p_x**2 - p_y**2)
+        normal = normal_at(p_x, p_y, depth, camera)
+        x, y, z = turned_lamp(frame, a, b)
+        towards_lamp, view, _ = light_and_view(normal, (x, y, z), camera, lamp)
+        cos2 = sum(s * t for s, t in zip(towards_lamp, view, strict=True))
+        return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
+
+
+def _with_stds(blur: Blur, stds: jax.Array) -> Blur:
+    return eqx.tree_at(lambda b: b.stds, blur, stds)
+
+
+def _along(window: Window) -> jax.Array:
+    """Return the nodes' place along u on the outline's disc, (v, u)."""
+    return jnp.cos(window.v)[:, None] * jnp.sin(window.u)[None, :]
+
+
+def _in_order(by_light: jax.Array, by_kernel: jax.Array) -> jax.Array:
+    """Put derivatives into the order of a picture's parameters: lobe, scene, own."""
+    n = by_light.shape[-1] - 4
+    parts = [by_light[..., :n], by_kernel[..., :2], by_light[..., n : n + 2], by_kernel[..., 2:], by_light[..., n + 2 :]]
+    return jnp.concatenate(parts, axis=-1)

@@ -1,0 +1,127 @@
+"""Where a picture of a sphere is integrated: nodes on the outline's disc, close together where its highlight is sharp.
+
+Places on the disc are p = (cos v sin u, sin v). In u and v a lobe is about as wide along the plane of incidence as across it,
+however foreshortened it is in the picture, and the outline is a border, u = pi / 2, at which everything is smooth. So a product
+of nodes in u and v serves a highlight anywhere. Their spacing follows the lobe near its peak, and half a pixel elsewhere.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+NODES = 128
+"""Nodes along each axis of a window."""
+WINDOW = 33
+"""Pixels along each axis of a window."""
+_ORDER = 4
+_PEAK_STEP = 0.6  # of asinh(angle / the lobe's scale)
+_PIXEL_STEP = 0.5  # px: a pixel's own MTF is 0 at one over it
+_LIMB_STEP = 0.04  # rad, where the disc ends
+_LIMB = 0.35  # rad from the outline
+_MARGIN = 4.5  # px about the pixels of a window
+
+
+class Window(NamedTuple):
+    """Hold the nodes of one highlight's window, and the pixels about it.
+
+    The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`.
+
+    Attributes:
+        u: nodes, rad, (NODES,).
+        v: nodes, rad, (NODES,).
+        weight: their weights on the outline's disc of radius 1, (NODES, NODES), v before u.
+        pixel_u: column of each pixel, or its row where turned, px, (WINDOW,).
+        pixel_v: row, or column where turned, px, (WINDOW,).
+        turned: 1.0 if u runs along the rows' axis, else 0.0.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    weight: np.ndarray
+    pixel_u: np.ndarray
+    pixel_v: np.ndarray
+    turned: float
+
+
+def window_about(
+    centre: tuple[float, float], radius: float, place: tuple[float, float], *, scale: float, plateau: float = 0.0
+) -> Window:
+    """Return the window about a highlight.
+
+    Args:
+        centre: column and row of the outline's centre, px.
+        radius: of the outline, px.
+        place: p_x and p_y of the highlight on the outline's disc.
+        scale: angle on which the lobe changes at its peak, rad.
+        plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
+
+    Returns:
+        The nodes and pixels.
+    """
+    p_x, p_y = place
+    turned = abs(p_y) > abs(p_x)
+    along, across = (p_y, p_x) if turned else (p_x, p_y)
+    column = np.round(centre[0] + radius * p_x)
+    row = np.round(centre[1] - radius * p_y)
+    span = np.arange(WINDOW) - WINDOW // 2
+    pixel_u, pixel_v = (row + span, column + span) if turned else (column + span, row + span)
+    reach = (WINDOW // 2 + 1 + _MARGIN) / radius
+    peak_v = np.arcsin(np.clip(across, -1, 1))
+    peak_u = np.arcsin(np.clip(along / max(np.cos(peak_v), 1e-6), -1, 1))
+    low_v, high_v = (np.arcsin(np.clip(across + side * reach, -1, 1)) for side in (-1, 1))
+    # rows of the window are chords of different length: the longest reach of any decides
+    chord = np.cos([low_v, peak_v, high_v])
+    chord = np.maximum(chord, 1e-3)
+    low_u = np.arcsin(np.clip((along - reach) / chord, -1, 1)).min()
+    high_u = np.arcsin(np.clip((along + reach) / chord, -1, 1)).max()
+    v, weight_v = _graded(low_v, high_v, peak_v, scale, plateau, radius)
+    u, weight_u = _graded(low_u, high_u, peak_u, scale / np.cos(peak_v), plateau / np.cos(peak_v), radius * np.cos(peak_v))
+    weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
+    return Window(u, v, weight, pixel_u, pixel_v, float(turned))
+
+
+def _graded(
+    low: float, high: float, peak: float, scale: float, plateau: float, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return NODES nodes and weights in [low, high], in panels of Gauss's rule that hold an equal share of a density."""
+
+    def share(t: np.ndarray) -> np.ndarray:
+        aside = t - peak
+        beyond = np.sign(aside) * np.arcsinh(np.maximum(np.abs(aside) - plateau, 0) / scale) / _PEAK_STEP
+        within = np.clip(aside, -plateau, plateau) / (scale * _PEAK_STEP)
+        limb = np.clip(np.abs(t) - (np.pi / 2 - _LIMB), 0, None) * np.sign(t) / _LIMB_STEP
+        return beyond + within + limb + radius * np.sin(t) / _PIXEL_STEP
+
+    # the share's inverse, from a table that is dense where the share is steep
+    near = scale * np.sinh(np.linspace(0, np.arcsinh(np.pi / scale), 400))
+    offsets = np.concatenate([-near[:0:-1], near])
+    table = np.concatenate([[low, high], peak + offsets + plateau, peak + offsets - plateau, np.linspace(low, high, 400)])
+    table = np.unique(np.clip(table, low, high))
+    shares = share(table)
+    borders = np.interp(np.linspace(shares[0], shares[-1], NODES // _ORDER + 1), shares, table)
+    borders[0], borders[-1] = low, high
+    x, w = np.polynomial.legendre.leggauss(_ORDER)
+    middle, half = (borders[1:] + borders[:-1]) / 2, np.diff(borders) / 2
+    return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * w).ravel()
+
+
+def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return places on the unit disc and their weights: the centre, or rings of a rule that is exact to degree 5 or more.
+
+    Args:
+        points: 1, or at least 7: rings of 6, 12, ... places.
+    """
+    if points <= 1:
+        return np.zeros((1, 2)), np.ones(1)
+    rings = int(np.ceil((np.sqrt(1 + 4 * (points - 1) / 3) - 1) / 2))
+    x, w = np.polynomial.legendre.leggauss(rings)
+    places, weights = [], []
+    for ring in range(rings):
+        count = 6 * (ring + 1)
+        angle = 2 * np.pi * (np.arange(count) + 0.5 * (ring % 2)) / count
+        radius = np.sqrt((1 + x[ring]) / 2)  # Gauss's rule in the square of the radius: equal areas
+        places.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        weights.append(np.full(count, w[ring] / 2 / count))
+    return np.concatenate(places), np.concatenate(weights)

@@ -1,0 +1,80 @@
+"""What a picture of a sphere shows along each line of sight: normal, light and view, and the radiance of a lobe (docs/model.md 10).
+
+Everything is a function of the place p = (p_x, p_y) on the unit disc of the sphere's outline: x right, y up. The sphere has
+radius 1, the camera stands at 1 / camera_nearness on the z axis, and the lamp at 1 / lamp_nearness in direction `lamp`. Both
+nearnesses may be 0.
+"""
+
+from __future__ import annotations
+
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading, Vector, shading
+from matcam.material.microfacet import Microfacet
+from matcam.material.ndf.distribution import NDF
+
+_LEAST = 1e-9  # cosine to the line of sight: on the outline itself there is no surface to see
+
+
+def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness: jax.Array) -> Vector:
+    """Return the normal that a line of sight meets.
+
+    The line through p has the lateral slope m = |p| / sqrt(1 - w^2), w = 1 / D, and meets the sphere where
+    z = (m^2 w + depth) / (1 + m^2 w^2).
+
+    Args:
+        p_x: place on the outline's disc, to the right, no unit.
+        p_y: place on the outline's disc, upwards.
+        depth: sqrt(1 - p_x^2 - p_y^2), given apart because it loses its digits at the outline.
+        camera_nearness: w, one over the camera's distance in radii, [0, 1).
+    """
+    w = camera_nearness
+    slope2 = (p_x**2 + p_y**2) / (1 - w**2)
+    z = (slope2 * w + depth) / (1 + slope2 * w**2)
+    scale = (1 - w * z) / jnp.sqrt(1 - w**2)
+    return scale * p_x, scale * p_y, z
+
+
+def light_and_view(
+    normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
+) -> tuple[Vector, Vector, jax.Array]:
+    """Return the directions of light and view at points of the sphere, and (lamp distance / its distance from there)^2.
+
+    Args:
+        normal: the points, which are their own normals.
+        lamp: direction from the centre to the lamp, of length 1.
+        camera_nearness: one over the camera's distance, in radii.
+        lamp_nearness: one over the lamp's distance, in radii.
+    """
+    x, y, z = normal
+    light, closeness = _towards(lamp, normal, lamp_nearness)
+    zero = jnp.zeros(())
+    view, _ = _towards((zero, zero, jnp.ones(())), (x, y, z), camera_nearness)
+    return light, view, closeness
+
+
+def shading_at(
+    normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
+) -> tuple[Shading, jax.Array]:
+    """Return the shading of points of the sphere, and the lamp's light there over that at the centre, without the cosine."""
+    light, view, closeness = light_and_view(normal, lamp, camera_nearness, lamp_nearness)
+    x, y, z = normal
+    across = jnp.sqrt(x**2 + z**2)  # the points seen have z > 0, or lie where a row begins: never both 0
+    tangent = z / across, jnp.zeros(()), -x / across
+    return shading(normal, tangent, light, view), closeness
+
+
+def radiance(ndf: NDF, masking: str | None, at: Shading, closeness: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the radiance of a lobe with F = 1, and of a Lambertian surface of albedo 1, under unit irradiance at the centre."""
+    seen = (at.cos_o > _LEAST) & (at.cos_i > 0)
+    cos_o = jnp.where(seen, at.cos_o, 1.0)
+    lobe = Microfacet(ndf, 1.0, masking=masking).reflected(at) / cos_o
+    lambert = jnp.maximum(at.cos_i, 0.0) / jnp.pi
+    return jnp.where(seen, lobe * closeness, 0.0), jnp.where(at.cos_o > _LEAST, lambert * closeness, 0.0)
+
+
+def _towards(source: Vector, point: Vector, nearness: jax.Array) -> tuple[Vector, jax.Array]:
+    """Return the direction from points to a source, and (its distance from the centre / from there)^2."""
+    x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
+    square = x**2 + y**2 + z**2
+    length = jnp.sqrt(square)
+    return (x / length, y / length, z / length), 1 / square
