@@ -8,6 +8,7 @@ Gauss's rule of the kernel.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -69,30 +70,20 @@ def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
     return vector / jnp.sqrt(jnp.sum(vector**2))
 
 
-class PictureModel:
-    """Evaluate pictures of one scene, all by two compiled programs.
+class PictureModel(eqx.Module):
+    """Evaluate pictures of one scene, all by four compiled programs.
 
-    Args:
+    Attributes:
         kind: the lobe's family, masking and splines.
         blur: the camera's kernel, its lens a sum of Gaussians.
-        disc: places on the lamp's disc and their weights, as `lamp_disc` gives.
-        disc_radius: the lamp's angular radius seen from the sphere's centre, rad.
+        places: places on the lamp's disc as turns of the lamp, rad, (points, 2).
+        weights: of these places, (points,); their sum is 1.
     """
 
-    def __init__(self, kind: LobeKind, blur: Blur, disc: tuple[np.ndarray, np.ndarray], disc_radius: float):
-        self.kind = kind
-        places, weights = disc
-        self._disc = (places * disc_radius, weights)
-        self._blur = blur
-        options = plainly_compiled(once=False)
-        self._window = {
-            False: jax.jit(self._window_value, compiler_options=options),
-            True: jax.jit(self._window_slopes, compiler_options=options),
-        }
-        self._pixels = {
-            False: jax.jit(self._pixels_value, compiler_options=options),
-            True: jax.jit(self._pixels_slopes, compiler_options=options),
-        }
+    kind: LobeKind = eqx.field(static=True)
+    blur: Blur
+    places: np.ndarray
+    weights: np.ndarray
 
     @property
     def size(self) -> int:
@@ -101,13 +92,14 @@ class PictureModel:
 
     def window(self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
         """Return what a window records, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
-        return self._window[slopes](*self._split(p), frame, window)
+        return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p), frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
         """Return what single pixels record, (pixels,), and the derivatives, with a trailing (size,)."""
-        return self._pixels[slopes](*self._split(p), frame, (column, row))
+        name = "_pixels_slopes" if slopes else "_pixels_value"
+        return _compiled(name)(self, *self._split(p), frame, (column, row))
 
     def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Part the parameters that change the radiance from those that change the kernel."""
@@ -119,7 +111,7 @@ class PictureModel:
         emitted = self._emitted(light, frame, window) * kernel[1] ** 2
         lobe, lambert = sum(
             weight * jnp.einsum("bv,kva->kba", of_v.value, jnp.einsum("avu,kvu->kva", of_u.value, emitted))
-            for weight, of_u, of_v in zip(self._blur.weights, sum_u, sum_v, strict=True)
+            for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True)
         )
         return Recorded(lobe, lambert, theta_d(light, kernel)), None
 
@@ -130,7 +122,7 @@ class PictureModel:
         emitted = self._emitted(light, frame, window) * radius**2
         by_light = jax.jacfwd(lambda x: self._emitted(x, frame, window))(light) * radius**2
         value, slopes = jnp.zeros(()), jnp.zeros(())
-        for weight, of_u, of_v in zip(self._blur.weights, sum_u, sum_v, strict=True):
+        for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True):
             rows = jnp.einsum("avu,kvu->kva", of_u.value, emitted)
             moved = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted)
             grown = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted * along)
@@ -174,7 +166,7 @@ class PictureModel:
         centre_v, side_v = jnp.where(turned, column, row), jnp.where(turned, 1.0, -1.0) * radius
         offset_u = window.pixel_u[:, None, None] - (centre_u + side_u * _along(window))  # (pixels, v, u)
         offset_v = window.pixel_v[:, None] - (centre_v + side_v * jnp.sin(window.v))
-        terms = [self._blur.stds[term] * jnp.exp(lens) for term in range(self._blur.stds.size)]
+        terms = [self.blur.stds[term] * jnp.exp(lens) for term in range(self.blur.stds.size)]
         where_u, where_v = jnp.meshgrid(window.pixel_u, window.pixel_v)
         pixel_column, pixel_row = jnp.where(turned, where_v, where_u), jnp.where(turned, where_u, where_v)
 
@@ -187,10 +179,10 @@ class PictureModel:
 
     def _kernel_slopes(self, offset: jax.Array, std: jax.Array) -> KernelSlopes:
         def of(offset: jax.Array) -> jax.Array:
-            return self._blur.pixel.of_gaussian(offset, std)
+            return self.blur.pixel.of_gaussian(offset, std)
 
         def of_std(log_std: jax.Array) -> jax.Array:
-            return self._blur.pixel.of_gaussian(offset, jnp.exp(log_std))
+            return self.blur.pixel.of_gaussian(offset, jnp.exp(log_std))
 
         value, by_offset = jax.jvp(of, (offset,), (jnp.ones_like(offset),))
         _, by_lens = jax.jvp(of_std, (jnp.log(std),), (jnp.ones(()),))
@@ -213,8 +205,8 @@ class PictureModel:
         lens, radius, column, row = kernel
         centre_x, centre_y = (at[0] - column) / radius, (row - at[1]) / radius
         lobe, lambert = jnp.zeros_like(centre_x), jnp.zeros_like(centre_x)
-        for term in range(self._blur.stds.size):
-            scaled = _with_stds(self._blur, self._blur.stds * jnp.exp(lens))
+        for term in range(self.blur.stds.size):
+            scaled = _with_stds(self.blur, self.blur.stds * jnp.exp(lens))
             offset, weight = scaled.rule(term, jnp.zeros(()))
             p_x = centre_x[:, None, None] + offset[:, None] / radius
             p_y = centre_y[:, None, None] + offset[None, :] / radius
@@ -222,7 +214,7 @@ class PictureModel:
             inside = depth2 > 0
             depth = jnp.sqrt(jnp.where(inside, depth2, 1.0))
             parts = self._radiance(light, frame, jnp.where(inside, p_x, 0.0), jnp.where(inside, p_y, 0.0), depth)
-            share = self._blur.weights[term] * weight[:, None] * weight[None, :]
+            share = self.blur.weights[term] * weight[:, None] * weight[None, :]
             lobe += jnp.sum(jnp.where(inside, parts[0] * share, 0.0), axis=(1, 2))
             lambert += jnp.sum(jnp.where(inside, parts[1] * share, 0.0), axis=(1, 2))
         return Recorded(lobe, lambert, self._theta_d(light, frame, centre_x, centre_y))
@@ -241,15 +233,14 @@ class PictureModel:
             lobe, lambert = radiance(ndf, self.kind.masking, *shading_at(normal, (x, y, z), camera, lamp))
             return weight * lobe, weight * lambert
 
-        places, weights = self._disc
-        if len(weights) == 1:
-            return under((jnp.asarray(places[0]), jnp.asarray(weights[0])))
+        if len(self.weights) == 1:
+            return under((self.places[0], self.weights[0]))
 
         def add(total: Any, point: Any) -> tuple[Any, None]:
             return jax.tree.map(jnp.add, total, under(point)), None
 
         start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
-        return jax.lax.scan(add, start, (jnp.asarray(places), jnp.asarray(weights)))[0]
+        return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
 
     def _theta_d(self, light: jax.Array, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
         """Return theta_d where the line of sight through a pixel's centre meets the sphere, or passes closest."""
@@ -263,6 +254,12 @@ class PictureModel:
         towards_lamp, view, _ = light_and_view(normal, (x, y, z), camera, lamp)
         cos2 = sum(s * t for s, t in zip(towards_lamp, view, strict=True))
         return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
+
+
+@cache
+def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
+    """Return a method of `PictureModel`, compiled once for all scenes of one shape."""
+    return jax.jit(getattr(PictureModel, method), compiler_options=plainly_compiled(once=False))
 
 
 def _with_stds(blur: Blur, stds: jax.Array) -> Blur:

@@ -1,0 +1,427 @@
+"""From merged pictures and what is known of the scene to the best joint fit: priors, a start, and rounds of refinement.
+
+The lobe is looked for on a lattice of widths, with each picture's strengths solved for; then everything is fitted, and the windows
+are laid anew about the highlights that were found, until nothing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.camera.camera import Camera
+from matcam.core.errors import ArgumentError
+from matcam.core.registry import WITH_POWER
+from matcam.forward.integral.blur import blur_of
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.operator.rig_axes import known_lens
+from matcam.material.masking import Masking
+from matcam.material.ndf.free_lobe import KNOTS
+from matcam.numerics.approximation import smoothness
+from matcam.reconstruction.joint_fit import (
+    JointLayout,
+    JointProblem,
+    JointSolution,
+    Likelihood,
+    solve,
+    summed_up,
+    unexplained_share,
+)
+from matcam.reconstruction.observed_pixels import Pixels, Place, chosen_pixels, mirror_point
+from matcam.reconstruction.picture_model import OWN, SCENE, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.picture_rule import lamp_disc
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
+
+_WIDTHS = np.geomspace(3e-4, 0.5, 14)
+_POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
+_ROUNDS = 4
+_FEW = 6  # pictures in which the lobe is looked for
+_DISC_POINTS = 36
+_NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
+
+
+class Known(NamedTuple):
+    """Hold a value with its standard deviation."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """State what is known of a capture before its highlights are fitted.
+
+    Attributes:
+        camera: the camera, with the uncertainty of its lens.
+        centres: column and row of the outline's centre in each picture, px, (pictures, 2).
+        radius: of the outline, px.
+        outline_covariance: of column, row and radius that all pictures share, px^2, (3, 3).
+        shift_std: standard deviation of each picture's own centre, px.
+        camera_nearness: one over the camera's distance, in radii.
+        lamp_nearness: one over the lamp's distance, in radii.
+        lamps: directions from the sphere's centre to the lamp, x right, y up, z to the camera, (pictures, 3).
+        lamp_std: standard deviation of each along each tangent, rad, () or (pictures,).
+        lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
+        gain_std: standard deviation of ln of each picture's gain.
+    """
+
+    camera: Camera
+    centres: np.ndarray
+    radius: float
+    outline_covariance: np.ndarray
+    shift_std: float
+    camera_nearness: Known
+    lamp_nearness: Known
+    lamps: np.ndarray
+    lamp_std: float | np.ndarray
+    lamp_radius: float = 0.0
+    gain_std: float = 0.005
+
+
+@dataclass(frozen=True)
+class SphereFit:
+    """Hold the joint fit of a sphere's pictures.
+
+    Attributes:
+        scene: what was known.
+        kind: the lobe's family, masking and splines.
+        solution: parameters and covariance.
+        channels: names of the colours.
+        names: names of the pictures.
+    """
+
+    scene: Scene
+    kind: LobeKind
+    solution: JointSolution
+    channels: tuple[str, ...]
+    names: tuple[str, ...]
+
+    @property
+    def layout(self) -> JointLayout:
+        """Order of the parameters."""
+        return self.solution.problem.layout
+
+    @property
+    def lamps(self) -> np.ndarray:
+        """Directions to the lamps that were found, (pictures, 3)."""
+        problem, p = self.solution.problem, self.solution.p
+        return np.array(
+            [np.asarray(turned_lamp(f, *p[problem.layout.own(k)][2:])) for k, f in enumerate(problem.frames)]
+        )
+
+    @property
+    def strengths(self) -> np.ndarray:
+        """Strength of the lobe in each picture and channel, (pictures, channels)."""
+        return np.array([self.solution.p[self.layout.strengths(k)] for k in range(self.layout.pictures)])
+
+    def strengths_covariance(self) -> np.ndarray:
+        """Return the covariance of the strengths, of shape (pictures x channels,) twice.
+
+        The angle at which each is read is uncertain, too: what it adds is F's slope times the angle's own error, with all
+        correlations.
+        """
+        return self._at_angles(self.solution.problem.slope)
+
+    def _at_angles(self, slope: np.ndarray) -> np.ndarray:
+        layout, solution = self.layout, self.solution
+        rows = np.zeros((layout.pictures * layout.channels, layout.size))
+        for k in range(layout.pictures):
+            for c in range(layout.channels):
+                row = rows[k * layout.channels + c]
+                row[layout.strengths(k).start + c] = 1.0
+                # F at the stated angle = F at the fitted one less slope times the error of the angle
+                row -= self.strengths[k, c] * slope[k, c] * solution.theta_d_slope[k]
+        return rows @ solution.covariance @ rows.T
+
+
+def fit_sphere(
+    pictures: Sequence[MergedPicture],
+    scene: Scene,
+    family: str = "ggx",
+    *,
+    masking: Masking = "smith",
+    diffuse: bool = True,
+    bend: float = 0.0,
+    start: SphereFit | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> SphereFit:
+    """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere.
+
+    Args:
+        pictures: merged pictures, one per lamp position.
+        scene: what is known beforehand.
+        family: family of the lobe. Default: "ggx".
+        masking: the lobe's G. Default: "smith".
+        diffuse: whether there is a Lambertian part. Default: True.
+        bend: how far ln D may leave its family (no unit). Default: 0, not at all.
+        start: a fit of these pictures by another lobe, from which the search goes on. Default: None.
+        progress: is called with a line about each round. Default: None.
+    """
+    if len(pictures) < 2:
+        raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
+    kind = LobeKind(family, masking, KNOTS if bend else 0)
+    channels = pictures[0].channels
+    layout = JointLayout(kind.size, len(channels), len(pictures))
+    say = progress or (lambda _: None)
+    p = np.zeros(layout.size)
+    _write_scene(p, layout, scene)
+    known = scene
+    if start is None:
+        lobe, width = _searched(pictures, scene, kind, say)
+        p[: lobe.size] = lobe
+    else:
+        old, q = start.layout, start.solution.p
+        common = min(old.lobe, layout.lobe)
+        p[:common] = q[:common]
+        p[layout.lobe :] = q[old.lobe :]
+        known = replace(scene, lamps=start.lamps)
+        for k in range(layout.pictures):
+            p[layout.own(k)][2:] = 0.0
+    slope = np.zeros((layout.pictures, layout.channels))
+    unexplained, solution = 0.02, None
+    for turn in range(_ROUNDS):
+        width = float(np.exp(p[0]))
+        problem = _problem(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend)
+        for k in range(layout.pictures):
+            p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
+        if turn == 0:
+            p = _with_strengths(problem, p, unexplained)
+            p[layout.diffuse] *= diffuse
+        before = p.copy()
+        p, cost = solve(problem, p, unexplained)
+        share = unexplained_share(problem, p)
+        settled = abs(share - unexplained) < 0.05 * unexplained + 1e-4
+        unexplained = share
+        solution = summed_up(problem, p, unexplained)
+        found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
+        known, slope = replace(scene, lamps=found.lamps), _slopes(found)
+        say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {unexplained:.2%}")
+        std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
+        if turn and settled and np.all(np.abs(p - before)[: layout.shared] < 0.05 * std[: layout.shared]):
+            break
+    return found
+
+
+def _write_scene(p: np.ndarray, layout: JointLayout, scene: Scene) -> None:
+    p[layout.scene] = [0.0, scene.radius, scene.camera_nearness.value, scene.lamp_nearness.value]
+    for k in range(layout.pictures):
+        p[layout.own(k)] = [*scene.centres[k], 0.0, 0.0]
+
+
+def _searched(
+    pictures: Sequence[MergedPicture], scene: Scene, kind: LobeKind, say: Callable[[str], None]
+) -> tuple[np.ndarray, float]:
+    """Return the lobe of a lattice that explains a few pictures best, their strengths solved for."""
+    few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
+    some = [pictures[k] for k in few]
+    part = replace(
+        scene, centres=scene.centres[few], lamps=scene.lamps[few],
+        lamp_std=np.broadcast_to(scene.lamp_std, len(pictures))[few],
+    )  # fmt: skip
+    layout = JointLayout(kind.size, len(pictures[0].channels), len(some))
+    powers = _POWERS[kind.family] if kind.family in WITH_POWER else (None,)
+    best: tuple[float, np.ndarray] | None = None
+    for width in _WIDTHS:
+        for power in powers:
+            p = np.zeros(layout.size)
+            p[0] = np.log(width)
+            if power is not None:
+                p[1] = np.log(power)
+            _write_scene(p, layout, part)
+            slope = np.zeros((layout.pictures, layout.channels))
+            problem = _problem(some, part, part, kind, p, slope, diffuse=True, bend=0.0, disc=False)
+            p = _with_strengths(problem, p, 0.05)
+            judge = Likelihood(0.05)
+            cost = sum(
+                judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(layout.pictures)
+            )
+            if best is None or cost < best[0]:
+                best = cost, p[: kind.size].copy()
+    assert best is not None
+    say(f"start: width {np.exp(best[1][0]):.4g}")
+    return best[1], float(np.exp(best[1][0]))
+
+
+def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) -> np.ndarray:
+    """Return the parameters with strengths and diffuse parts by linear least squares, picture by picture."""
+    layout, p = problem.layout, p.copy()
+    diffuse = np.zeros((layout.pictures, layout.channels))
+    for k in range(layout.pictures):
+        pixels = problem.pixels[k]
+        recorded, _ = problem.recorded(p, k, slopes=False)
+        for c in range(layout.channels):
+            of = pixels.used & (pixels.channel == c) & ~pixels.clipped
+            columns = np.column_stack([recorded.lobe[of], recorded.lambert[of]])
+            values, std = pixels.values[of], np.hypot(pixels.std[of], unexplained * np.abs(pixels.values[of]))
+            if values.size < 10:
+                continue
+            strength, one = 0.0, 0.0
+            weight = 1 / std
+            for _ in range(4):
+                strength, one = np.linalg.lstsq(columns * weight[:, None], values * weight, rcond=None)[0]
+                u = np.abs(values - columns @ [strength, one]) / std
+                weight = np.sqrt(np.where(u > 4, 4 / np.maximum(u, 4), 1.0)) / std
+            p[layout.strengths(k).start + c], diffuse[k, c] = strength, one
+    p[layout.diffuse] = np.median(diffuse, axis=0)
+    return np.clip(p, problem.low, problem.high)
+
+
+def _problem(
+    pictures: Sequence[MergedPicture],
+    scene: Scene,
+    known: Scene,
+    kind: LobeKind,
+    p: np.ndarray,
+    slope: np.ndarray,
+    *,
+    diffuse: bool,
+    bend: float,
+    disc: bool = True,
+) -> JointProblem:
+    """Lay the windows about the highlights at parameters p, with the lamps of `known` as base, and state the prior of `scene`."""
+    layout = JointLayout(kind.size, len(pictures[0].channels), len(pictures))
+    width = float(np.exp(p[0]))
+    _, radius, camera, lamp = p[layout.scene]
+    with_disc = disc and scene.lamp_radius / 2 > _NO_DISC * width
+    points = lamp_disc(_DISC_POINTS if with_disc else 1)
+    model = _model(kind, scene, points, scene.lamp_radius if with_disc else 0.0)
+    frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
+    pixels = []
+    for k, picture in enumerate(pictures):
+        column, row = p[layout.own(k)][:2]
+        place = Place(column, row, radius, frames[k].base, mirror_point(frames[k].base, camera, lamp))
+        pixels.append(
+            chosen_pixels(
+                picture, place, scale=width / 3, plateau=scene.lamp_radius / 2 if with_disc else 0.0, seed=k
+            )
+        )
+    low, high = _bounds(layout, kind, scene)
+    fixed = low == high
+    if not diffuse:
+        fixed[layout.diffuse] = True
+    for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
+        if known_value.std == 0:
+            fixed[layout.lobe + SCENE.index(name)] = True
+    rows, values = _prior(layout, scene, frames, bend, len(kind.family_names), scene.camera)
+    if not rows[:, layout.lobe].any():
+        fixed[layout.lobe] = True  # an exact lens
+    for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
+        for c in range(layout.channels):
+            if not (one.used & (one.channel == c)).any():
+                fixed[layout.strengths(k).start + c] = True
+    return JointProblem(model, layout, pixels, frames, rows, values, low, high, slope, fixed)
+
+
+def _model(
+    kind: LobeKind, scene: Scene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float
+) -> PictureModel:
+    places, weights = disc
+    return PictureModel(kind, blur_of(Rig(scene.camera, Sphere(scene.radius))), places * disc_radius, weights)
+
+
+def _bounds(layout: JointLayout, kind: LobeKind, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    for index, (least, most) in enumerate(kind.bounds(scene.radius)):
+        low[index], high[index] = least, most
+    low[layout.scene] = [-1.5, 0.8 * scene.radius, 0.0, 0.0]
+    high[layout.scene] = [1.0, 1.2 * scene.radius, 0.9, 0.9]
+    return low, high
+
+
+def _prior(
+    layout: JointLayout, scene: Scene, frames: Sequence[object], bend: float, own: int, camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and values of what is known: combinations of the parameters that are a value +- 1."""
+    rows: list[np.ndarray] = []
+    values: list[float] = []
+
+    def add(row: np.ndarray, value: float) -> None:
+        rows.append(row)
+        values.append(value)
+
+    def unit(index: int, std: float, value: float) -> None:
+        row = np.zeros(layout.size)
+        row[index] = 1 / std
+        add(row, value / std)
+
+    lens = lens_std(camera)
+    if lens > 0:
+        unit(layout.lobe, lens, 0.0)
+    for name, known in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
+        if known.std > 0:
+            unit(layout.lobe + SCENE.index(name), known.std, known.value)
+    # outline: column, row and radius are shared, each picture's centre has a shift of its own
+    k = layout.pictures
+    common = np.asarray(scene.outline_covariance, dtype=float)
+    covariance = np.zeros((2 * k + 1, 2 * k + 1))
+    covariance[:k, :k] = common[0, 0]
+    covariance[k : 2 * k, k : 2 * k] = common[1, 1]
+    covariance[:k, k : 2 * k] = covariance[k : 2 * k, :k] = common[0, 1]
+    covariance[:k, -1] = covariance[-1, :k] = common[0, 2]
+    covariance[k : 2 * k, -1] = covariance[-1, k : 2 * k] = common[1, 2]
+    covariance[-1, -1] = common[2, 2]
+    covariance[np.arange(2 * k), np.arange(2 * k)] += max(scene.shift_std, 1e-4) ** 2
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    places = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
+    places.append(layout.lobe + SCENE.index("radius"))
+    expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
+    for line in root:
+        row = np.zeros(layout.size)
+        row[places] = line
+        add(row, float(line @ expected))
+    stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
+    for i, frame in enumerate(frames):
+        # where the stated direction lies in this frame, whose base is the direction found last
+        stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
+        along = float(stated @ frame.base)
+        for axis, tangent in enumerate((frame.first, frame.second)):
+            unit(layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
+        unit(layout.gain(i), max(scene.gain_std, 1e-5), 0.0)
+    if bend:
+        smooth = smoothness(KNOTS)
+        for line in smooth:
+            row = np.zeros(layout.size)
+            row[own : own + KNOTS] = line / bend
+            add(row, 0.0)
+    return np.array(rows), np.array(values)
+
+
+def lens_std(camera: Camera) -> float:
+    """Return the relative standard deviation of a lens's width, as its profile states it or as it is assumed; 0: exact."""
+    known = known_lens(camera)
+    if known.uncertainty is None:
+        return 0.0
+    parameters = camera.parameters()
+    relative = [
+        std / float(parameters[name])
+        for name, std in known.uncertainty.std().items()
+        if name.startswith("optics.") and float(parameters[name]) > 0
+    ]
+    return max(relative, default=0.0)
+
+
+def _slopes(fit: SphereFit) -> np.ndarray:
+    """Return d ln F / d theta_d in each picture and channel, from a smooth curve through the strengths."""
+    theta, strengths = fit.solution.theta_d, fit.strengths
+    slope = np.zeros_like(strengths)
+    if len(theta) < 5:
+        return slope
+    covariance = fit.strengths_covariance()
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-30)).reshape(strengths.shape)
+    # 1, Schlick's (1 - cos)^5 and its companion in between follow metals and dielectrics to a per cent
+    c = 1 - np.cos(theta)
+    basis = np.column_stack([np.ones_like(c), c, c**5, c**9])
+    by_theta = np.column_stack([np.zeros_like(c), np.sin(theta), 5 * c**4 * np.sin(theta), 9 * c**8 * np.sin(theta)])
+    for channel in range(strengths.shape[1]):
+        f = strengths[:, channel]
+        weight = 1 / np.hypot(std[:, channel], 0.01 * np.abs(f) + 1e-12)
+        coefficients = np.linalg.lstsq(basis * weight[:, None], f * weight, rcond=None)[0]
+        value = basis @ coefficients
+        good = value > 0.2 * np.abs(f).mean()
+        slope[:, channel] = np.where(good, by_theta @ coefficients / np.where(good, value, 1.0), 0.0)
+    return np.clip(slope, -5, 20)
