@@ -98,6 +98,7 @@ class JointProblem:
         frames: base direction of each picture's lamp.
         prior_rows: combinations of the parameters, (rows, size), that are
         prior_values: these values +- 1, (rows,).
+        prior_sources: where each row comes from: "lens", "outline", "lamp", "gain", ...
         low: smallest value of each parameter.
         high: largest value of each parameter.
         slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
@@ -110,10 +111,16 @@ class JointProblem:
     frames: Sequence[LampFrame]
     prior_rows: np.ndarray
     prior_values: np.ndarray
+    prior_sources: tuple[str, ...]
     low: np.ndarray
     high: np.ndarray
     slope: np.ndarray
     fixed: np.ndarray
+
+    def information_of(self, source: str) -> np.ndarray:
+        """Return the information matrix of what one source states, (size, size)."""
+        rows = self.prior_rows[[one == source for one in self.prior_sources]]
+        return rows.T @ rows
 
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
         """Return what the chosen pixels of picture k record of unit strengths, window first, with derivatives."""
@@ -203,6 +210,15 @@ class JointSolution(NamedTuple):
     chi2: np.ndarray
     left_out: np.ndarray
 
+    def covariance_with(self, change: np.ndarray) -> np.ndarray:
+        """Return the covariance if the information matrix were larger by `change`, (size, size)."""
+        free = np.flatnonzero(~self.problem.fixed)
+        inner = np.ix_(free, free)
+        covariance = np.zeros_like(self.covariance)
+        information = scaled_inverse(self.covariance[inner], undetermined=1e16) + change[inner]
+        covariance[inner] = scaled_inverse(information, undetermined=1e16)
+        return covariance
+
 
 class Likelihood:
     """Judge a model by its pixels, with a share of the model as noise.
@@ -240,6 +256,12 @@ class Likelihood:
         huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
         return float(huber.sum())
 
+    def surprise(self, pixels: Pixels, value: np.ndarray) -> float:
+        """Return minus twice the logarithm of the likelihood per pixel, but for a constant: it compares lobes."""
+        std = np.hypot(pixels.std, self.unexplained * np.abs(value))
+        measured = pixels.used & ~pixels.clipped
+        return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
+
 
 def solve(
     problem: JointProblem, start: np.ndarray, unexplained: float, progress: Callable[[str], None] | None = None
@@ -275,7 +297,9 @@ def solve(
             break
         cost, gradient, normal = _assembled(problem, judge, p)
     if not np.all(np.isfinite(p)):
-        raise FitError("the fit of the pictures ran into numbers that are none: they do not look like a sphere's highlights")
+        raise FitError(
+            "the fit of the pictures ran into numbers that are none: they do not look like a sphere's highlights"
+        )
     return p, cost
 
 

@@ -18,7 +18,7 @@ from matcam.core.jax import jax, jnp, plainly_compiled
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.picture_rule import Window
-from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, shading_at
+from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 
 SCENE = ("lens", "radius", "camera", "lamp")
 """Parameters of all pictures behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses."""
@@ -90,7 +90,9 @@ class PictureModel(eqx.Module):
         """Count the parameters of one picture: lobe, scene, own."""
         return self.kind.size + len(SCENE) + len(OWN)
 
-    def window(self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
+    def window(
+        self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
         """Return what a window records, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
         return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p), frame, window)
 
@@ -106,7 +108,9 @@ class PictureModel(eqx.Module):
         n = self.kind.size
         return np.concatenate([p[:n], p[n + 2 : n + 4], p[n + 6 :]]), np.concatenate([p[n : n + 2], p[n + 4 : n + 6]])
 
-    def _window_value(self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window) -> tuple[Recorded, None]:
+    def _window_value(
+        self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window
+    ) -> tuple[Recorded, None]:
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         emitted = self._emitted(light, frame, window) * kernel[1] ** 2
         lobe, lambert = sum(
@@ -115,7 +119,9 @@ class PictureModel(eqx.Module):
         )
         return Recorded(lobe, lambert, theta_d(light, kernel)), None
 
-    def _window_slopes(self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window) -> tuple[Recorded, Recorded]:
+    def _window_slopes(
+        self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window
+    ) -> tuple[Recorded, Recorded]:
         """Return value and derivatives, put together by hand: of the kernel three arrays serve all its parameters."""
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         radius, along, turned = kernel[1], _along(window), window.turned > 0
@@ -230,7 +236,7 @@ class PictureModel(eqx.Module):
         def under(point: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             place, weight = point
             x, y, z = turned_lamp(frame, a + place[0], b + place[1])
-            lobe, lambert = radiance(ndf, self.kind.masking, *shading_at(normal, (x, y, z), camera, lamp))
+            lobe, lambert = radiance(ndf, self.kind.masking, *sphere_shading(normal, (x, y, z), camera, lamp))
             return weight * lobe, weight * lambert
 
         if len(self.weights) == 1:
@@ -274,5 +280,11 @@ def _along(window: Window) -> jax.Array:
 def _in_order(by_light: jax.Array, by_kernel: jax.Array) -> jax.Array:
     """Put derivatives into the order of a picture's parameters: lobe, scene, own."""
     n = by_light.shape[-1] - 4
-    parts = [by_light[..., :n], by_kernel[..., :2], by_light[..., n : n + 2], by_kernel[..., 2:], by_light[..., n + 2 :]]
+    parts = [
+        by_light[..., :n],
+        by_kernel[..., :2],
+        by_light[..., n : n + 2],
+        by_kernel[..., 2:],
+        by_light[..., n + 2 :],
+    ]
     return jnp.concatenate(parts, axis=-1)

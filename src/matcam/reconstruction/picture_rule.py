@@ -77,7 +77,9 @@ def window_about(
     low_u = np.arcsin(np.clip((along - reach) / chord, -1, 1)).min()
     high_u = np.arcsin(np.clip((along + reach) / chord, -1, 1)).max()
     v, weight_v = _graded(low_v, high_v, peak_v, scale, plateau, radius)
-    u, weight_u = _graded(low_u, high_u, peak_u, scale / np.cos(peak_v), plateau / np.cos(peak_v), radius * np.cos(peak_v))
+    u, weight_u = _graded(
+        low_u, high_u, peak_u, scale / np.cos(peak_v), plateau / np.cos(peak_v), radius * np.cos(peak_v)
+    )
     weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
     return Window(u, v, weight, pixel_u, pixel_v, float(turned))
 
@@ -97,7 +99,9 @@ def _graded(
     # the share's inverse, from a table that is dense where the share is steep
     near = scale * np.sinh(np.linspace(0, np.arcsinh(np.pi / scale), 400))
     offsets = np.concatenate([-near[:0:-1], near])
-    table = np.concatenate([[low, high], peak + offsets + plateau, peak + offsets - plateau, np.linspace(low, high, 400)])
+    table = np.concatenate(
+        [[low, high], peak + offsets + plateau, peak + offsets - plateau, np.linspace(low, high, 400)]
+    )
     table = np.unique(np.clip(table, low, high))
     shares = share(table)
     borders = np.interp(np.linspace(shares[0], shares[-1], NODES // _ORDER + 1), shares, table)

@@ -57,7 +57,8 @@ class Scene:
     """State what is known of a capture before its highlights are fitted.
 
     Attributes:
-        camera: the camera, with the uncertainty of its lens.
+        camera: the camera; the width of its lens is scaled in the fit.
+        lens_std: relative standard deviation of the lens's width; 0: exact.
         centres: column and row of the outline's centre in each picture, px, (pictures, 2).
         radius: of the outline, px.
         outline_covariance: of column, row and radius that all pictures share, px^2, (3, 3).
@@ -71,6 +72,7 @@ class Scene:
     """
 
     camera: Camera
+    lens_std: float
     centres: np.ndarray
     radius: float
     outline_covariance: np.ndarray
@@ -119,15 +121,20 @@ class SphereFit:
         """Strength of the lobe in each picture and channel, (pictures, channels)."""
         return np.array([self.solution.p[self.layout.strengths(k)] for k in range(self.layout.pictures)])
 
-    def strengths_covariance(self) -> np.ndarray:
+    def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
         """Return the covariance of the strengths, of shape (pictures x channels,) twice.
 
         The angle at which each is read is uncertain, too: what it adds is F's slope times the angle's own error, with all
         correlations.
-        """
-        return self._at_angles(self.solution.problem.slope)
 
-    def _at_angles(self, slope: np.ndarray) -> np.ndarray:
+        Args:
+            covariance: of all parameters. Default: the fit's own.
+        """
+        rows = self.strengths_rows()
+        return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
+
+    def strengths_rows(self) -> np.ndarray:
+        """Return the derivatives of the strengths, read at the stated angles, by all parameters, (pictures x channels, size)."""
         layout, solution = self.layout, self.solution
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
@@ -135,8 +142,8 @@ class SphereFit:
                 row = rows[k * layout.channels + c]
                 row[layout.strengths(k).start + c] = 1.0
                 # F at the stated angle = F at the fitted one less slope times the error of the angle
-                row -= self.strengths[k, c] * slope[k, c] * solution.theta_d_slope[k]
-        return rows @ solution.covariance @ rows.T
+                row -= self.strengths[k, c] * solution.problem.slope[k, c] * solution.theta_d_slope[k]
+        return rows
 
 
 def fit_sphere(
@@ -147,7 +154,9 @@ def fit_sphere(
     masking: Masking = "smith",
     diffuse: bool = True,
     bend: float = 0.0,
+    lamps: np.ndarray | None = None,
     start: SphereFit | None = None,
+    widths: np.ndarray = _WIDTHS,
     progress: Callable[[str], None] | None = None,
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere.
@@ -159,7 +168,10 @@ def fit_sphere(
         masking: the lobe's G. Default: "smith".
         diffuse: whether there is a Lambertian part. Default: True.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
+        lamps: directions to the lamps as the highlights say, (pictures, 3), from which the search begins. Default: those of the
+            scene.
         start: a fit of these pictures by another lobe, from which the search goes on. Default: None.
+        widths: widths (the lobe's first parameter) among which it is looked for, where there is no start.
         progress: is called with a line about each round. Default: None.
     """
     if len(pictures) < 2:
@@ -170,9 +182,9 @@ def fit_sphere(
     say = progress or (lambda _: None)
     p = np.zeros(layout.size)
     _write_scene(p, layout, scene)
-    known = scene
+    known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
     if start is None:
-        lobe, width = _searched(pictures, scene, kind, say)
+        lobe = _searched(pictures, known, kind, widths, say)
         p[: lobe.size] = lobe
     else:
         old, q = start.layout, start.solution.p
@@ -214,8 +226,8 @@ def _write_scene(p: np.ndarray, layout: JointLayout, scene: Scene) -> None:
 
 
 def _searched(
-    pictures: Sequence[MergedPicture], scene: Scene, kind: LobeKind, say: Callable[[str], None]
-) -> tuple[np.ndarray, float]:
+    pictures: Sequence[MergedPicture], scene: Scene, kind: LobeKind, widths: np.ndarray, say: Callable[[str], None]
+) -> np.ndarray:
     """Return the lobe of a lattice that explains a few pictures best, their strengths solved for."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
@@ -226,7 +238,7 @@ def _searched(
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))
     powers = _POWERS[kind.family] if kind.family in WITH_POWER else (None,)
     best: tuple[float, np.ndarray] | None = None
-    for width in _WIDTHS:
+    for width in widths:
         for power in powers:
             p = np.zeros(layout.size)
             p[0] = np.log(width)
@@ -244,7 +256,7 @@ def _searched(
                 best = cost, p[: kind.size].copy()
     assert best is not None
     say(f"start: width {np.exp(best[1][0]):.4g}")
-    return best[1], float(np.exp(best[1][0]))
+    return best[1]
 
 
 def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) -> np.ndarray:
@@ -296,9 +308,7 @@ def _problem(
         column, row = p[layout.own(k)][:2]
         place = Place(column, row, radius, frames[k].base, mirror_point(frames[k].base, camera, lamp))
         pixels.append(
-            chosen_pixels(
-                picture, place, scale=width / 3, plateau=scene.lamp_radius / 2 if with_disc else 0.0, seed=k
-            )
+            chosen_pixels(picture, place, scale=width / 3, plateau=scene.lamp_radius / 2 if with_disc else 0.0, seed=k)
         )
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
@@ -307,19 +317,17 @@ def _problem(
     for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
         if known_value.std == 0:
             fixed[layout.lobe + SCENE.index(name)] = True
-    rows, values = _prior(layout, scene, frames, bend, len(kind.family_names), scene.camera)
+    rows, values, sources = _prior(layout, scene, frames, bend, len(kind.family_names))
     if not rows[:, layout.lobe].any():
         fixed[layout.lobe] = True  # an exact lens
     for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
         for c in range(layout.channels):
             if not (one.used & (one.channel == c)).any():
                 fixed[layout.strengths(k).start + c] = True
-    return JointProblem(model, layout, pixels, frames, rows, values, low, high, slope, fixed)
+    return JointProblem(model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed)
 
 
-def _model(
-    kind: LobeKind, scene: Scene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float
-) -> PictureModel:
+def _model(kind: LobeKind, scene: Scene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float) -> PictureModel:
     places, weights = disc
     return PictureModel(kind, blur_of(Rig(scene.camera, Sphere(scene.radius))), places * disc_radius, weights)
 
@@ -334,27 +342,28 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: Scene) -> tuple[np.ndarr
 
 
 def _prior(
-    layout: JointLayout, scene: Scene, frames: Sequence[object], bend: float, own: int, camera: Camera
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and values of what is known: combinations of the parameters that are a value +- 1."""
+    layout: JointLayout, scene: Scene, frames: Sequence[object], bend: float, own: int
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return rows, values and sources of what is known: combinations of the parameters that are a value +- 1."""
     rows: list[np.ndarray] = []
     values: list[float] = []
+    sources: list[str] = []
 
-    def add(row: np.ndarray, value: float) -> None:
+    def add(source: str, row: np.ndarray, value: float) -> None:
         rows.append(row)
         values.append(value)
+        sources.append(source)
 
-    def unit(index: int, std: float, value: float) -> None:
+    def unit(source: str, index: int, std: float, value: float) -> None:
         row = np.zeros(layout.size)
         row[index] = 1 / std
-        add(row, value / std)
+        add(source, row, value / std)
 
-    lens = lens_std(camera)
-    if lens > 0:
-        unit(layout.lobe, lens, 0.0)
+    if scene.lens_std > 0:
+        unit("lens", layout.lobe, scene.lens_std, 0.0)
     for name, known in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
         if known.std > 0:
-            unit(layout.lobe + SCENE.index(name), known.std, known.value)
+            unit(f"{name} distance", layout.lobe + SCENE.index(name), known.std, known.value)
     # outline: column, row and radius are shared, each picture's centre has a shift of its own
     k = layout.pictures
     common = np.asarray(scene.outline_covariance, dtype=float)
@@ -373,22 +382,22 @@ def _prior(
     for line in root:
         row = np.zeros(layout.size)
         row[places] = line
-        add(row, float(line @ expected))
+        add("outline", row, float(line @ expected))
     stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
     for i, frame in enumerate(frames):
         # where the stated direction lies in this frame, whose base is the direction found last
         stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
-            unit(layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
-        unit(layout.gain(i), max(scene.gain_std, 1e-5), 0.0)
+            unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
+        unit("gain", layout.gain(i), max(scene.gain_std, 1e-5), 0.0)
     if bend:
         smooth = smoothness(KNOTS)
         for line in smooth:
             row = np.zeros(layout.size)
             row[own : own + KNOTS] = line / bend
-            add(row, 0.0)
-    return np.array(rows), np.array(values)
+            add("smooth lobe", row, 0.0)
+    return np.array(rows), np.array(values), tuple(sources)
 
 
 def lens_std(camera: Camera) -> float:

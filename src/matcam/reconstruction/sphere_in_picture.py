@@ -52,7 +52,7 @@ def light_and_view(
     return light, view, closeness
 
 
-def shading_at(
+def sphere_shading(
     normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Shading, jax.Array]:
     """Return the shading of points of the sphere, and the lamp's light there over that at the centre, without the cosine."""

@@ -1,0 +1,150 @@
+"""Where the uncertainty of a joint fit comes from, and which parameters its pictures cannot tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.reflectance_curve import ReflectanceCurve
+from matcam.reconstruction.sphere_fit import SphereFit
+
+NOISE = "noise"
+"""What is left where everything that was stated is exact: photons, read noise, and what the model does not explain."""
+_EXACT = 1e6  # a source that is taken as exact has its information multiplied by this
+_APART = 0.95
+"""Correlation from which two parameters are not told apart by the pictures."""
+_WEAK = 3.0
+"""A parameter is not determined where the pictures alone know it this many times worse than they do with all that is stated."""
+_NORMAL = np.radians([10, 15, 20, 25, 30, 35, 40, 45])
+"""theta_d over whose mean F is normalised, rad, where pictures reach them."""
+
+
+class Inseparable(NamedTuple):
+    """Name parameters that the pictures alone do not tell apart.
+
+    Attributes:
+        names: two parameters.
+        correlation: between them, where nothing is stated of the first.
+    """
+
+    names: tuple[str, str]
+    correlation: float
+
+    def to_dict(self) -> dict[str, object]:
+        """Return both fields by name."""
+        return {"names": list(self.names), "correlation": self.correlation}
+
+
+class Ratio(NamedTuple):
+    """Hold F at an angle over its mean from 10 to 45 degrees, with its standard deviation."""
+
+    theta_d: float
+    value: float
+    std: float
+
+
+def shared_names(fit: SphereFit) -> tuple[str, ...]:
+    """Name the parameters that all pictures share, in their order."""
+    diffuse = [f"diffuse {channel}" for channel in fit.channels]
+    return (*fit.kind.names, "lens", "radius", "camera distance", "lamp distance", *diffuse)
+
+
+def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray, theta_d: float) -> Ratio:
+    """Return F(theta_d) over the mean of F from 10 to 45 degrees, as far as the pictures reach.
+
+    Args:
+        fit: the fit.
+        curve: F of one channel.
+        covariance: of that channel's strengths.
+        theta_d: angle, rad.
+    """
+    seen = fit.solution.theta_d
+    normal = _NORMAL[(_NORMAL >= seen.min()) & (_NORMAL <= seen.max())]
+    normal = normal if normal.size else np.array([seen.min()])
+    at = np.append(normal, theta_d)
+    value, slopes = curve.at(at), curve.slopes(at)
+    mean = value[:-1].mean()
+    ratio = value[-1] / mean
+    row = ratio * (slopes[-1] / value[-1] - slopes[:-1].mean(axis=0) / mean)
+    variance = row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row
+    return Ratio(theta_d, float(ratio), float(np.sqrt(max(variance, 0.0))))
+
+
+def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | None = None) -> np.ndarray:
+    """Return the covariance of one channel's strengths, (pictures, pictures). covariance: of all parameters, if another."""
+    whole = fit.strengths_covariance(covariance)
+    pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
+    return whole[np.ix_(pick, pick)]
+
+
+def error_budget(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d: float) -> dict[str, dict[str, float]]:
+    """Return how much each source adds to the standard deviation of the results.
+
+    A source's part is the root of the variance that would go if what it states were exact.
+
+    Args:
+        fit: the fit.
+        curve: F of one channel.
+        channel: its index.
+        theta_d: angle at which F is judged, rad.
+
+    Returns:
+        Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees, relative),
+        "roughness" (of the logarithm of the lobe's first parameter), "radius_px", "lens" (relative). "total" has all sources.
+    """
+    solution = fit.solution
+
+    def stds(covariance: np.ndarray) -> dict[str, float]:
+        ratio = reflectance_ratio(fit, curve, channel_covariance(fit, channel, covariance), theta_d)
+        scene = np.sqrt(np.maximum(np.diag(covariance)[fit.layout.scene], 0))
+        return {
+            "ratio": ratio.std / abs(ratio.value),
+            "roughness": float(np.sqrt(max(covariance[0, 0], 0))),
+            "radius_px": float(scene[SCENE.index("radius")]),
+            "lens": float(scene[SCENE.index("lens")]),
+        }
+
+    total = stds(solution.covariance)
+    budget = {"total": total}
+    everything = np.zeros_like(solution.covariance)
+    for source in dict.fromkeys(solution.problem.prior_sources):
+        change = _EXACT * solution.problem.information_of(source)
+        everything += change
+        without = stds(solution.covariance_with(change))
+        budget[source] = {name: float(np.sqrt(max(total[name] ** 2 - without[name] ** 2, 0.0))) for name in total}
+    budget[NOISE] = stds(solution.covariance_with(everything))
+    return budget
+
+
+def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
+    """Return the shared parameters that the pictures alone do not tell from the lens, the distances or the outline.
+
+    For each of these, what is stated of it is taken away: where its correlation with another then exceeds 0.95 and its own
+    error grows more than threefold, the pictures do not determine it.
+    """
+    solution, names = fit.solution, shared_names(fit)
+    before = np.diag(solution.covariance)
+    found: list[Inseparable] = []
+    for source, name in (("lens", "lens"), ("camera distance",) * 2, ("lamp distance",) * 2, ("outline", "radius")):
+        information = solution.problem.information_of(source)
+        if not information.any():
+            continue
+        place = names.index(name)
+        after = solution.covariance_with(-(1 - 1e-6) * information)
+        grown = after[place, place] / max(before[place], 1e-300)
+        if not np.isfinite(grown) or grown < _WEAK**2:
+            continue
+        std = np.sqrt(np.maximum(np.diag(after)[: len(names)], 1e-300))
+        correlation = after[place, : len(names)] / (std[place] * std)
+        for other, value in enumerate(correlation.tolist()):
+            if other != place and abs(value) > _APART and before[other] > 0:
+                found.append(Inseparable((name, names[other]), float(np.clip(value, -1, 1))))
+    return tuple(found)
+
+
+def strongest(pairs: Sequence[Inseparable]) -> Inseparable | None:
+    """Return the pair of largest correlation; None where all are told apart."""
+    return max(pairs, key=lambda one: abs(one.correlation), default=None)

@@ -1,0 +1,272 @@
+"""The material behind photographs of a sphere, with its error budget: what `reconstruct` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.remark import Remark
+from matcam.inverse.fit.fit_parameters import readable_value
+from matcam.inverse.fit.fit_setup import AUTO
+from matcam.material.masking import Masking
+from matcam.reconstruction.chosen_lobe import chosen_fit
+from matcam.reconstruction.error_budget import (
+    Inseparable,
+    Ratio,
+    channel_covariance,
+    error_budget,
+    inseparable,
+    reflectance_ratio,
+    strongest,
+)
+from matcam.reconstruction.material_table import material_table
+from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
+from matcam.reconstruction.sphere_fit import Known, Scene, SphereFit
+
+FORMAT, VERSION = "matcam reconstruction", 1
+_JUDGED = np.radians(75.0)
+"""theta_d at which the error budget is stated, where pictures reach it."""
+_BEYOND = np.radians(2.0)
+_POOR = 0.03
+"""Unexplained share of the light from which the verdict warns."""
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Hold the material that photographs show, and how well they determine it.
+
+    Attributes:
+        table: Dataset over the MERL grid: `brdf` and `brdf_std` (1/sr), `supported`.
+        pinhole: what binning the same pictures as a perfect camera gives, 1/sr; None: not made.
+        fit: the joint fit.
+        curves: F of each channel over theta_d.
+        unit: values of the pictures per radiance under unit irradiance, and its relative standard deviation; the latter is NaN
+            where there was no reference: F is then relative.
+        budget: source -> result -> standard deviation.
+        not_determined: parameters that the pictures alone do not tell apart.
+        tried: unexplained share of the light by lobe.
+        remarks: what a reader should know.
+    """
+
+    table: xr.Dataset
+    pinhole: xr.DataArray | None
+    fit: SphereFit
+    curves: tuple[ReflectanceCurve, ...]
+    unit: Known
+    budget: dict[str, dict[str, float]]
+    not_determined: tuple[Inseparable, ...]
+    tried: dict[str, float]
+    remarks: tuple[Remark, ...]
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Lobe, lens, indices and diffuse parts by name: value and standard deviation."""
+        fit, p = self.fit, self.fit.solution.p
+        std = np.sqrt(np.maximum(np.diag(fit.solution.covariance), 0))
+        found: dict[str, tuple[float, float]] = {}
+        for index, name in enumerate(fit.kind.family_names):
+            value, slope = readable_value(name, float(p[index]))
+            found[name] = value, slope * float(std[index])
+        width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
+        scale = float(np.exp(p[fit.layout.scene][0]))
+        scale_std = scale * float(std[fit.layout.scene][0])
+        if np.isfinite(width):
+            found["sigma_px"] = width * scale, width * scale_std
+        else:
+            found["lens_scale"] = scale, scale_std
+        for index, (channel, curve) in enumerate(zip(fit.channels, self.curves, strict=True)):
+            for name, pair in curve.parameters(channel_covariance(fit, index)).items():
+                found[f"{name}_{channel}"] = pair
+            place = fit.layout.diffuse.start + index
+            if not fit.solution.problem.fixed[place]:
+                found[f"diffuse_{channel}"] = float(p[place]) / self.unit.value, float(std[place]) / self.unit.value
+        return found
+
+    @property
+    def geometry(self) -> dict[str, Any]:
+        """Outline, lamps and distances with their standard deviations, as the JSON file holds them."""
+        fit, solution, layout = self.fit, self.fit.solution, self.fit.layout
+        p, covariance = solution.p, solution.covariance
+        std = np.sqrt(np.maximum(np.diag(covariance), 0))
+        centres = np.array([p[layout.own(k)][:2] for k in range(layout.pictures)])
+        spread = np.array([std[layout.own(k)][:2] for k in range(layout.pictures)])
+        scene = dict(zip(SCENE, zip(p[layout.scene], std[layout.scene], strict=True), strict=True))
+
+        def distance(name: str) -> list[float | None]:
+            value, one = scene[name]
+            return [1 / value, one / value**2] if value > 0 else [None, None]
+
+        return {
+            "centre_px": [centres.mean(axis=0).tolist(), spread.mean(axis=0).tolist()],
+            "radius_px": [float(x) for x in scene["radius"]],
+            "lamps": [
+                {
+                    "name": name,
+                    "direction": direction.tolist(),
+                    "std_deg": float(np.degrees(np.hypot(*std[layout.own(k)][2:]) / np.sqrt(2))),
+                    "centre_px": centres[k].tolist(),
+                    "gain": float(np.exp(p[layout.gain(k)])),
+                }
+                for k, (name, direction) in enumerate(zip(fit.names, fit.lamps, strict=True))
+            ],
+            "camera_radii": distance("camera"),
+            "lamp_radii": distance("lamp"),
+        }
+
+    def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
+        """Return F at an angle over its mean from 10 to 45 degrees.
+
+        Args:
+            theta_d: angle, rad.
+            channel: index of the channel, no unit. Default: 0.
+        """
+        return reflectance_ratio(self.fit, self.curves[channel], channel_covariance(self.fit, channel), theta_d)
+
+    @property
+    def measured_range(self) -> tuple[float, float]:
+        """Least and largest theta_d of the pictures, rad."""
+        theta = self.fit.solution.theta_d
+        return float(theta.min()), float(theta.max())
+
+    @property
+    def verdict(self) -> str:
+        """What came out, in plain words."""
+        name = self.fit.kind.family_names[0]
+        value, std = self.parameters[name]
+        low, high = np.degrees(self.measured_range)
+        lobe = f"{self.fit.kind.family} lobe, {name} = {value:.4g} +- {std:.1g}"
+        words = [
+            f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
+            f"{self.supported_share:.0%} of the table's entries are supported."
+        ]
+        if self.fit.solution.unexplained > _POOR:
+            words.append(
+                f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every error: look "
+                "at the residual pictures."
+            )
+        pair = strongest(self.not_determined)
+        if pair is not None:
+            words.append(
+                f"The pictures alone do not tell {pair.names[0]} from {pair.names[1]} (correlation {pair.correlation:.3f}): the "
+                "result rests on what was stated of it."
+            )
+        if not np.isfinite(self.unit.std):
+            words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
+        return " ".join(words)
+
+    @property
+    def supported_share(self) -> float:
+        """Share of the table's entries that are supported, no unit."""
+        return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result without its tables as plain numbers: the JSON file.
+
+        Returns:
+            The document described in docs/reconstruct.md.
+        """
+        fit, solution = self.fit, self.fit.solution
+        strengths = fit.strengths / self.unit.value
+        std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / self.unit.value
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "verdict": self.verdict,
+            "lobe": {"family": fit.kind.family, "masking": fit.kind.masking, "bent": fit.kind.bends > 0},
+            "parameters": {name: list(pair) for name, pair in self.parameters.items()},
+            "geometry": self.geometry,
+            "fresnel": {
+                "theta_d_deg": np.degrees(solution.theta_d).tolist(),
+                "channels": list(fit.channels),
+                "value": strengths.tolist(),
+                "std": std.tolist(),
+                "model": [curve.model for curve in self.curves],
+                "absolute": bool(np.isfinite(self.unit.std)),
+            },
+            "budget": self.budget,
+            "unexplained": solution.unexplained,
+            "tried": self.tried,
+            "pictures": [
+                {"name": name, "chi2": chi2, "left_out_px": out}
+                for name, chi2, out in zip(fit.names, solution.chi2.tolist(), solution.left_out.tolist(), strict=True)
+            ],
+            "not_determined": [one.to_dict() for one in self.not_determined],
+            "remarks": [remark.to_dict() for remark in self.remarks],
+        }
+
+
+def reconstructed(
+    pictures: Sequence[MergedPicture],
+    scene: Scene,
+    lamps: np.ndarray,
+    unit: Known | None = None,
+    family: str = AUTO,
+    *,
+    masking: Masking = "smith",
+    diffuse: bool = True,
+    remarks: Sequence[Remark] = (),
+    pinhole: Callable[[SphereFit, float], xr.DataArray] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Reconstruction:
+    """Reconstruct a material from merged pictures whose geometry is roughly known.
+
+    Args:
+        pictures: merged pictures, one per lamp position.
+        scene: what is known of camera, outline, lamps and distances.
+        lamps: directions to the lamps as the highlights say, (pictures, 3).
+        unit: values per radiance under unit irradiance, with its relative standard deviation. Default: None, not known.
+        family: family of the lobe. Default: "auto".
+        masking: the lobe's G. Default: "smith".
+        diffuse: whether there is a Lambertian part. Default: True.
+        remarks: of the steps before. Default: ().
+        pinhole: makes the table of a pinhole from the fitted geometry and the unit. Default: None.
+        progress: is called with a line about each step. Default: None.
+    """
+    chosen = chosen_fit(pictures, scene, lamps, family, masking=masking, diffuse=diffuse, progress=progress)
+    fit = chosen.fit
+    theta = fit.solution.theta_d
+    curves = tuple(
+        reflectance_curve(theta, fit.strengths[:, c], channel_covariance(fit, c), unit)
+        for c in range(fit.layout.channels)
+    )
+    if unit is None:
+        # a scale that keeps F within 1 everywhere: F is relative, and said to be
+        low, high = theta.min(), theta.max()
+        top = max(float(curve.at(np.linspace(low, high, 60)).max()) for curve in curves)
+        unit = Known(max(top, 1e-300), np.nan)
+    middle = fit.layout.channels // 2
+    judged = min(_JUDGED, float(theta.max()))
+    every = [*remarks, *chosen.remarks]
+    pairs = inseparable(fit)
+    every.extend(
+        Remark(
+            "not-determined",
+            f"the pictures alone do not tell {one.names[0]} from {one.names[1]}: their correlation is {one.correlation:.3f}",
+        )
+        for one in pairs
+    )
+    if fit.solution.unexplained > _POOR:
+        every.append(
+            Remark(
+                "unexplained",
+                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; every error was widened",
+            )
+        )
+    spread = max(unit.std, 0.0) if np.isfinite(unit.std) else 0.0
+    return Reconstruction(
+        table=material_table(fit, curves, unit.value, spread),
+        pinhole=None if pinhole is None else pinhole(fit, unit.value),
+        fit=fit,
+        curves=curves,
+        unit=unit,
+        budget=error_budget(fit, curves[middle], middle, judged),
+        not_determined=pairs,
+        tried=chosen.tried,
+        remarks=tuple(every),
+    )

@@ -1,0 +1,160 @@
+"""F over theta_d from the strengths of all pictures: a metal's or a dielectric's curve where one explains them, else a smooth one.
+
+The strengths are what the pictures say, each with an error of its own and errors that they share. A curve says F between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import least_squares
+
+from matcam.core.jax import jax
+from matcam.inverse.fit.fit_parameters import fresnel_start, readable_value, reflectance_at
+from matcam.numerics.linalg import scaled_inverse
+from matcam.reconstruction.sphere_fit import Known
+
+_WORST = 2.5
+"""Mean squared residual, in standard deviations, up to which a curve of n and k explains strengths."""
+_ANYTHING = 3.0  # standard deviation of ln of a scale that nothing states
+Whitener = Callable[[np.ndarray], np.ndarray]
+_LOG_BOUNDS = ((-5.0, 4.0), (-9.0, 4.0))
+
+
+@dataclass(frozen=True)
+class ReflectanceCurve:
+    """Hold F of one channel as a function of theta_d.
+
+    Attributes:
+        model: "conductor", or "smooth" where n and k do not explain the strengths.
+        coefficients: of the curve.
+        gain: derivatives of the coefficients by the strengths, (coefficients, pictures).
+        own: covariance of the coefficients beside that of the strengths: what is known of the scale, and what the curve does not
+            explain.
+        misfit: mean squared residual, in standard deviations.
+        scale: strength that stands for F = 1, in the curve's own terms.
+    """
+
+    model: str
+    coefficients: np.ndarray
+    gain: np.ndarray
+    own: np.ndarray
+    misfit: float
+
+    def at(self, theta: np.ndarray) -> np.ndarray:
+        """Return F at angles, rad."""
+        return _curve(self.model, self.coefficients, theta)
+
+    def slopes(self, theta: np.ndarray) -> np.ndarray:
+        """Return the derivatives of F by the coefficients, (angles, coefficients)."""
+        return _slopes(self.model, self.coefficients, theta)
+
+    def parameters(self, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
+        """Return n and k with their standard deviations; empty for a smooth curve. covariance: of the strengths."""
+        if self.model != "conductor":
+            return {}
+        std = np.sqrt(np.maximum(np.diag(self.gain @ covariance @ self.gain.T + self.own), 0))
+        found = {}
+        for name, coordinate, one in zip(("n", "k"), self.coefficients, std, strict=False):
+            value, slope = readable_value(name, float(coordinate))
+            found[name] = value, slope * float(one)
+        return found
+
+
+def reflectance_curve(
+    theta: np.ndarray, strengths: np.ndarray, covariance: np.ndarray, unit: Known | None
+) -> ReflectanceCurve:
+    """Fit F over theta_d to strengths. The curve has their unit.
+
+    Args:
+        theta: angles of the strengths, rad, (pictures,).
+        strengths: F as measured, (pictures,).
+        covariance: of the strengths, (pictures, pictures).
+        unit: strength that stands for F = 1, with its relative standard deviation; None: it is not known.
+
+    Returns:
+        The curve.
+    """
+    floor = (1e-3 * np.abs(strengths).max(initial=1e-12)) ** 2  # F is not known to less than the model of a picture is
+    root = cholesky(covariance + floor * np.eye(len(theta)), lower=True)
+
+    def white(rows: np.ndarray) -> np.ndarray:
+        return np.asarray(solve_triangular(root, rows, lower=True))
+
+    scale = Known(float(np.abs(strengths).max(initial=1e-12)), _ANYTHING) if unit is None else unit
+    curves = [one for one in (_conductor(theta, strengths, white, scale), _smooth(theta, strengths, white)) if one]
+    explained = [one for one in curves if one.model == "conductor" and one.misfit < _WORST]
+    return explained[0] if explained else min(curves, key=lambda one: one.misfit)
+
+
+def _conductor(theta: np.ndarray, strengths: np.ndarray, white: Whitener, unit: Known) -> ReflectanceCurve | None:
+    if len(theta) < 4 or not (strengths > 0).all():
+        return None
+    start = fresnel_start("conductor", theta, strengths / unit.value, (unit.value / strengths) ** 2)
+    about, prior = float(np.log(unit.value)), max(unit.std, 1e-6)
+
+    def rows(c: np.ndarray) -> np.ndarray:
+        return np.append(white(strengths - _curve("conductor", c, theta)), (c[2] - about) / prior)
+
+    def slopes(c: np.ndarray) -> np.ndarray:
+        last = np.array([[0, 0, 1 / prior]])
+        return np.concatenate([-white(_slopes("conductor", c, theta)), last])
+
+    low, high = ([*(b[side] for b in _LOG_BOUNDS), (-90.0, 90.0)[side]] for side in (0, 1))
+    found = least_squares(
+        rows,
+        np.clip([*start, about], np.add(low, 1e-9), np.subtract(high, 1e-9)),
+        slopes,
+        bounds=(low, high),
+        x_scale="jac",
+    )
+    return _with_gain("conductor", found.x, theta, strengths, white, np.diag([0, 0, 1 / prior**2]))
+
+
+def _smooth(theta: np.ndarray, strengths: np.ndarray, white: Whitener) -> ReflectanceCurve:
+    basis = _slopes("smooth", np.zeros(min(5, max(len(theta) - 2, 1))), theta)
+    coefficients = np.linalg.lstsq(white(basis), white(strengths), rcond=None)[0]
+    return _with_gain("smooth", coefficients, theta, strengths, white, np.zeros((len(coefficients),) * 2))
+
+
+def _with_gain(
+    model: str, coefficients: np.ndarray, theta: np.ndarray, strengths: np.ndarray, white: Whitener, prior: np.ndarray
+) -> ReflectanceCurve:
+    slopes = white(_slopes(model, coefficients, theta))
+    residual = white(strengths - _curve(model, coefficients, theta))
+    inverse = scaled_inverse(slopes.T @ slopes + prior, undetermined=1e14)
+    whitener = white(np.eye(len(theta)))
+    misfit = float(residual @ residual / max(len(theta) - len(coefficients), 1))
+    own = inverse @ prior @ inverse + max(misfit - 1, 0.0) * inverse
+    return ReflectanceCurve(model, coefficients, inverse @ slopes.T @ whitener, own, misfit)
+
+
+def _curve(model: str, coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    if model == "smooth":
+        return _slopes(model, coefficients, theta) @ coefficients
+    return _conductor_slopes(coefficients[:2], theta)[0] * np.exp(coefficients[2])
+
+
+def _slopes(model: str, coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    if model == "smooth":
+        c = 1 - np.cos(theta)
+        return np.column_stack([np.ones_like(c), c, c**3, c**5, c**9])[:, : len(coefficients)]
+    value, by_index = _conductor_slopes(coefficients[:2], theta)
+    return np.exp(coefficients[2]) * np.column_stack([by_index, value])
+
+
+@cache
+def _compiled_conductor() -> Callable[..., tuple[jax.Array, jax.Array]]:
+    def curve(c: jax.Array, theta: jax.Array) -> jax.Array:
+        return reflectance_at("conductor", c).at(theta)
+
+    return jax.jit(lambda c, theta: (curve(c, theta), jax.jacfwd(curve)(c, theta)))
+
+
+def _conductor_slopes(coordinates: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    value, slopes = _compiled_conductor()(coordinates, theta)
+    return np.asarray(value), np.asarray(slopes)
