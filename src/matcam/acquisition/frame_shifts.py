@@ -18,6 +18,7 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
 _TURNS = 5
+_BRIGHT = 0.5
 _STILL = 1e-3  # px
 _OUTLIER = 4.0
 
@@ -72,10 +73,12 @@ def find_shifts(
     for _ in range(_TURNS):
         blocks, pulls, used, left, weights = [], [], [], [], []
         for fit, shift in zip(fits, shifts, strict=True):
-            here = place + [*shift, 0.0]
+            here = place + np.append(shift, 0.0)
             edges = fit.edges(here, sigma, fit.exponents)
             with np.errstate(invalid="ignore"):
                 chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
+                # towards the terminator's ends light changes along the limb faster than a sector is narrow
+                chosen &= edges.contrast > _BRIGHT * np.max(edges.contrast, where=chosen, initial=0.0)
                 floor = 1.4826 * np.nanmedian(np.abs(edges.offset[chosen])) if chosen.any() else 0.0
                 std = np.sqrt(edges.std**2 * np.maximum(edges.misfit, 1.0) + min(outline.scatter, 0.2) ** 2)
                 chosen &= np.abs(edges.offset) < _OUTLIER * np.hypot(std, floor)
@@ -98,7 +101,7 @@ def find_shifts(
             break
     chi2, number = 0.0, 0
     for k, ((offset, matrix), weight) in enumerate(zip(left, weights, strict=True)):
-        rest = offset - matrix @ (step[:3] + [*step[3 + 2 * k : 5 + 2 * k], 0.0])
+        rest = offset - matrix @ (step[:3] + np.append(step[3 + 2 * k : 5 + 2 * k], 0.0))
         chi2 += float(np.sum(weight * rest**2))
         number += len(rest)
     covariance = covariance * max(1.0, chi2 / max(number - 3, 1))
