@@ -1,0 +1,163 @@
+"""Find the circle of a sphere's limb in a picture, with no start given: pairs of edges whose normals meet in one centre."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+_LARGEST = 320
+"""Longest side of the picture that is searched, px; a larger one is binned."""
+_EDGES = 2500
+_PAIRS = 40000
+_TRIED = 600
+_BINS = 72
+_NEAR = 1.6  # px of the binned picture
+_STRAIGHT = 0.9  # cosine between an edge's normal and the circle's
+
+
+class FoundCircle(NamedTuple):
+    """Hold a circle that edges lie on.
+
+    Attributes:
+        row: of its centre, px.
+        column: of its centre, px.
+        radius: px.
+        coverage: share of its circumference at which there is an edge.
+    """
+
+    row: float
+    column: float
+    radius: float
+    coverage: float
+
+    @property
+    def score(self) -> float:
+        """Length of the circumference at which there is an edge, px."""
+        return self.coverage * 2 * np.pi * self.radius
+
+
+def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mosaic: bool) -> list[FoundCircle]:
+    """Return the circles of a picture that do not lie in one another, the longest first; at most two.
+
+    Args:
+        values: linear radiance (height, width); NaN where there is none.
+        std: its standard deviation.
+        bright_inside: True for a lit sphere, False for a dark one before a bright field.
+        mosaic: whether neighbouring pixels are of different colours.
+
+    Returns:
+        Circles in px of the picture, of at least 0.15 of their circumference.
+    """
+    bin_ = int(np.ceil(max(values.shape) / _LARGEST))
+    bin_ += bin_ % 2 if mosaic else 0
+    place, inwards = _edges(*_binned(values, std, max(bin_, 2 if mosaic else 1)), bright_inside)
+    bin_ = max(bin_, 2 if mosaic else 1)
+    found: list[FoundCircle] = []
+    free = np.ones(len(place), bool)
+    rng = np.random.default_rng(0)
+    while len(found) < 2 and free.sum() > 12:
+        circle = _best(place[free], inwards[free], rng, max(values.shape) / bin_)
+        if circle is None or circle.coverage < 0.15:
+            break
+        apart = [
+            np.hypot(circle.row - other.row, circle.column - other.column) > max(circle.radius, other.radius)
+            for other in found
+        ]
+        if all(apart):
+            found.append(circle)
+        else:
+            break
+        distance = np.hypot(place[:, 0] - circle.row, place[:, 1] - circle.column)
+        free &= distance > circle.radius * 1.05 + _NEAR
+    shift = (bin_ - 1) / 2
+    return [FoundCircle(c.row * bin_ + shift, c.column * bin_ + shift, c.radius * bin_, c.coverage) for c in found]
+
+
+def _binned(values: np.ndarray, std: np.ndarray, bin_: int) -> tuple[np.ndarray, float]:
+    """Return the picture in steps of its noise, compressed so that a highlight is not all there is."""
+    height, width = (n // bin_ * bin_ for n in values.shape)
+    blocks = values[:height, :width].reshape(height // bin_, bin_, width // bin_, bin_)
+    good = np.isfinite(blocks)
+    number = good.sum((1, 3))
+    mean = np.where(good, blocks, 0.0).sum((1, 3)) / np.maximum(number, 1)
+    mean[number == 0] = np.median(mean[number > 0]) if (number > 0).any() else 0.0
+    noise = float(np.nanmedian(std)) / bin_
+    floor = np.percentile(mean, 5)
+    unit = max(5 * noise, 1e-4 * float(np.ptp(mean)), 1e-300)
+    return np.arcsinh((mean - floor) / unit), noise / unit
+
+
+def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return places (n, 2) of a picture's edges and their unit normals towards the sphere (n, 2), in (row, column)."""
+    rows = ndimage.gaussian_filter(picture, 1.0, order=(1, 0))
+    columns = ndimage.gaussian_filter(picture, 1.0, order=(0, 1))
+    size = np.hypot(rows, columns)
+    # a Gaussian derivative of std 1 passes 0.2 of white noise
+    threshold = max(5 * 0.2 * noise, 0.1 * float(np.percentile(size, 99.5)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        u, v = rows / size, columns / size
+    index = np.argwhere(size > threshold)
+    if not len(index):
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    u, v = u[tuple(index.T)], v[tuple(index.T)]
+    along = np.stack([u, v])
+    middle = size[tuple(index.T)]
+    ahead, behind = (
+        ndimage.map_coordinates(size, index.T + side * along, order=1, mode="nearest") for side in (1.0, -1.0)
+    )
+    ridge = (middle >= ahead) & (middle >= behind)
+    index, along, middle, ahead, behind = index[ridge], along[:, ridge], middle[ridge], ahead[ridge], behind[ridge]
+    bend = 2 * middle - ahead - behind
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fine = np.where(bend > 0, (ahead - behind) / (2 * bend), 0.0)
+    place = index + (np.clip(fine, -0.5, 0.5) * along).T
+    if len(place) > _EDGES:
+        chosen = np.random.default_rng(1).choice(len(place), _EDGES, replace=False)
+        place, along = place[chosen], along[:, chosen]
+    return place, along.T if bright_inside else -along.T
+
+
+def _best(place: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, largest: float) -> FoundCircle | None:
+    """Return the circle with edges at the greatest length of its circumference."""
+    i, j = rng.integers(0, len(place), (2, _PAIRS))
+    apart, turned = place[j] - place[i], inwards[i] - inwards[j]
+    size = (turned**2).sum(1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        radius = (apart * turned).sum(1) / size
+    first, second = place[i] + radius[:, None] * inwards[i], place[j] + radius[:, None] * inwards[j]
+    meets = (size > 0.1) & (radius > 6) & (radius < largest)
+    meets &= np.hypot(*(first - second).T) < 1 + 0.05 * radius
+    chosen = np.flatnonzero(meets)[:_TRIED]
+    if not len(chosen):
+        return None
+    centre, radius = (first[chosen] + second[chosen]) / 2, radius[chosen]
+    score = np.array([_coverage(place, inwards, *c, r)[0] * r for c, r in zip(centre, radius, strict=True)])
+    best: FoundCircle | None = None
+    for k in np.argsort(score)[::-1][:5]:
+        (row, column), size_ = centre[k], radius[k]
+        for _ in range(4):
+            _, near = _coverage(place, inwards, row, column, size_)
+            if near.sum() < 6:
+                break
+            y, x = place[near].T
+            a, b, c = np.linalg.lstsq(np.stack([y, x, np.ones_like(x)], 1), y**2 + x**2, rcond=None)[0]
+            if c + a**2 / 4 + b**2 / 4 <= 0:
+                break
+            row, column, size_ = a / 2, b / 2, np.sqrt(c + a**2 / 4 + b**2 / 4)
+        circle = FoundCircle(row, column, size_, _coverage(place, inwards, row, column, size_)[0])
+        if best is None or circle.score > best.score:
+            best = circle
+    return best
+
+
+def _coverage(
+    place: np.ndarray, inwards: np.ndarray, row: float, column: float, radius: float
+) -> tuple[float, np.ndarray]:
+    """Return the share of a circle's circumference at which there is an edge, and those edges."""
+    y, x = row - place[:, 0], column - place[:, 1]
+    distance = np.hypot(y, x)
+    near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > _STRAIGHT * distance)
+    bins = ((np.arctan2(y[near], x[near]) / (2 * np.pi) + 0.5) * _BINS).astype(int) % _BINS
+    return np.unique(bins).size / _BINS, near

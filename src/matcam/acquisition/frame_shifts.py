@@ -1,0 +1,151 @@
+"""Find where the sphere lies in every frame: it, or the camera, moves by tenths of a pixel between pictures.
+
+One lamp lights part of the limb. What many such crescents say of one radius, one centre and a shift in every frame is solved
+for together: a mean of shifted frames would have a limb that is neither round nor of the sphere's radius.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.outline import EXPONENTS, FEWEST_SECTORS, LimbLight, Outline, OutlineFit
+from matcam.core.errors import FitError
+from matcam.core.remark import Remark
+
+_TURNS = 5
+_BRIGHT = 0.5
+_STILL = 1e-3  # px
+_OUTLIER = 4.0
+
+
+class FrameShift(NamedTuple):
+    """Tell how far the sphere of one frame lies from the outline.
+
+    Attributes:
+        row: shift, px, rows down.
+        column: likewise.
+        covariance: of both, px^2 (2, 2). Where the limb is lit on one side only, it is large in one direction; where no limb
+            stands out, it is what was said beforehand.
+        sectors: parts of the limb that it rests on.
+    """
+
+    row: float
+    column: float
+    covariance: np.ndarray
+    sectors: int
+
+
+def find_shifts(
+    pictures: Sequence[MergedPicture],
+    outline: Outline,
+    *,
+    light: LimbLight = "lit",
+    shift_std: float = 0.5,
+    same_radius: bool = True,
+) -> tuple[Outline, list[FrameShift]]:
+    """Find the sphere's shift in every frame, and the outline that all frames agree on.
+
+    Args:
+        pictures: one of each lamp.
+        outline: of the sphere, from one picture or from all of them stacked.
+        light: "lit" or "backlit". Default: "lit".
+        shift_std: how far the sphere may move between frames, standard deviation, px. Default: 0.5.
+        same_radius: whether the outline came from other pictures than these, and counts as a measurement of its own.
+            False where it came from their stack. Default: True.
+
+    Returns:
+        The outline of the mean place, and a shift for each picture.
+
+    Raises:
+        FitError: no picture shows the limb.
+    """
+    place = np.array([outline.row, outline.column, outline.radius])
+    shifts = np.zeros((len(pictures), 2))
+    kind = "coated" if light == "lit" and outline.coated else light
+    fits = [OutlineFit(one, kind, outline.sighting, EXPONENTS[kind], place) for one in pictures]
+    sigma = max(outline.sigma, 0.05)
+    used: list[np.ndarray] = []
+    for _ in range(_TURNS):
+        blocks, pulls, used, left, weights = [], [], [], [], []
+        for fit, shift in zip(fits, shifts, strict=True):
+            here = place + np.append(shift, 0.0)
+            edges = fit.edges(here, sigma, fit.exponents)
+            with np.errstate(invalid="ignore"):
+                chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
+                # towards the terminator's ends light changes along the limb faster than a sector is narrow
+                chosen &= edges.contrast > _BRIGHT * np.max(edges.contrast, where=chosen, initial=0.0)
+                floor = 1.4826 * np.nanmedian(np.abs(edges.offset[chosen])) if chosen.any() else 0.0
+                std = np.sqrt(edges.std**2 * np.maximum(edges.misfit, 1.0) + min(outline.scatter, 0.2) ** 2)
+                chosen &= np.abs(edges.offset) < _OUTLIER * np.hypot(std, floor)
+            if chosen.sum() < FEWEST_SECTORS:
+                chosen[:] = False
+            matrix = fit.slopes(here, edges.azimuth)[chosen]
+            weight = 1 / std[chosen] ** 2
+            blocks.append((matrix.T * weight) @ matrix)
+            pulls.append((matrix.T * weight) @ edges.offset[chosen])
+            left.append((edges.offset[chosen], matrix))
+            weights.append(weight)
+            used.append(chosen)
+        if not any(chosen.any() for chosen in used):
+            raise FitError(
+                "no picture shows the limb before its background; photograph the outline before a bright field"
+            )
+        step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, place, outline, same_radius)
+        place, shifts = place + step[:3], shifts + step[3:].reshape(-1, 2)
+        if np.abs(step).max() < _STILL:
+            break
+    chi2, number = 0.0, 0
+    for k, ((offset, matrix), weight) in enumerate(zip(left, weights, strict=True)):
+        rest = offset - matrix @ (step[:3] + np.append(step[3 + 2 * k : 5 + 2 * k], 0.0))
+        chi2 += float(np.sum(weight * rest**2))
+        number += len(rest)
+    covariance = covariance * max(1.0, chi2 / max(number - 3, 1))
+    found = [
+        FrameShift(*map(float, shift), covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k], int(chosen.sum()))
+        for k, (shift, chosen) in enumerate(zip(shifts, used, strict=True))
+    ]
+    remarks = outline.remarks
+    moved = float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
+    if moved > 2 * shift_std:
+        remarks += (Remark("sphere-moved", f"the sphere moves by {moved:.2f} px rms between frames"),)
+    # lens and light near the limb are common to all frames
+    common = outline.covariance - outline.noise if not same_radius else 0.0
+    return replace(
+        outline,
+        row=float(place[0]),
+        column=float(place[1]),
+        radius=float(place[2]),
+        covariance=covariance[:3, :3] + common,
+        remarks=remarks,
+    ), found
+
+
+def _solved(
+    blocks: np.ndarray,
+    pulls: np.ndarray,
+    shifts: np.ndarray,
+    shift_std: float,
+    place: np.ndarray,
+    outline: Outline,
+    same_radius: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the step of (row, column, radius, shifts...) and its covariance; shifts are about their mean."""
+    count = len(blocks)
+    information, pull = np.zeros((3 + 2 * count, 3 + 2 * count)), np.zeros(3 + 2 * count)
+    information[:3, :3], pull[:3] = blocks.sum(0), pulls.sum(0)
+    for k, (block, one) in enumerate(zip(blocks, pulls, strict=True)):
+        at = slice(3 + 2 * k, 5 + 2 * k)
+        information[:3, at], information[at, :3] = block[:, :2], block[:2]
+        information[at, at] = block[:2, :2] + np.eye(2) / shift_std**2
+        pull[at] = one[:2] - shifts[k] / shift_std**2
+    if same_radius:
+        weight = np.linalg.inv(outline.covariance)
+        information[:3, :3] += weight
+        pull[:3] += weight @ ([outline.row, outline.column, outline.radius] - place)
+    covariance = np.linalg.inv(information)
+    return covariance @ pull, covariance

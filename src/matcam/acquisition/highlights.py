@@ -1,0 +1,258 @@
+"""Find the highlight in a picture of a sphere, and the lamp that made it.
+
+The highlight is fitted on the sphere: a round lobe about one normal, seen foreshortened, blurred by the lens, on an even
+background. So the pull of the foreshortening towards the limb is in the model, and the place that comes out is the mirror's.
+Clipped pixels say that there is at least so much light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import least_squares
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall, unit
+from matcam.core.errors import FitError
+from matcam.core.remark import Remark
+
+_LEVEL = 0.3  # of the highlight's height: what is above belongs to it
+_WORTH = 0.05  # of its light: another bright spot that is named
+_FAINTEST = 0.3  # of the sphere's own light
+_BROADEST = 0.12  # of the disc's area
+_RIM = 0.995  # of the radius
+_PIXELS = 3000
+_SHAPE = 0.05  # share by which a highlight may differ from the lobe that is fitted
+
+
+@dataclass(frozen=True)
+class Highlight:
+    """Hold where a picture shows the lamp mirrored.
+
+    Attributes:
+        name: of the picture.
+        row: of the mirror point in the frame, px.
+        column: likewise.
+        covariance: of both, px^2 (2, 2).
+        normal: of the sphere there, unit vector (3,).
+        width: of the lobe across the plane of incidence, without the lens's blur, as a turn of the normal, rad.
+        clipped: number of clipped pixels in the highlight.
+        others: (row, column, share of this highlight's light) of other bright spots.
+        remarks: what a reader should know.
+    """
+
+    name: str
+    row: float
+    column: float
+    covariance: np.ndarray
+    normal: np.ndarray
+    width: float
+    clipped: int
+    others: tuple[tuple[float, float, float], ...] = ()
+    remarks: tuple[Remark, ...] = field(default=())
+
+
+def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.6) -> Highlight:
+    """Find the lamp's highlight in one picture.
+
+    Args:
+        picture: of one lamp.
+        ball: the sphere in this frame.
+        blur: standard deviation of lens and pixel together, px. Default: 0.6.
+
+    Returns:
+        The mirror point. Other bright spots are named with it.
+
+    Raises:
+        FitError: no highlight, nothing but clipped pixels, or a spot as broad as the sphere.
+    """
+    shape = picture.values.shape
+    rows, columns = np.indices(shape) + np.array(picture.origin)[:, None, None]
+    on = np.hypot(rows - ball.row, columns - ball.column) < _RIM * ball.radius
+    main = np.bincount(picture.channel[on].ravel(), minlength=1).argmax() if on.any() else 0
+    one = on & np.isfinite(picture.values) & (picture.channel == main)
+    if one.sum() < 30:
+        raise FitError(f"{picture.name}: the sphere's disc holds {one.sum()} values; it must lie in the frame")
+    spots, background, seen = _spots(picture, one, on)
+    if not spots:
+        raise FitError(f"{picture.name}: no highlight stands out on the sphere; the lamp may be off, or behind it")
+    first = spots[0]
+    area = first[3] / np.count_nonzero(on)
+    if area > _BROADEST:
+        raise FitError(
+            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere: no highlight; give the lamp's direction"
+        )
+    remarks = []
+    others = tuple((s[0] + picture.origin[0], s[1] + picture.origin[1], s[2] / first[2]) for s in spots[1:])
+    if others:
+        at = "; ".join(f"row {r:.0f}, column {c:.0f} ({share:.0%})" for r, c, share in others[:3])
+        remarks.append(Remark("several-highlights", f"{picture.name}: further bright spots at {at}"))
+    near = (rows - picture.origin[0] - first[0]) ** 2 + (columns - picture.origin[1] - first[1]) ** 2
+    near = near < max(5.0, 3.0 * np.sqrt(first[3] / np.pi) + 2) ** 2
+    for r, c, _, size in spots[1:]:
+        near &= (rows - picture.origin[0] - r) ** 2 + (columns - picture.origin[1] - c) ** 2 > 2 * size / np.pi + 4
+    near &= on & np.isfinite(picture.values)
+    clipped = int(np.count_nonzero(picture.clipped & near))
+    if clipped == np.count_nonzero(near):
+        raise FitError(f"{picture.name}: the whole highlight is clipped; take a shorter exposure too")
+    chosen = np.flatnonzero(near)
+    if len(chosen) > _PIXELS:
+        chosen = np.random.default_rng(0).choice(chosen, _PIXELS, replace=False)
+    start = first[0] + picture.origin[0], first[1] + picture.origin[1]
+    fit = _LobeFit(picture, ball, blur, rows.ravel()[chosen], columns.ravel()[chosen], chosen, start, first[3], background)
+    place, covariance, width = fit.solved()
+    if clipped:
+        remarks.append(Remark("clipped", f"{picture.name}: {clipped} pixels of the highlight are clipped"))
+    normal = ball.normals(*place)
+    return Highlight(
+        picture.name, *map(float, place), covariance, normal, width, clipped, others, tuple(remarks)
+    )
+
+
+def _spots(
+    picture: MergedPicture, one: np.ndarray, on: np.ndarray
+) -> tuple[list[tuple[float, float, float, int]], float, float]:
+    """Return bright spots as (row, column, light, pixels), the brightest first, the light around them, and its noise."""
+    light = np.where(one, picture.values, -np.inf)
+    background = float(np.median(picture.values[one]))
+    noise = float(np.median(picture.std[one]))
+    if not np.all(one[on]):  # a mosaic, or holes
+        light = ndimage.maximum_filter(light, 3)
+    light = np.where(on, light, -np.inf)
+    peak = float(light.max())
+    if peak - background < max(10 * noise, _FAINTEST * abs(background)):
+        return [], background, noise
+    labels, count = ndimage.label(light > background + _LEVEL * (peak - background), np.ones((3, 3)))
+    index = np.arange(1, count + 1)
+    above = np.where(labels > 0, light - background, 0.0)
+    total = np.atleast_1d(ndimage.sum(above, labels, index))
+    size = np.atleast_1d(ndimage.sum(labels > 0, labels, index)).astype(int)
+    places = np.array(ndimage.center_of_mass(above, labels, index)).reshape(-1, 2)
+    order = [k for k in np.argsort(total)[::-1] if total[k] > _WORTH * total.max()]
+    return [(float(places[k, 0]), float(places[k, 1]), float(total[k]), int(size[k])) for k in order], background, noise
+
+
+class _LobeFit:
+    """Fit a lobe on the sphere to the pixels of a highlight."""
+
+    def __init__(
+        self,
+        picture: MergedPicture,
+        ball: MirrorBall,
+        blur: float,
+        rows: np.ndarray,
+        columns: np.ndarray,
+        chosen: np.ndarray,
+        start: tuple[float, float],
+        size: int,
+        background: float,
+    ):
+        self.name, self.ball, self.blur, self.start = picture.name, ball, blur, np.array(start)
+        self.values, self.std = picture.values.ravel()[chosen], picture.std.ravel()[chosen]
+        self.clipped = picture.clipped.ravel()[chosen]
+        self.channels, self.channel = np.unique(picture.channel.ravel()[chosen], return_inverse=True)
+        self.normals = ball.normals(rows, columns)
+        self.cosine = np.maximum((ball.views(self.normals) * self.normals).sum(-1), 1e-3)
+        self.error = np.hypot(self.std, _SHAPE * np.maximum(self.values, background))
+        self.size, self.background = size, background
+
+    def model(self, p: np.ndarray) -> np.ndarray:
+        """Return the light of each pixel: place, logarithms of widths and exponent, then height and background by channel."""
+        centre = self.ball.normals(*(self.start + p[:2]))
+        if not np.isfinite(centre).all():
+            return np.full(len(self.values), 1e9)
+        view = self.ball.views(centre)
+        cosine = max(float(view @ centre), 1e-3)
+        across = np.cross(view, centre)
+        across = unit(across) if np.linalg.norm(across) > 1e-9 else np.array([0.0, 1.0, 0.0])
+        outwards = np.cross(across, centre)
+        lens = self.blur / self.ball.radius
+        lobe = np.exp(p[2:4])
+        radial, tangential, exponent = np.hypot(lobe[0], lens / cosine), np.hypot(lobe[1], lens), np.exp(p[4])
+        off = self.normals - centre
+        turn = ((off @ outwards) / radial) ** 2 + ((off @ across) / tangential) ** 2
+        # what the lens has widened is not foreshortened further
+        share = (lobe[0] / radial) ** 2
+        shape = (1 + turn / exponent) ** -exponent * (cosine / self.cosine) ** share
+        height, level = p[5 :: 2][self.channel], p[6 :: 2][self.channel]
+        return np.exp(height) * shape + level * self.background
+
+    def residual(self, p: np.ndarray) -> np.ndarray:
+        """Return (light - model) over its error; a clipped pixel counts where the model stays below it."""
+        rest = (self.values - self.model(p)) / self.error
+        # weak knowledge: the lobe's exponent lies about 2
+        return np.append(np.where(self.clipped, np.maximum(rest, 0.0), rest), (p[4] - np.log(2.0)) / 1.0)
+
+    def solved(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the place, px (2,), its covariance, px^2 (2, 2), and the lobe's width, rad."""
+        width = max(np.sqrt(self.size / np.pi), self.blur) / self.ball.radius
+        first = [0.0, 0.0, np.log(width), np.log(width), np.log(2.0)]
+        for k in range(len(self.channels)):
+            bright = self.values[self.channel == k].max() - self.background
+            first += [np.log(max(bright, 1e-3 * abs(self.background), 1e-12)), 1.0]
+        found = least_squares(self.residual, first, loss="soft_l1", x_scale="jac", max_nfev=60)
+        place = self.start + found.x[:2]
+        moved = float(np.hypot(*found.x[:2]))
+        if not np.isfinite(self.ball.normals(*place)).all() or moved > 3 + 2 * np.sqrt(self.size):
+            raise FitError(f"{self.name}: the brightest spot is no lobe on the sphere; give the lamp's direction")
+        spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
+        freedom = max(len(self.values) - len(first), 1)
+        return place, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
+
+
+def lamp_from_highlight(
+    highlight: Highlight, ball: MirrorBall, lamp_distance: float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a lamp's direction from the place of its highlight.
+
+    Args:
+        highlight: its place is the mirror point.
+        ball: the sphere in this frame.
+        lamp_distance: of the lamp from the sphere's centre, radii. Default: infinite.
+
+    Returns:
+        Unit vector from the sphere's centre (3,), and its covariance by that of the highlight, rad^2 (3, 3).
+    """
+    here = ball.lamp_seen_at(highlight.normal, lamp_distance)
+    step = 1e-3
+    moved = [
+        ball.lamp_seen_at(ball.normals(highlight.row + dr, highlight.column + dc), lamp_distance)
+        for dr, dc in ((step, 0.0), (0.0, step))
+    ]
+    slopes = (np.array(moved) - here).T / step
+    return here, slopes @ highlight.covariance @ slopes.T
+
+
+def lamp_angles_apart(lamps: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the angles between directions (..., 3), rad."""
+    lamps, others = np.broadcast_arrays(unit(np.asarray(lamps, float)), unit(np.asarray(others, float)))
+    return np.arctan2(np.linalg.norm(np.cross(lamps, others), axis=-1), (lamps * others).sum(-1))
+
+
+def find_highlights(
+    pictures: Sequence[MergedPicture], ball: MirrorBall, *, blur: float = 0.6
+) -> tuple[list[Highlight | None], tuple[Remark, ...]]:
+    """Find the highlight of every picture; one without any is None and named.
+
+    Args:
+        pictures: one of each lamp.
+        ball: the sphere.
+        blur: standard deviation of lens and pixel together, px. Default: 0.6.
+
+    Returns:
+        A highlight or None for each picture, and the remarks of all.
+    """
+    found: list[Highlight | None] = []
+    remarks: list[Remark] = []
+    for picture in pictures:
+        try:
+            one = find_highlight(picture, ball, blur=blur)
+            found.append(one)
+            remarks += one.remarks
+        except FitError as error:
+            found.append(None)
+            remarks.append(Remark("no-highlight", str(error)))
+    return found, tuple(remarks)

@@ -1,0 +1,226 @@
+"""Edges of a sphere's limb in a picture, one for each sector of azimuth, each found through the lens.
+
+Just inside the limb the sphere is foreshortened: with t the distance from the limb, px, and r the limb's radius, the cosine of
+the viewing angle is sqrt(2 t / r) to first order. Everything that a lit sphere shows there is therefore a series in powers of
+sqrt(t): a + b sqrt(t) + c t + ... inside, the background outside. A dark sphere before a bright field is a step. Both are
+blurred by the lens's and pixel's LSF, and fitted to the pixels of a sector with the position of the edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import erf
+
+_STEP = 0.05  # px, of the table of blurred powers
+_NODES = 80
+_INDEX = 1.5  # of a clear coat
+_TURNS = 5
+_STILL = 1e-3  # px: a position that moves less has been found
+_SINGULAR = 1e-9
+_STEEPEST = 10.0
+"""Largest coefficient of light in powers of the viewing angle's cosine, over the light in the band: a glass sphere has 6."""
+_FAR = 0.5  # px: no position moves further in one turn
+
+
+class LimbSectors(NamedTuple):
+    """Hold the edges of a limb, one for each sector.
+
+    Attributes:
+        azimuth: of each sector's middle, from +column towards +row, rad (n,).
+        offset: distance of the edge outside of the curve that was assumed, px (n,). NaN: none was found.
+        std: standard deviation of `offset` by noise, px (n,).
+        misfit: chi squared over degrees of freedom (n,).
+        contrast: light 2 px inside the limb over its standard deviation (n,).
+        chi2: chi squared (n,).
+        freedom: degrees of freedom of `chi2` (n,).
+    """
+
+    azimuth: np.ndarray
+    offset: np.ndarray
+    std: np.ndarray
+    misfit: np.ndarray
+    contrast: np.ndarray
+    chi2: np.ndarray
+    freedom: np.ndarray
+
+
+class BlurredPowers:
+    """Tabulate powers of the distance inside an edge, blurred by a Gaussian lens and a square pixel.
+
+    Args:
+        sigma: standard deviation of the lens, px.
+        exponents: of the powers; the first must be 0, the step of light at the edge.
+        half_width: of the pixel, px. Default: 0.5.
+        reach: largest distance, px. Default: 40.
+        coated: radius of the limb, px, of a sphere under a clear coat, whose light falls towards the limb as the coat's
+            transmittance does. Default: None, no coat.
+
+    Example:
+        >>> powers = BlurredPowers(0.5, (0, 0.5))
+        >>> powers(np.array([-3.0, 0.0, 4.0]))[0].round(3)
+        array([[0.   , 0.5  , 1.   ],
+               [0.   , 0.293, 1.995]])
+    """
+
+    def __init__(
+        self,
+        sigma: float,
+        exponents: Sequence[float],
+        half_width: float = 0.5,
+        reach: float = 40.0,
+        coated: float | None = None,
+    ):
+        self.exponents = tuple(exponents)
+        self.variance = sigma**2 + half_width**2 / 3
+        self.places = np.arange(-8.0, reach, _STEP)
+        end = 8 * np.sqrt(self.variance)
+        root2 = np.sqrt(2) * max(sigma, 1e-3)
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        # u = s^2, the distance inside the edge, takes away the root's infinite slope
+        t = self.places[:, None]
+        top, bottom = (np.sqrt(np.maximum(t + side, 0.0)) for side in (end, -end))
+        s = bottom + (top - bottom) * (nodes + 1) / 2
+        lsf = (erf((t - s**2 + half_width) / root2) - erf((t - s**2 - half_width) / root2)) / (4 * half_width)
+        lsf = lsf * 2 * s * weights * (top - bottom) / 2
+        if coated is not None:
+            lsf = lsf * _transmitted(np.minimum(np.sqrt(2 / coated) * s, 1.0))
+        columns = [(lsf * s ** (2 * power)).sum(1) for power in self.exponents]
+        self.columns = np.array(columns)
+        self.slopes = np.gradient(self.columns, _STEP, axis=1)
+
+    def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the blurred powers at distances inside the edge, (count, n), and their derivatives.
+
+        Args:
+            t: distance inside the edge, px (n,).
+        """
+        place = np.clip((t - self.places[0]) / _STEP, 0, len(self.places) - 1.001)
+        low = place.astype(int)
+        share = place - low
+        values = self.columns[:, low] * (1 - share) + self.columns[:, low + 1] * share
+        slopes = self.slopes[:, low] * (1 - share) + self.slopes[:, low + 1] * share
+        return values, slopes
+
+
+def _transmitted(cosine: np.ndarray) -> np.ndarray:
+    """Return the share of unpolarised light that enters glass of index 1.5, by the cosine of its angle."""
+    refracted = np.sqrt(1 - (1 - cosine**2) / _INDEX**2)
+    across = (cosine - _INDEX * refracted) / (cosine + _INDEX * refracted)
+    along = (_INDEX * cosine - refracted) / (_INDEX * cosine + refracted)
+    return 1 - (across**2 + along**2) / 2
+
+
+class BandPixels(NamedTuple):
+    """Hold the pixels near a limb.
+
+    Attributes:
+        inside: distance inside the assumed curve, px (n,).
+        azimuth: from +column towards +row, rad (n,).
+        values: linear radiance (n,).
+        std: its standard deviation (n,).
+        channel: index of the colour (n,).
+        radius: of the assumed curve, for the blur's curvature, px.
+    """
+
+    inside: np.ndarray
+    azimuth: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
+    channel: np.ndarray
+    radius: float
+
+
+def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbSectors:
+    """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each turn.
+
+    Args:
+        pixels: those near the limb.
+        powers: what light may do inside the limb: two powers for a step before a bright field, more for a lit sphere.
+        count: number of sectors.
+
+    Returns:
+        One edge for each sector; NaN where there is none.
+    """
+    width = 2 * np.pi / count
+    middle = (np.arange(count) + 0.5) * width
+    turned = np.mod(pixels.azimuth, 2 * np.pi)
+    sector = np.minimum((turned / width).astype(int), count - 1)
+    channels = np.unique(pixels.channel)
+    per = len(powers.columns) + 3
+    number = np.bincount(sector, minlength=count)
+    freedom = number - per * len(channels) - 1
+    # every sector's pixels in a row of their own; where it has fewer, the weight is 0
+    order = np.argsort(sector, kind="stable")
+    rank = np.arange(len(order)) - np.repeat(np.cumsum(number) - number, number)
+
+    def rows(of: np.ndarray) -> np.ndarray:
+        out = np.zeros((count, max(number.max(initial=0), per * len(channels) + 1)))
+        out[sector[order], rank] = of[order]
+        return out
+
+    inside, values, weight = rows(pixels.inside), rows(pixels.values), rows(1 / pixels.std)
+    along, colour = rows((turned - middle[sector]) / width), rows(pixels.channel.astype(float))
+    masks = [(colour == one) * weight for one in channels]
+    target = values * weight
+    # no coefficient of light is far beyond the light itself, in powers of the viewing angle's cosine: without this, a limb at
+    # which light begins without a step may lie anywhere
+    bright = np.where(weight > 0, np.abs(values), 0.0)
+    level = np.maximum(np.percentile(bright, 90, axis=1), 1e-300)
+    prior = np.zeros((count, per * len(channels), per * len(channels)))
+    for i in range(len(channels)):
+        for j, exponent in enumerate(powers.exponents):
+            if exponent > 0:
+                prior[:, i * per + 2 + j, i * per + 2 + j] = (pixels.radius / 2) ** -exponent / (_STEEPEST * level)
+    target = np.concatenate([target, np.zeros((count, prior.shape[1]))], axis=1)
+    shift = np.zeros(count)
+    for turn in range(_TURNS):
+        t = inside + shift[:, None] - powers.variance / (2 * pixels.radius)
+        blurred, slopes = powers(t.ravel())
+        blurred, slopes = blurred.reshape(-1, *t.shape), slopes.reshape(-1, *t.shape)
+        step = [np.ones_like(t), np.minimum(t, 0.0) / 10, *blurred, blurred[0] * along]
+        matrix = np.stack([column * mask for mask in masks for column in step], axis=2)
+        matrix = np.concatenate([matrix, prior], axis=1)
+        scale = np.linalg.norm(matrix, axis=1)
+        good = (scale > 0).all(1) & (freedom > number / 4)
+        scale[scale == 0] = 1.0
+        q, r = np.linalg.qr(matrix / scale[:, None])
+        good &= np.abs(np.diagonal(r, axis1=1, axis2=2)).min(1) > _SINGULAR
+        r[~good] = np.eye(r.shape[1])
+        solution = np.linalg.solve(r, np.einsum("spc,sp->sc", q, target)[..., None])[..., 0] / scale
+        residual = target - np.einsum("spc,sc->sp", matrix, solution)
+        # derivative of the model by the edge's position, with the coefficients of light free
+        outside = [np.zeros_like(t), (t < 0) / 10, *slopes, slopes[0] * along]
+        slope = sum(
+            mask * sum(c[:, None] * column for c, column in zip(solution[:, i * per :].T, outside, strict=False))
+            for i, mask in enumerate(masks)
+        )
+        slope = np.concatenate([slope, np.zeros(prior.shape[:2])], axis=1)
+        slope = slope - np.einsum("spc,sc->sp", q, np.einsum("spc,sp->sc", q, slope))
+        power = (slope**2).sum(1)
+        good &= power > 0
+        move = np.where(good, (slope * residual).sum(1) / np.where(good, power, 1.0), 0.0)
+        if turn == _TURNS - 1 or np.abs(move).max(initial=0.0) < _STILL:
+            break
+        shift += np.clip(move, -_FAR, _FAR)
+    chi2 = ((residual - slope * move[:, None]) ** 2).sum(1)
+    # light two pixels inside the limb, over what is outside
+    contrast = np.zeros(count)
+    for i in range(len(masks)):
+        within = slice(i * per + 2, (i + 1) * per - 1)
+        inverse = np.linalg.inv(r) / scale[:, :, None]
+        at = 2.0 ** np.array(powers.exponents)
+        noise = np.sqrt((np.einsum("p,spc->sc", at, inverse[:, within]) ** 2).sum(1))
+        contrast = np.maximum(contrast, np.abs(solution[:, within] @ at) / noise)
+    nothing = np.where(good, 0.0, np.nan)
+    return LimbSectors(
+        middle,
+        shift + np.clip(move, -_FAR, _FAR) + nothing,
+        np.where(good, power, np.nan) ** -0.5,
+        chi2 / np.where(good, freedom, np.nan),
+        contrast + nothing,
+        chi2 + nothing,
+        np.where(good, freedom, 0),
+    )

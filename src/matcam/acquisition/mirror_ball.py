@@ -1,0 +1,174 @@
+"""A sphere before a camera as a mirror: which normal a pixel shows, and where a lamp is seen in it (Alhazen's problem).
+
+Axes: x right, y up, z to the camera and parallel to its axis; the origin is the sphere's centre, lengths are in its radii.
+Rows run down. Everything is exact for a near camera, a near lamp and a sphere beside the camera's axis.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+_TURNS = 60
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) divided by their lengths."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+class MirrorBall(NamedTuple):
+    """Describe a sphere in a frame.
+
+    Attributes:
+        row: of the picture of its centre, px.
+        column: likewise.
+        radius: of its limb if the camera looked at its centre, px.
+        distance: of the camera from its centre, radii; infinite: orthographic. Default: infinite.
+        axis: (row, column) where the camera's axis meets the frame, px. Default: the centre.
+
+    Example:
+        A lamp 60 degrees to the right, far away like the camera, is seen where the normal is at 30 degrees:
+
+        >>> ball = MirrorBall(row=100.0, column=100.0, radius=80.0)
+        >>> row, column = ball.mirror_place(np.array([np.sin(np.pi / 3), 0.0, np.cos(np.pi / 3)]))
+        >>> round(float(row), 6), round(float(column), 6)
+        (100.0, 140.0)
+    """
+
+    row: float
+    column: float
+    radius: float
+    distance: float = np.inf
+    axis: tuple[float, float] | None = None
+
+    @property
+    def _focal(self) -> float:
+        return self.radius * float(np.sqrt(self.distance**2 - 1))
+
+    @property
+    def towards_camera(self) -> np.ndarray:
+        """Unit vector from the sphere's centre to the camera (3,)."""
+        if self.axis is None or np.isinf(self.distance):
+            return np.array([0.0, 0.0, 1.0])
+        return unit(np.array([self.axis[1] - self.column, self.row - self.axis[0], self._focal]))
+
+    def normals(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return the normal that each place in the frame shows.
+
+        Args:
+            rows: px; broadcasts with columns.
+            columns: px.
+
+        Returns:
+            Unit vectors (..., 3); NaN beside the sphere.
+        """
+        x, y = np.broadcast_arrays(np.asarray(columns, float) - self.column, self.row - np.asarray(rows, float))
+        with np.errstate(invalid="ignore"):
+            if np.isinf(self.distance):
+                x, y = x / self.radius, y / self.radius
+                return np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
+            back = -self.towards_camera
+            centre = back * (self._focal / -back[2])  # in px, from the pinhole
+            ray = unit(centre + np.stack([x, y, np.zeros_like(x)], axis=-1))
+            # the foot of the perpendicular on the ray, without the digits that a far camera costs
+            off = ray - back
+            size = (off**2).sum(-1, keepdims=True)
+            foot = self.distance * ((1 - size / 2) * off - size / 2 * back)
+            return foot - np.sqrt(1 - (foot**2).sum(-1, keepdims=True)) * ray
+
+    def place(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the row and column at which the frame shows normals (..., 3), px; NaN for those that it does not."""
+        normals = np.asarray(normals, float)
+        camera = self.towards_camera
+        seen = normals @ camera > 1 / self.distance
+        if np.isinf(self.distance):
+            x, y = self.radius * normals[..., 0], self.radius * normals[..., 1]
+        else:
+            depth = self.distance * camera[2] - normals[..., 2]
+            x, y = (
+                self._focal
+                * (normals[..., k] - self.distance * camera[k] + camera[k] / camera[2] * depth)
+                / depth
+                for k in (0, 1)
+            )
+        hidden = np.where(seen, 0.0, np.nan)
+        return self.row - y + hidden, self.column + x + hidden
+
+    def views(self, normals: np.ndarray) -> np.ndarray:
+        """Return unit vectors from points of the sphere, given by their normals (..., 3), to the camera."""
+        if np.isinf(self.distance):
+            return np.broadcast_to(self.towards_camera, np.shape(normals))
+        return unit(self.towards_camera * self.distance - normals)
+
+    def lamp_seen_at(self, normals: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
+        """Return the direction, from the sphere's centre, of the lamp that is mirrored at a normal.
+
+        Args:
+            normals: at which the camera sees the lamp (..., 3).
+            lamp_distance: of the lamp from the centre, radii. Default: infinite.
+
+        Returns:
+            Unit vectors (..., 3).
+        """
+        normals = np.asarray(normals, float)
+        views = self.views(normals)
+        cosine = (views * normals).sum(-1, keepdims=True)
+        light = 2 * cosine * normals - views
+        nearness = 1 / np.asarray(lamp_distance, float)[..., None]
+        # normal + s light has the length of the lamp's distance
+        length = np.sqrt(1 - nearness**2 * (1 - cosine**2)) - nearness * cosine
+        return unit(nearness * normals + length * light)
+
+    def mirror_normals(self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
+        """Return the normals at which the camera sees lamps mirrored.
+
+        Args:
+            lamps: directions from the sphere's centre, unit vectors (..., 3).
+            lamp_distance: of the lamps from the centre, radii. Default: infinite.
+
+        Returns:
+            Unit vectors (..., 3), each in the plane of camera, lamp and centre.
+        """
+        camera, lamps = self.towards_camera, np.asarray(lamps, float)
+        across = lamps - (lamps @ camera)[..., None] * camera
+        size = np.linalg.norm(across, axis=-1)
+        full = np.arctan2(size, lamps @ camera)
+        nearness = 1 / np.asarray(lamp_distance, float)
+        # the angle of the light grows over that of the view as the normal turns towards the camera: bisection
+        low, high = np.zeros_like(full), full
+        for _ in range(_TURNS):
+            t = (low + high) / 2
+            view = t + np.arctan2(np.sin(t) / self.distance, 1 - np.cos(t) / self.distance)
+            light = full - t + np.arctan2(nearness * np.sin(full - t), 1 - nearness * np.cos(full - t))
+            low, high = np.where(view < light, t, low), np.where(view < light, high, t)
+        t = ((low + high) / 2)[..., None]
+        aside = across / np.where(size > 0, size, 1.0)[..., None]
+        return np.cos(t) * camera + np.sin(t) * aside
+
+    def mirror_place(
+        self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the row and column at which lamps are seen mirrored, px; arguments as for `mirror_normals`."""
+        return self.place(self.mirror_normals(lamps, lamp_distance))
+
+
+def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.ndarray:
+    """Return by how much the brightest point of a rough sphere lies beyond the mirror's, as a turn of the normal, rad.
+
+    Foreshortening packs more facets into a pixel near the limb: the lobe D is seen as D / cos(theta_o), and its maximum moves
+    by width^2 tan(theta_o) to first order. The lamp would be wrong by twice that.
+
+    Args:
+        theta_o: angle between normal and view, rad.
+        width: of the lobe at its top, rad: std of a Gaussian in theta_h; alpha / sqrt(2) for Beckmann, alpha / 2 for GGX.
+
+    Source:
+        docs/model.md 10.
+
+    Example:
+        >>> round(float(np.degrees(pull_to_limb(np.radians(75), 0.1 / 2))), 2)
+        0.53
+    """
+    return np.asarray(width) ** 2 * np.tan(theta_o)

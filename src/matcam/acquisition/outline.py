@@ -1,0 +1,458 @@
+"""Find a sphere's outline in a picture: centre and radius of the limb, through the lens, with covariance.
+
+A picture shows the limb where a lamp lights the sphere up to it, or as a dark disc before a bright field. Its edges are
+measured one sector of azimuth at a time (`limb_edges.py`), and the outline is the conic that a sphere at a known distance
+makes: a circle on the camera's axis, an ellipse beside it. Sectors that a stand, dust or a highlight spoils are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from matcam.acquisition.circle_search import FoundCircle, find_circles
+from matcam.acquisition.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.remark import Remark
+
+LimbLight = Literal["lit", "backlit"]
+EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
+"""Powers of the distance inside the limb that its light is made of: the cosine of the viewing angle goes as the root.
+"coated": they are multiplied with the transmittance of a clear coat, as on glossy plastic; a lit sphere is tried as both."""
+
+_SIGMAS = (0.05, 2.5)  # px, of a lens that nobody has measured
+_CONTRAST = 8.0  # a step of light over its noise
+_LARGEST_STD = 0.3  # px, of a sector's edge
+_MISFIT = 6.0  # times the usual chi squared: dust, a stand
+_OUTLIER = 4.0  # standard deviations
+_TEMPER = 8.0
+"""Difference in chi squared between two models of the light that makes one e times likelier; 2, were the models exact."""
+FEWEST_SECTORS = 8
+_GRAZING = (4.0, 2.5)
+"""Fresnel reflectance at a grazing angle g is exp(-c g): c of metals and glasses, and its spread."""
+_REACH_UNKNOWN = np.radians(3.0)
+"""A backlight of unstated size: its reflection is not subtracted, and this one's counts as error."""
+
+
+class Sighting(NamedTuple):
+    """Tell how the camera stands to the sphere.
+
+    Attributes:
+        distance: of the camera from the sphere's centre, radii; infinite: orthographic.
+        axis: (row, column) where the camera's axis meets the frame, px; None: the axis passes through the sphere.
+    """
+
+    distance: float = np.inf
+    axis: tuple[float, float] | None = None
+
+    def radius_at(self, azimuth: np.ndarray, row: float, column: float, radius: float) -> np.ndarray:
+        """Return the distance of the limb from the centre's picture along an azimuth, px.
+
+        Args:
+            azimuth: from +column towards +row, rad.
+            row: of the picture of the sphere's centre, px.
+            column: likewise, px.
+            radius: that the limb would have if the camera looked at the centre, px.
+        """
+        if self.axis is None or np.isinf(self.distance):
+            return np.full(np.shape(azimuth), radius)
+        focal = radius * np.sqrt(self.distance**2 - 1)
+        centre = np.array([column - self.axis[1], row - self.axis[0], focal])
+        centre /= np.linalg.norm(centre)
+        first = np.array([centre[2], 0.0, -centre[0]]) / np.hypot(centre[0], centre[2])
+        second = np.cross(centre, first)
+        turn = np.linspace(0, 2 * np.pi, 721)[:-1, None]
+        edge = centre * np.sqrt(1 - self.distance**-2) + (np.cos(turn) * first + np.sin(turn) * second) / self.distance
+        x, y = focal * (edge[:, :2] / edge[:, 2:] - centre[:2] / centre[2]).T
+        angle, length = np.arctan2(y, x), np.hypot(x, y)
+        order = np.argsort(angle)
+        return np.interp(azimuth, angle[order], length[order], period=2 * np.pi)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Hold a sphere's outline in the frame.
+
+    Attributes:
+        row: of the picture of the sphere's centre, px, rows down, pixel centres on integers.
+        column: of the same.
+        radius: of the limb if the camera looked at the sphere's centre, px: focal length / sqrt(distance^2 - 1).
+        covariance: of (row, column, radius), px^2 (3, 3), with noise, scatter of the edges, lens and light near the limb.
+        sigma: standard deviation of the lens's blur, px.
+        sigma_std: its standard deviation, px.
+        sighting: how the camera stands to the sphere.
+        sectors: edges that were measured.
+        used: those of them that the outline follows.
+        scatter: rms distance of the used edges from the outline, px.
+        noise: the part of `covariance` that is noise and scatter, px^2 (3, 3).
+        coated: whether the light near the limb is that of a sphere under a clear coat.
+        remarks: what a reader should know.
+    """
+
+    row: float
+    column: float
+    radius: float
+    covariance: np.ndarray
+    sigma: float
+    sigma_std: float
+    sighting: Sighting
+    sectors: LimbSectors
+    used: np.ndarray
+    scatter: float
+    noise: np.ndarray
+    coated: bool = False
+    remarks: tuple[Remark, ...] = ()
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations of row, column and radius, px (3,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def curve(self, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns of the outline, px, for an overlay.
+
+        Args:
+            azimuth: from +column towards +row, rad.
+        """
+        length = self.sighting.radius_at(azimuth, self.row, self.column, self.radius)
+        return self.row + length * np.sin(azimuth), self.column + length * np.cos(azimuth)
+
+
+def stacked(pictures: Sequence[MergedPicture], name: str = "all lamps") -> MergedPicture:
+    """Return the mean of several pictures: all lamps together light the whole limb.
+
+    Args:
+        pictures: of one sphere at one place, of one shape and origin.
+        name: of the result.
+
+    Returns:
+        The mean over the pictures that have a value, pixel by pixel. What was clipped in any picture is clipped.
+    """
+    shapes = {(one.values.shape, one.origin) for one in pictures}
+    if len(shapes) != 1:
+        raise ArgumentError(f"pictures must be of one shape and origin, got {len(shapes)} different ones")
+    number, total, variance = (np.zeros(pictures[0].values.shape) for _ in range(3))
+    clipped = np.zeros(pictures[0].values.shape, bool)
+    for one in pictures:
+        good = np.isfinite(one.values)
+        number += good
+        total += np.where(good, one.values, 0.0)
+        variance += np.where(good, one.std, 0.0) ** 2
+        clipped |= one.clipped
+    some = np.maximum(number, 1)
+    nothing = np.where(number > 0, 0.0, np.nan)
+    return replace(
+        pictures[0], name=name, values=total / some + nothing, std=np.sqrt(variance) / some + nothing, clipped=clipped
+    )
+
+
+def find_outline(
+    picture: MergedPicture,
+    *,
+    light: LimbLight = "lit",
+    sighting: Sighting | None = None,
+    lens: tuple[float, float] | None = None,
+    backlight_reach: tuple[float, float] | None = None,
+    start: tuple[float, float, float] | None = None,
+    exponents: Sequence[float] | None = None,
+) -> Outline:
+    """Find the outline of the sphere in a picture.
+
+    Args:
+        picture: one lamp's, all lamps' (`stacked`), or a frame with light from behind.
+        light: "lit" for a sphere brighter than what is behind it, "backlit" for a dark one before a bright field.
+        sighting: how the camera stands. Default: infinitely far.
+        lens: standard deviation of the lens's blur and its standard deviation, px. Default: found from the limb.
+        backlight_reach: angle by which the bright field reaches beyond the limb, seen from the sphere, and its standard
+            deviation, rad. The sphere mirrors that much of it. Default: not known, a field of 3 degrees counts as error.
+        start: row, column and radius, px. Default: searched for.
+        exponents: powers of the distance inside the limb that its light is made of, from 0. Default: those of `EXPONENTS`.
+
+    Returns:
+        The outline, in px of the frame.
+
+    Raises:
+        FitError: there is no sphere, there are two, the frame cuts it, or too little of its limb is lit.
+
+    Source:
+        docs/outline.md.
+    """
+    if light not in get_args(LimbLight):
+        raise ArgumentError(f"light must be one of {', '.join(map(repr, get_args(LimbLight)))}, got {light!r}")
+    sighting = sighting or Sighting()
+    begin = np.array(start if start is not None else _searched(picture, light))
+    tried = [(light, tuple(exponents))] if exponents is not None else [(light, EXPONENTS[light])]
+    if exponents is None and light == "lit":
+        tried.append(("coated", EXPONENTS["coated"]))
+    found = []
+    for kind, powers in tried:
+        try:
+            found.append(OutlineFit(picture, kind, sighting, powers, begin).outline(lens, backlight_reach))
+        except FitError as error:
+            failed = error
+    if not found:
+        raise failed
+    return found[0] if len(found) == 1 else _likelier(*found)
+
+
+def _likelier(one: Outline, other: Outline) -> Outline:
+    """Return the outline whose light follows the pixels better; where both do, what parts them counts as error."""
+    both = one.used & other.used
+    scale = max(1.0, min(np.sum(each.sectors.chi2[both]) / np.sum(each.sectors.freedom[both]) for each in (one, other)))
+    worse = float(np.sum(other.sectors.chi2[both] - one.sectors.chi2[both])) / scale
+    best, rest = (one, other) if worse >= 0 else (other, one)
+    share = 1 / (1 + np.exp(min(abs(worse) / _TEMPER, 50.0)))
+    apart = np.array([rest.row - best.row, rest.column - best.column, rest.radius - best.radius])
+    return replace(best, covariance=best.covariance + share * (1 - share) * np.outer(apart, apart))
+
+
+def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, float]:
+    """Return (row, column, radius) of the one sphere in the picture."""
+    circles = find_circles(
+        picture.values, picture.std, bright_inside=light == "lit", mosaic=len(np.unique(picture.channel)) > 1
+    )
+    what = "brighter than" if light == "lit" else "dark before"
+    if not circles:
+        raise FitError(
+            f"{picture.name}: no sphere {what} its background is seen; photograph its outline, or give a start"
+        )
+    first = circles[0]
+    if len(circles) > 1 and circles[1].score > 0.5 * first.score and circles[1].coverage > 0.35:
+        at = " and ".join(
+            f"row {c.row + picture.origin[0]:.0f}, column {c.column + picture.origin[1]:.0f}" for c in circles
+        )
+        raise FitError(f"{picture.name}: there are two spheres, at {at}; crop the frame to one of them")
+    _refuse_cut(picture, first)
+    return first.row + picture.origin[0], first.column + picture.origin[1], first.radius
+
+
+def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
+    """Refuse a circle that leaves the frame."""
+    height, width = picture.values.shape
+    left = min(circle.row, height - 1 - circle.row, circle.column, width - 1 - circle.column) - circle.radius
+    if left < -0.5:
+        raise FitError(
+            f"{picture.name}: the frame cuts the sphere, whose limb of radius {circle.radius:.0f} px ends {-left:.0f} px "
+            f"outside; the whole sphere must be in the frame"
+        )
+
+
+class OutlineFit:
+    """Fit an outline: sectors' edges for the present curve, then the curve for the edges, until both stand.
+
+    Args:
+        picture: in which the limb is.
+        light: a key of `EXPONENTS`.
+        sighting: how the camera stands.
+        exponents: powers of the distance inside the limb.
+        start: row, column, radius, px (3,).
+    """
+
+    def __init__(
+        self,
+        picture: MergedPicture,
+        light: str,
+        sighting: Sighting,
+        exponents: Sequence[float],
+        start: np.ndarray,
+    ):
+        self.picture, self.light, self.sighting = picture, light, sighting
+        self.exponents, self.place = tuple(exponents), start
+        self.good = np.isfinite(picture.values) & (picture.std > 0) & ~picture.clipped
+        self.rows, self.columns = np.indices(picture.values.shape)
+        self.count = int(np.clip(2 * np.pi * start[2] / 6 / 3, 24, 72)) if len(np.unique(picture.channel)) > 1 else 72
+        self.inside = float(np.clip(0.1 * start[2], 6, 16))
+        self.outside = 5.0
+
+    def band(self, place: np.ndarray, wider: float = 0.0) -> BandPixels:
+        """Return the pixels near the curve."""
+        row, column = self.rows + self.picture.origin[0] - place[0], self.columns + self.picture.origin[1] - place[1]
+        reach = place[2] * 1.02 + self.outside + wider
+        near = self.good & (np.abs(row) < reach) & (np.abs(column) < reach)
+        row, column = row[near], column[near]
+        azimuth = np.arctan2(row, column)
+        inside = self.sighting.radius_at(azimuth, *place) - np.hypot(row, column)
+        chosen = (inside > -self.outside - wider) & (inside < self.inside + wider)
+        values, std, channel = (a[near][chosen] for a in (self.picture.values, self.picture.std, self.picture.channel))
+        return BandPixels(inside[chosen], azimuth[chosen], values, std, channel, float(place[2]))
+
+    def edges(self, place: np.ndarray, sigma: float, exponents: Sequence[float], wider: float = 0.0) -> LimbSectors:
+        """Return the sectors' edges about a curve."""
+        coated = float(self.place[2]) if self.light == "coated" else None
+        return sector_edges(self.band(place, wider), BlurredPowers(sigma, exponents, coated=coated), self.count)
+
+    def usable(self, edges: LimbSectors) -> np.ndarray:
+        """Return which sectors show a limb: it stands out, is sharp enough to place, and nothing lies on it."""
+        with np.errstate(invalid="ignore"):
+            sharp = (edges.contrast > _CONTRAST) & (edges.std < _LARGEST_STD)
+            return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
+
+    def slopes(self, place: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+        """Return the derivatives of an edge's distance along its azimuth by row, column and radius (n, 3)."""
+        matrix = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
+        if self.sighting.axis is not None:
+            at = self.sighting.radius_at(azimuth, *place)
+            for k in range(3):
+                moved = place + np.eye(3)[k]
+                matrix[:, k] = (matrix[:, k] if k < 2 else 0) + self.sighting.radius_at(azimuth, *moved) - at
+        return matrix
+
+    def settle(
+        self, place: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
+    ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
+        """Return the place, its edges, those used, the covariance by noise and scatter, and the rms distance."""
+        for _ in range(turns):
+            edges = self.edges(place, sigma, exponents, wider)
+            step, used, covariance, scatter = self.solve(place, edges, wider)
+            place = place + step
+            if np.abs(step).max() < 2e-3:
+                break
+        return place, edges, used, covariance, scatter
+
+    def solve(
+        self, place: np.ndarray, edges: LimbSectors, wider: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Return the step to the curve that the edges follow, those used, the covariance and the rms distance."""
+        with np.errstate(invalid="ignore"):
+            used = self.usable(edges) & (np.abs(edges.offset) < 2.0 + wider)
+        if used.sum() < FEWEST_SECTORS:
+            raise FitError(
+                f"{self.picture.name}: only {used.sum()} of {self.count} parts of the limb stand out from the background; "
+                f"light it, or photograph the outline before a bright field"
+            )
+        matrix = self.slopes(place, edges.azimuth)
+        std = np.nan_to_num(edges.std * np.sqrt(np.maximum(edges.misfit, 1.0)), nan=1.0)
+        extra = 0.0
+        for _ in range(12):
+            weight = 1 / np.hypot(std, extra)[used]
+            a = matrix[used] * weight[:, None]
+            step, *_ = np.linalg.lstsq(a, edges.offset[used] * weight, rcond=None)
+            left = np.nan_to_num(edges.offset - matrix @ step, nan=np.inf)
+            freedom = used.sum() - 3
+            # further scatter, such that chi squared is its degrees of freedom; robust: from the median
+            middle = 1.4826 * np.median(np.abs(left[used]))
+            extra = float(np.sqrt(max(middle**2 - np.median(std[used]) ** 2, 0.0)))
+            keep = used & (np.abs(left) < _OUTLIER * np.hypot(std, max(extra, 0.01)))
+            if keep.sum() == used.sum() or keep.sum() < FEWEST_SECTORS:
+                break
+            used = keep
+        chi2 = float(((left[used] / np.hypot(std, extra)[used]) ** 2).sum())
+        covariance = np.linalg.pinv(a.T @ a) * max(1.0, chi2 / freedom)
+        if np.sqrt(np.diag(covariance)).max() > 1.0:
+            raise FitError(
+                f"{self.picture.name}: the limb that is lit spans too little of the outline to tell its centre; "
+                f"use pictures of more lamps, or one with light from behind"
+            )
+        return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
+
+    def outline(self, lens: tuple[float, float] | None, backlight_reach: tuple[float, float] | None) -> Outline:
+        """Return the outline with everything that is uncertain about it."""
+        remarks = []
+        place, *_ = self.settle(self.place, 2.0, self.exponents[:2], turns=3, wider=3.0)
+        sigma, sigma_std = lens if lens is not None else self.lens(self.settle(place, 0.7, self.exponents, turns=2)[0])
+        place, edges, used, covariance, scatter = self.settle(place, sigma, self.exponents)
+        noise = covariance
+        # how the outline moves with the lens
+        step = 0.1 * sigma + 0.02
+        wider = self.settle(place, sigma + step, self.exponents, turns=1)[0]
+        by_lens = (wider - place) / step * sigma_std
+        covariance = covariance + np.outer(by_lens, by_lens)
+        if self.light != "backlit" and len(self.exponents) > 2:
+            # how it moves with what light may do inside the limb
+            by_light = (self.settle(place, sigma, self.exponents[:-1], turns=1)[0] - place) / 2
+            covariance = covariance + np.outer(by_light, by_light)
+        if self.light == "backlit":
+            shrunk, shrunk_std = grazing_reflection(place[2], backlight_reach)
+            place = place + np.array([0.0, 0.0, shrunk])
+            covariance = covariance + np.diag([0, 0, shrunk_std**2])
+            if backlight_reach is None:
+                remarks.append(
+                    Remark(
+                        "backlight-reach-not-given",
+                        f"the sphere mirrors the backlight: up to {shrunk_std:.2f} px of radius",
+                    )
+                )
+        lost = int(np.sum((edges.contrast > _CONTRAST) & ~used))
+        if lost > 0.1 * self.count:
+            remarks.append(
+                Remark("limb-spoilt", f"{lost} of {self.count} parts of the limb do not follow it; left out")
+            )
+        self.refuse_outside(place)
+        return Outline(
+            row=float(place[0]),
+            column=float(place[1]),
+            radius=float(place[2]),
+            covariance=covariance,
+            sigma=sigma,
+            sigma_std=sigma_std,
+            sighting=self.sighting,
+            sectors=edges,
+            used=used,
+            scatter=scatter,
+            noise=noise,
+            coated=self.light == "coated",
+            remarks=tuple(remarks),
+        )
+
+    def refuse_outside(self, place: np.ndarray) -> None:
+        """Refuse an outline that leaves the frame."""
+        row, column = place[0] - self.picture.origin[0], place[1] - self.picture.origin[1]
+        _refuse_cut(self.picture, FoundCircle(row, column, float(place[2]), 1.0))
+
+    def lens(self, place: np.ndarray) -> tuple[float, float]:
+        """Return the lens's blur that the edges show, and its standard deviation, px."""
+
+        def misfit(log_sigma: float) -> float:
+            edges = self.edges(place, float(np.exp(log_sigma)), self.exponents)
+            with np.errstate(invalid="ignore"):
+                lit = self.usable(edges)
+            chosen = lit if lit.sum() >= FEWEST_SECTORS else np.isfinite(edges.chi2)
+            if not chosen.any():
+                return 0.0
+            return float(edges.chi2[chosen].sum() / edges.freedom[chosen].sum())
+
+        found = minimize_scalar(
+            misfit, bounds=np.log(_SIGMAS), method="bounded", options={"xatol": 0.02, "maxiter": 14}
+        )
+        sigma, least = float(np.exp(found.x)), float(found.fun)
+        # chi squared rises by its own scale one standard deviation away
+        freedom = float(self.edges(place, sigma, self.exponents).freedom.sum())
+        step = 0.15
+        rise = (misfit(found.x + step) + misfit(found.x - step) - 2 * least) / step**2 / 2
+        std = np.sqrt(max(least, 1e-12) / max(rise, 1e-12) / max(freedom, 1.0))
+        return sigma, float(sigma * min(std, 1.0))
+
+
+def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:
+    """Return by how much the mirrored backlight shrinks a dark disc, and the standard deviation, px.
+
+    A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field that
+    reaches E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
+
+    Args:
+        radius: of the limb, px.
+        reach: E and its standard deviation, rad; None: not known.
+
+    Example:
+        >>> shrunk, std = grazing_reflection(400.0, (np.radians(5), np.radians(1)))
+        >>> round(shrunk, 2), round(std, 2)
+        (0.34, 0.13)
+    """
+    if reach is None:
+        return 0.0, grazing_reflection(radius, (_REACH_UNKNOWN, 0.0))[0]
+    angle, angle_std = reach
+
+    def shrunk(edge: float, slope: float) -> float:
+        # grazing angle g = sqrt(2 t / radius), even in t: the mean of F over t is that over g with weight g
+        g = np.linspace(0, edge / 2, 201)
+        return float(radius * np.trapezoid(np.sin(g) * np.exp(-slope * g), g))
+
+    here = shrunk(angle, _GRAZING[0])
+    by_slope = (shrunk(angle, _GRAZING[0] - _GRAZING[1]) - shrunk(angle, _GRAZING[0] + _GRAZING[1])) / 2
+    by_reach = (shrunk(angle + angle_std, _GRAZING[0]) - shrunk(max(angle - angle_std, 0.0), _GRAZING[0])) / 2
+    return here, float(np.hypot(by_slope, by_reach))
