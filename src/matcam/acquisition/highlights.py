@@ -102,14 +102,14 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     if len(chosen) > _PIXELS:
         chosen = np.random.default_rng(0).choice(chosen, _PIXELS, replace=False)
     start = first[0] + picture.origin[0], first[1] + picture.origin[1]
-    fit = _LobeFit(picture, ball, blur, rows.ravel()[chosen], columns.ravel()[chosen], chosen, start, first[3], background)
+    fit = _LobeFit(
+        picture, ball, blur, rows.ravel()[chosen], columns.ravel()[chosen], chosen, start, first[3], background
+    )
     place, covariance, width = fit.solved()
     if clipped:
         remarks.append(Remark("clipped", f"{picture.name}: {clipped} pixels of the highlight are clipped"))
     normal = ball.normals(*place)
-    return Highlight(
-        picture.name, *map(float, place), covariance, normal, width, clipped, others, tuple(remarks)
-    )
+    return Highlight(picture.name, *map(float, place), covariance, normal, width, clipped, others, tuple(remarks))
 
 
 def _spots(
@@ -177,7 +177,7 @@ class _LobeFit:
         # what the lens has widened is not foreshortened further
         share = (lobe[0] / radial) ** 2
         shape = (1 + turn / exponent) ** -exponent * (cosine / self.cosine) ** share
-        height, level = p[5 :: 2][self.channel], p[6 :: 2][self.channel]
+        height, level = p[5::2][self.channel], p[6::2][self.channel]
         return np.exp(height) * shape + level * self.background
 
     def residual(self, p: np.ndarray) -> np.ndarray:

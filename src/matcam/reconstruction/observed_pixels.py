@@ -18,7 +18,7 @@ SCATTERED = 768
 _STRATA = 24
 _LIMB = 3.0  # px from the outline within which a pixel's own rule does not follow the border
 _OUTSIDE = 1.5  # px beyond the outline up to which the window's pixels are read: what lies behind is not the sphere
-_LIT = 0.05  # least cosine to the lamp
+_LIT = 0.1  # least cosine to the lamp: near the terminator a pixel's own rule meets a kink
 
 
 class Pixels(NamedTuple):

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-NODES = 128
+NODES = 112
 """Nodes along each axis of a window."""
 WINDOW = 33
 """Pixels along each axis of a window."""
-_ORDER = 4
-_PEAK_STEP = 0.6  # of asinh(angle / the lobe's scale)
+_ORDER = 8
+_PEAK_STEP = 0.25  # of asinh(angle / the lobe's scale)
 _PIXEL_STEP = 0.5  # px: a pixel's own MTF is 0 at one over it
 _LIMB_STEP = 0.04  # rad, where the disc ends
 _LIMB = 0.35  # rad from the outline

@@ -214,7 +214,7 @@ def fit_sphere(
         known, slope = replace(scene, lamps=found.lamps), _slopes(found)
         say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {unexplained:.2%}")
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
-        if turn and settled and np.all(np.abs(p - before)[: layout.shared] < 0.05 * std[: layout.shared]):
+        if turn and settled and np.all(np.abs(p - before)[: layout.shared] < 0.2 * std[: layout.shared]):
             break
     return found
 

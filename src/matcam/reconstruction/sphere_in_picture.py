@@ -7,9 +7,12 @@ nearnesses may be 0.
 
 from __future__ import annotations
 
+from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
-from matcam.material.microfacet import Microfacet
+from matcam.inverse.operator.lobe_operator import quick_lambda
+from matcam.material.masking import Masking, g2
+from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF
 
 _LEAST = 1e-9  # cosine to the line of sight: on the outline itself there is no surface to see
@@ -45,10 +48,9 @@ def light_and_view(
         camera_nearness: one over the camera's distance, in radii.
         lamp_nearness: one over the lamp's distance, in radii.
     """
-    x, y, z = normal
     light, closeness = _towards(lamp, normal, lamp_nearness)
     zero = jnp.zeros(())
-    view, _ = _towards((zero, zero, jnp.ones(())), (x, y, z), camera_nearness)
+    view, _ = _towards((zero, zero, jnp.ones(())), normal, camera_nearness)
     return light, view, closeness
 
 
@@ -57,17 +59,25 @@ def sphere_shading(
 ) -> tuple[Shading, jax.Array]:
     """Return the shading of points of the sphere, and the lamp's light there over that at the centre, without the cosine."""
     light, view, closeness = light_and_view(normal, lamp, camera_nearness, lamp_nearness)
-    x, y, z = normal
+    x, _, z = normal
     across = jnp.sqrt(x**2 + z**2)  # the points seen have z > 0, or lie where a row begins: never both 0
     tangent = z / across, jnp.zeros(()), -x / across
     return shading(normal, tangent, light, view), closeness
 
 
-def radiance(ndf: NDF, masking: str | None, at: Shading, closeness: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the radiance of a lobe with F = 1, and of a Lambertian surface of albedo 1, under unit irradiance at the centre."""
-    seen = (at.cos_o > _LEAST) & (at.cos_i > 0)
-    cos_o = jnp.where(seen, at.cos_o, 1.0)
-    lobe = Microfacet(ndf, 1.0, masking=masking).reflected(at) / cos_o
+def radiance(ndf: NDF, masking: Masking, at: Shading, closeness: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the radiance of a lobe with F = 1, and of a white Lambertian surface, under unit irradiance at the centre.
+
+    It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
+    """
+    seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
+    cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)
+    lobe = (
+        ndf.density(at.slope_along, at.slope_across) * (1 + at.slope_along**2 + at.slope_across**2) ** 2 / (4 * cos_o)
+    )
+    if masking is not None:
+        azimuth = azimuth_difference(theta_h_of(at), at.theta_d, at.phi_d)
+        lobe *= g2(masking, quick_lambda(ndf, cos_i), quick_lambda(ndf, cos_o), azimuth)
     lambert = jnp.maximum(at.cos_i, 0.0) / jnp.pi
     return jnp.where(seen, lobe * closeness, 0.0), jnp.where(at.cos_o > _LEAST, lambert * closeness, 0.0)
 

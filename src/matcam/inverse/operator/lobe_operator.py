@@ -101,7 +101,7 @@ class LobeOperator(eqx.Module):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
         light = ndf.d(self.theta)
         if masking is not None:
-            lambda_i, lambda_o = (_smith_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
+            lambda_i, lambda_o = (quick_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
             joint = jnp.mean(g2(masking, lambda_i, lambda_o, self.azimuth), axis=-1) @ self.through_samples.T
             light *= joint.reshape(light.shape)
         return weight * light
@@ -138,7 +138,7 @@ class _Rules(NamedTuple):
         )
 
 
-def _smith_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
+def quick_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
     """Return Lambda; where it is an integral, from a small table, which the operator's own accuracy allows."""
     if isinstance(ndf, GGX | Beckmann | ShadowedNDF):
         return ndf.smith_lambda(cos)

@@ -1,0 +1,227 @@
+"""The HTML page of a reconstruction: verdict, error budget, and the pictures by which a reader can doubt it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.grid import merl_grid
+from matcam.core.remark import texts
+from matcam.figures.style import BLUE, CYCLE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
+from matcam.reconstruction.picture_rule import WINDOW
+
+if TYPE_CHECKING:
+    from matcam.reconstruction.reconstruction import Reconstruction
+
+_SLICES = (10, 30, 55, 75)
+_SHOWN = 18  # pictures whose highlights are drawn
+_BUDGET = (
+    ("ratio", "F at grazing angles over F at 10 to 45°, %", 100.0),
+    ("roughness", "roughness, %", 100.0),
+    ("radius_px", "outline's radius, px", 1.0),
+    ("lens", "lens, %", 100.0),
+)
+
+
+def write_reconstruction_page(
+    path: str | Path,
+    result: Reconstruction,
+    name: str,
+    *,
+    overview: MergedPicture | None = None,
+    exposures: Sequence[tuple[str, float, float]] = (),
+    force: bool = False,
+) -> None:
+    """Write the page of a reconstruction; it needs no network and no other file.
+
+    Args:
+        path: HTML file to write.
+        result: the reconstruction.
+        name: title of the page.
+        overview: a picture in which the fitted outline and highlights are drawn. Default: None, not drawn.
+        exposures: name, relative light and its standard deviation of each exposure. Default: none.
+        force: whether to replace the file. Default: False.
+    """
+    figures = [
+        ("Fresnel term: as the pictures say, and the curve through them", reflectance_figure(result)),
+        (
+            "The lobe, as a perfect camera would have measured it, and as a pinhole reads the same pictures",
+            lobe_figure(result),
+        ),
+        ("Highlights: recorded, fitted, and what is left", highlight_figure(result)),
+    ]
+    if overview is not None:
+        figures.insert(0, ("Outline and highlights that were found", overview_figure(result, overview)))
+    content = {
+        "name": name,
+        "verdict": result.verdict,
+        "remarks": texts(result.remarks),
+        "parameters": [(key, *pair) for key, pair in result.parameters.items()],
+        "budget_columns": [words for _, words, _ in _BUDGET],
+        "budget": [
+            (source, [scale * parts[key] for key, _, scale in _BUDGET]) for source, parts in result.budget.items()
+        ],
+        "lobes": list(result.tried.items()),
+        "not_determined": [(*one.names, one.correlation) for one in result.not_determined],
+        "exposures": exposures,
+        "figures": [(title, inline_png(figure)) for title, figure in figures],
+    }
+    write_page(path, "reconstruction_page.html", content, force=force)
+
+
+def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
+    """Draw a picture of the sphere with the fitted outline and the mirror point of every lamp."""
+    geometry = result.geometry
+    column, row = geometry["centre_px"][0]
+    radius = geometry["radius_px"][0]
+    values = np.where(np.isfinite(picture.values), picture.values, 0.0)
+    low, high = np.percentile(values, [5, 99.5])
+    floor = max(high * 1e-4, 1e-12)
+    turn = np.linspace(0, 2 * np.pi, 361)
+    with styled():
+        figure = Figure(figsize=(6.8, 6.4), layout="constrained")
+        axes = figure.subplots()
+        first_row, first_column = picture.origin
+        height, width = values.shape
+        shown = axes.imshow(
+            np.log10(np.maximum(values - min(low, 0.0), floor)),
+            cmap="gray",
+            extent=(first_column - 0.5, first_column + width - 0.5, first_row + height - 0.5, first_row - 0.5),
+            vmax=np.log10(max(values.max(), 2 * floor)),
+            vmin=np.log10(floor),
+        )
+        axes.plot(column + radius * np.cos(turn), row + radius * np.sin(turn), color=BLUE, lw=1, label="fitted outline")
+        at = np.array([_brightest(result, k) for k in range(len(result.fit.names))])
+        axes.plot(at[:, 0], at[:, 1], "+", color=VERMILION, ms=8, mew=1.5, label="fitted highlights")
+        axes.set_xlabel("column [px]")
+        axes.set_ylabel("row [px]")
+        axes.legend(loc="lower left", facecolor="white", framealpha=0.9, frameon=True)
+        figure.colorbar(
+            shown, ax=axes, label=r"$\log_{10}$ of the recorded light [unit of the merged pictures]", shrink=0.8
+        )
+    return figure
+
+
+def reflectance_figure(result: Reconstruction) -> Figure:
+    """Draw the strength of every picture with its error, and the curve through them, for each channel."""
+    fit = result.fit
+    theta = fit.solution.theta_d
+    strengths = fit.strengths / result.unit.value
+    std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / result.unit.value
+    fine = np.linspace(theta.min(), theta.max(), 200)
+    with styled():
+        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+        axes = figure.subplots()
+        for c, (channel, colour) in enumerate(zip(fit.channels, _colours(fit.channels), strict=True)):
+            axes.errorbar(
+                np.degrees(theta), strengths[:, c], std[:, c], color=colour, fmt="o", ms=4, label=f"{channel}, ± 1 std"
+            )
+            axes.plot(np.degrees(fine), result.curves[c].at(fine) / result.unit.value, color=colour, lw=1.2)
+        degrees_axis(axes, r"difference angle $\theta_d$")
+        axes.set_ylabel("F [-]" if np.isfinite(result.unit.std) else "F, relative [-]")
+        axes.set_ylim(0, None)
+        axes.legend(loc="lower left")
+    return figure
+
+
+def lobe_figure(result: Reconstruction) -> Figure:
+    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, with the pinhole's reading beside it."""
+    grid = merl_grid("centre")
+    low, high = result.measured_range
+    slices = [one for one in _SLICES if low <= np.radians(one) <= high] or [float(np.degrees((low + high) / 2))]
+    table = result.table
+    channel = table["brdf"].sizes["channel"] // 2
+    theta_h = np.degrees(grid.theta_h)
+    with styled():
+        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+        panels = figure.subplots(2, 2).flat
+        for axes, degrees in zip(panels, [*slices, *[None] * (4 - len(slices))], strict=True):
+            if degrees is None:
+                axes.axis("off")
+                continue
+            at = (*grid.index(theta_d=np.radians(degrees), phi_d=np.pi / 2), channel)
+            value, std = (table[name].values[at] for name in ("brdf", "brdf_std"))
+            good = table["supported"].values[at]
+            seen = np.isfinite(value) & (value > 0)
+            if result.pinhole is not None:
+                binned = result.pinhole.values[at]
+                there = np.isfinite(binned) & (binned > 0)
+                axes.plot(theta_h[there], binned[there], ".-", color=VERMILION, lw=0.8, ms=3, label="pinhole binning")
+            axes.plot(theta_h[seen], value[seen], color=BLUE, label="reconstructed")
+            axes.fill_between(
+                theta_h[seen],
+                np.maximum(value - std, value * 1e-2)[seen],
+                (value + std)[seen],
+                color=BLUE,
+                alpha=0.25,
+                lw=0,
+            )
+            axes.plot(theta_h[good], value[good], ".", color=GREEN, ms=4, label="supported")
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")
+            axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
+            axes.set_ylabel("BRDF [1/sr]")
+        next(iter(figure.axes)).legend(loc="lower left")
+    return figure
+
+
+def highlight_figure(result: Reconstruction) -> Figure:
+    """Draw the window of every highlight: recorded, fitted, and the difference in standard deviations."""
+    solution = result.fit.solution
+    problem = solution.problem
+    shown = np.unique(np.linspace(0, len(result.fit.names) - 1, min(_SHOWN, len(result.fit.names))).round().astype(int))
+    columns = 3
+    rows = int(np.ceil(len(shown) / columns))
+    with styled():
+        figure = Figure(figsize=(10.5, 1.5 * rows + 0.7), layout="constrained")
+        grid = figure.subplots(rows, 3 * columns, squeeze=False)
+        for axes in grid.flat:
+            axes.axis("off")
+        last = None
+        for place, k in enumerate(shown):
+            pixels = problem.pixels[k]
+            count = WINDOW * WINDOW
+            model = problem.picture(solution.p, k, slopes=False).value[:count]
+            used, values = pixels.used[:count], pixels.values[:count]
+            std = np.hypot(pixels.std[:count], solution.unexplained * np.abs(model))
+            top = max(np.nanmax(np.where(used, model, np.nan)), 1e-300)
+            left = np.where(used & ~pixels.clipped[:count], (values - model) / std, np.nan)
+            row, column = divmod(place, columns)
+            for panel, (what, scale) in enumerate(((values, "gray"), (model, "gray"), (left, "coolwarm"))):
+                axes = grid[row, 3 * column + panel]
+                image = np.where(used, what, np.nan).reshape(WINDOW, WINDOW)
+                if scale == "gray":
+                    axes.imshow(np.log10(np.maximum(image / top, 1e-3)), cmap="gray", vmin=-3, vmax=0)
+                else:
+                    last = axes.imshow(image, cmap="coolwarm", vmin=-5, vmax=5)
+            title = rf"{result.fit.names[k]}, $\theta_d$ = {np.degrees(solution.theta_d[k]):.0f}°"
+            grid[row, 3 * column].set_title(title, loc="left", fontsize=7)
+        if last is not None:
+            figure.colorbar(last, ax=grid, label="recorded - fitted [standard deviations]", shrink=0.6, aspect=30)
+        figure.supxlabel(
+            f"{WINDOW} x {WINDOW} px each: recorded and fitted (logarithm, three decades), difference",
+            fontsize=8,
+            color=GREY,
+        )
+    return figure
+
+
+def _colours(channels: Sequence[str]) -> Sequence[str]:
+    named = {"R": VERMILION, "G": GREEN, "B": BLUE}
+    return [named.get(channel, CYCLE[i % len(CYCLE)]) for i, channel in enumerate(channels)]
+
+
+def _brightest(result: Reconstruction, k: int) -> tuple[float, float]:
+    """Return column and row of the brightest pixel of a fitted window."""
+    problem, p = result.fit.solution.problem, result.fit.solution.p
+    window = problem.pixels[k].window
+    model = problem.picture(p, k, slopes=False).value[: WINDOW * WINDOW]
+    v, u = divmod(int(np.argmax(np.where(problem.pixels[k].used[: WINDOW * WINDOW], model, -1.0))), WINDOW)
+    pair = float(window.pixel_u[u]), float(window.pixel_v[v])
+    return (pair[1], pair[0]) if window.turned else pair

@@ -1,0 +1,101 @@
+"""What the pixels of a picture record of a lobe, against a quadrature that shares no code; derivatives against differences."""
+
+import numpy as np
+import pytest
+
+from matcam import Camera, GaussianOptics, NearLamp, Rig, Sphere
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.forward.integral.blur import blur_of
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.reconstruction import picture_rule
+from matcam.reconstruction.observed_pixels import Place, chosen_pixels, mirror_point
+from matcam.reconstruction.picture_model import PictureModel, lamp_frame
+from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
+
+VIEW = View(radius=120.0, column=140.0, row=140.0, shape=(281, 281))
+NEAR = (1 / VIEW.camera, 1 / VIEW.lamp)
+_WINDOW = picture_rule.WINDOW**2
+
+
+@pytest.fixture(scope="module")
+def model():
+    rig = Rig(Camera(GaussianOptics(VIEW.sigma)), Sphere(VIEW.radius, VIEW.camera), NearLamp(VIEW.lamp))
+    return PictureModel(LobeKind("ggx", "smith"), blur_of(rig), *picture_rule.lamp_disc(1))
+
+
+def parameters(alpha):
+    return np.array([np.log(alpha), 0.0, VIEW.radius, *NEAR, VIEW.column, VIEW.row, 0.0, 0.0])
+
+
+def seen(alpha, theta_d, azimuth):
+    """A picture of a perfect mirror's lobe by the oracle, and the pixels of it that a fit would choose."""
+    lamp = direction(lamp_angle(np.radians(theta_d), VIEW), azimuth)
+    truth = picture(Surface("ggx", alpha, n=(1e9,), k=(0.0,), diffuse=(0.0,)), VIEW, lamp)[..., 0]
+    nothing = np.zeros(truth.shape, int)
+    merged = MergedPicture("L", truth, np.ones_like(truth), nothing > 0, nothing, ("grey",))
+    place = Place(VIEW.column, VIEW.row, VIEW.radius, lamp, mirror_point(lamp, *NEAR))
+    return lamp, chosen_pixels(merged, place, scale=alpha / 3, plateau=0.0, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "theta_d", "azimuth"), [(0.003, 75, 0.7), (0.02, 75, 2.0), (0.02, 10, 1.0), (0.1, 30, 4.0)]
+)
+def test_pixels_record_what_an_independent_quadrature_says(model, alpha, theta_d, azimuth):
+    """In the window to 3e-4 of the peak; beyond it to 1e-3 of the value or 1e-7 of the peak."""
+    lamp, pixels = seen(alpha, theta_d, azimuth)
+    frame, p = lamp_frame(lamp), parameters(alpha)
+    near, _ = model.window(p, frame, pixels.window, slopes=False)
+    far, _ = model.pixels(p, frame, pixels.column, pixels.row, slopes=False)
+    used = pixels.used
+    ours = np.concatenate([np.asarray(near.lobe).ravel(), np.asarray(far.lobe)])
+    missed = np.abs(ours - pixels.values)
+    inside = np.arange(used.size) < _WINDOW
+    assert missed[used & inside].max() < 3e-4 * pixels.values.max()
+    beyond = used & ~inside
+    assert beyond.sum() > 300
+    assert (missed / np.maximum(1e-3 * pixels.values, 1e-7 * pixels.values.max()))[beyond].max() < 1
+
+
+def test_derivatives_are_those_of_the_values(model):
+    """Each parameter's derivative against central differences; at the terminator, where a node appears or goes, a pixel or two
+    may differ."""
+    lamp, pixels = seen(0.02, 60, 0.7)
+    frame, p = lamp_frame(lamp), parameters(0.02)
+    calls = (
+        lambda p, slopes: model.window(p, frame, pixels.window, slopes=slopes),
+        lambda p, slopes: model.pixels(p, frame, pixels.column[:200], pixels.row[:200], slopes=slopes),
+    )
+    for call in calls:
+        _, slopes = call(p, True)
+        for index in range(p.size):
+            step = np.zeros(p.size)
+            step[index] = 1e-5 * max(1.0, abs(p[index]))
+            up, down = (call(p + sign * step, False)[0] for sign in (1, -1))
+            for name in ("lobe", "theta_d"):
+                ahead, behind, slope = (np.asarray(getattr(one, name)) for one in (up, down, slopes))
+                difference = (ahead - behind) / (2 * step[index])
+                scale = np.abs(difference).max()
+                np.testing.assert_allclose(slope[..., index], difference, atol=2e-5 * scale + 1e-9)
+
+
+def test_a_bright_disc_is_the_mean_of_its_points(model):
+    """A lamp's disc of 36 places integrates to what a finer one of 90 does."""
+    lamp, pixels = seen(0.02, 40, 0.3)
+    recorded = []
+    for points in (36, 90):
+        places, weights = picture_rule.lamp_disc(points)
+        assert weights.sum() == pytest.approx(1)
+        disc = PictureModel(model.kind, model.blur, 0.02 * places, weights)
+        recorded.append(
+            np.asarray(disc.window(parameters(0.02), lamp_frame(lamp), pixels.window, slopes=False)[0].lobe)
+        )
+    point = np.asarray(model.window(parameters(0.02), lamp_frame(lamp), pixels.window, slopes=False)[0].lobe)
+    assert np.abs(recorded[0] - recorded[1]).max() < 1e-3 * recorded[1].max()
+    assert np.abs(point - recorded[1]).max() > 0.02 * recorded[1].max()
+
+
+@pytest.mark.parametrize("angle", [0.05, 1.0, 2.4])
+def test_the_mirror_point_solves_alhazens_problem(angle):
+    normal = mirror_angle(angle, VIEW)
+    expected = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
+    assert mirror_point(direction(angle, 0.0), *NEAR)[0] == pytest.approx(expected, abs=1e-9)
