@@ -15,7 +15,7 @@ from matcam.core.errors import FileFormatError
 from matcam.core.io import reading
 from matcam.files.apart import read_apart
 from matcam.files.float_pictures import read_exr
-from matcam.files.picture_header import Exif, picture_memory, read_exif
+from matcam.files.picture_header import Exif, cut, picture_memory, read_exif
 
 SUFFIXES = (
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".fff", ".iiq", ".kdc", ".mrw", ".nef", ".nrw", ".orf", ".pef",
@@ -45,8 +45,8 @@ class Mosaic(NamedTuple):
     saturation: float
 
 
-def read_raw(path: str | Path) -> Mosaic:
-    """Read the mosaic of a camera raw file.
+def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Mosaic:
+    """Read the mosaic of a camera raw file, or a region of it (first column and row, both even, width, height).
 
     FileFormatError naming the file where LibRaw does not know it, where it is damaged, or its colours are no Bayer mosaic, and
     where rawpy is not installed.
@@ -55,7 +55,7 @@ def read_raw(path: str | Path) -> Mosaic:
     there = _memory_for(path)
     if importlib.util.find_spec("rawpy") is None:
         raise FileFormatError(f"{path}: camera raw needs rawpy: python -m pip install 'matcam[raw]'")
-    found = read_apart(f"{_DECODERS}:decode_raw", path, libraries=("rawpy",), there=there)
+    found = read_apart(f"{_DECODERS}:decode_raw", path, libraries=("rawpy",), there=there, region=region)
     return Mosaic(found["values"], found["cfa"], found["saturation"])
 
 
@@ -77,32 +77,34 @@ class Photograph(NamedTuple):
     exif: Exif
 
 
-def open_photograph(path: str | Path) -> Photograph:
-    """Read a picture of any of these formats.
+def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Photograph:
+    """Read a picture of any of these formats, or a region of it.
 
-    FileFormatError naming the file where it is missing, unknown, damaged, or larger than memory allows.
+    region: first column, first row, width, height, px; the first two even, so that a mosaic's colours stay where they are. It
+    is cut out where the picture is decoded. FileFormatError naming the file where it is missing, unknown, damaged, smaller
+    than the region, or larger than memory allows.
     """
     path = Path(path)
     with reading(path, "a picture"):
         exif = read_exif(path)
     if exif.dng or (path.suffix.lower() in SUFFIXES and path.is_file()):
-        mosaic = read_raw(path)
+        mosaic = read_raw(path, region)
         return Photograph(mosaic.values, mosaic.cfa, mosaic.saturation, True, exif)
     with reading(path), path.open("rb") as file:
         start = file.read(len(_EXR))
-    values = _read_exr(path) if start == _EXR else read_photograph(path)
+    values = cut(_read_exr(path), region, path) if start == _EXR else read_photograph(path, region)
     whole = values.dtype.kind in "ui"
     return Photograph(values, None, float(np.iinfo(values.dtype).max) if whole else np.inf, not whole, exif)
 
 
-def read_photograph(path: str | Path) -> np.ndarray:
-    """Return the codes of a picture, (height, width) or (height, width, 3), in the file's own type.
+def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> np.ndarray:
+    """Return the codes of a picture or of a region, (height, width) or (height, width, 3), in the file's own type.
 
     An alpha channel is left out. FileFormatError naming the file where it is missing, of another format, or damaged.
     """
     path = Path(path)
     there = _memory_for(path)
-    return read_apart(f"{_DECODERS}:decode_photograph", path, libraries=_LIBRARIES, there=there)
+    return read_apart(f"{_DECODERS}:decode_photograph", path, libraries=_LIBRARIES, there=there, region=region)
 
 
 def _read_exr(path: Path) -> np.ndarray:

@@ -8,21 +8,25 @@ has for the picture and its working copies: a picture that does not fit is refus
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from matcam.core.errors import FileFormatError
-from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promised, jpeg_size, png_size
+from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promised, cut, jpeg_size, png_size
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _START = 26  # bytes: up to the size in a PNG
 _PREVIEW, _CANON = 1, b"CR"  # a bit of NewSubfileType (TIFF 6.0); what stands behind a CR2's TIFF header
 
 
-def decode_photograph(path: Path, *, there: int) -> np.ndarray:
-    """Return the codes of a TIFF, PNG or JPEG, (height, width) or (height, width, 3), without an alpha channel."""
+def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = None) -> np.ndarray:
+    """Return the codes of a TIFF, PNG or JPEG, or of a region of it, without an alpha channel.
+
+    (height, width) or (height, width, 3).
+    """
     with path.open("rb") as file:
         start = file.read(_START)
     try:
@@ -39,7 +43,7 @@ def decode_photograph(path: Path, *, there: int) -> np.ndarray:
         raise FileFormatError(f"{path}: a picture of shape {picture.shape} is neither grey nor red, green, blue")
     if picture.dtype.kind not in "uif":
         raise FileFormatError(f"{path}: samples of type {picture.dtype} are not supported")
-    return picture
+    return cut(picture, region, path)
 
 
 def _decoded(path: Path, start: bytes, there: int) -> np.ndarray:
@@ -79,8 +83,8 @@ def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
     return shape[0], shape[1], int(np.prod(shape[2:]))
 
 
-def decode_raw(path: Path, *, there: int) -> dict[str, Any]:
-    """Return the mosaic of a camera raw file as `values` above the black level, its `cfa` and its `saturation`."""
+def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
+    """Return the mosaic of a camera raw file, or a region of it: `values` above the black level, `cfa` and `saturation`."""
     import rawpy
 
     try:
@@ -104,7 +108,7 @@ def decode_raw(path: Path, *, there: int) -> dict[str, Any]:
     height, width = counts.shape
     tile = black[pattern]
     counts -= np.tile(tile, (height // 2 + 1, width // 2 + 1))[:height, :width]
-    return {"values": counts, "cfa": cfa, "saturation": white - float(tile.max())}
+    return {"values": cut(counts, region, path), "cfa": cfa, "saturation": white - float(tile.max())}
 
 
 def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:

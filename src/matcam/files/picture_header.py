@@ -11,8 +11,11 @@ directory is damaged says nothing; its pixels decide.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
+
+import numpy as np
 
 from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
@@ -59,6 +62,22 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
             f"{path}: a picture of {width} x {height} px in {size} bytes is compressed beyond what is trusted, and needs "
             f"{needed / 2**30:.1f} GiB"
         )
+
+
+def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.ndarray:
+    """Return a region (first column, first row, width, height) of a picture; all of it for None.
+
+    FileFormatError where the region is not within the picture.
+    """
+    if region is None:
+        return picture
+    column, row, width, height = region
+    if column + width > picture.shape[1] or row + height > picture.shape[0] or min(column, row) < 0:
+        raise FileFormatError(
+            f"{path}: a picture of {picture.shape[1]} x {picture.shape[0]} px does not hold the region of {width} x {height} "
+            f"px at column {column}, row {row}: is it of another size than the others?"
+        )
+    return picture[row : row + height, column : column + width]
 
 
 def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:

@@ -1,0 +1,73 @@
+"""Chosen pixels of every lamp position in all its exposures: what exposure ratios, gain, and clip level are estimated from.
+
+Pixels are chosen and grouped by the light of their NEIGHBOURS of the same colour, never by their own codes: a choice by a noisy
+value prefers its noise, and would bias what is estimated from it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+MOST = 30_000
+"""Pixels of one lamp position that are used at most."""
+
+
+class BracketSample(NamedTuple):
+    """Hold chosen pixels of one lamp position.
+
+    Attributes:
+        lamp: name of the lamp position.
+        exposures: indices of its exposures, (k,), among all, the shortest first.
+        codes: their codes as read, float32 (k, n), DN.
+        light: the same without dark, float32 (k, n), DN.
+        around: mean of the neighbours in each exposure without dark, float32 (k, n), DN.
+        reference: mean of the reference region in each exposure without dark, (k,), DN; NaN: none, or clipped.
+        reference_pixels: how many pixels it is the mean of.
+        median: median code of each frame, (k,), DN.
+    """
+
+    lamp: str
+    exposures: np.ndarray
+    codes: np.ndarray
+    light: np.ndarray
+    around: np.ndarray
+    reference: np.ndarray
+    reference_pixels: int
+    median: np.ndarray
+
+
+def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
+    """Return the mean of the eight nearest pixels of the same colour, without the pixel itself.
+
+    Args:
+        light: picture, (height, width).
+        step: distance of the nearest pixel of the same colour, px: 2 in a mosaic, 1 in a grey picture.
+    """
+    padded = np.pad(light, step, mode="reflect" if min(light.shape) > step else "edge")
+    height, width = light.shape
+    total = np.zeros_like(light)
+    for row in (0, step, 2 * step):
+        for column in (0, step, 2 * step):
+            if (row, column) != (step, step):
+                total += padded[row : row + height, column : column + width]
+    return total / 8
+
+
+def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
+    """Return indices of pixels for a sample: the brightest by their neighbours, and some of the others that hold light.
+
+    Args:
+        around: neighbours' mean in each exposure, flat, (k, n), the shortest first.
+        noise: standard deviation of one pixel's read noise, DN.
+        seed: of the choice among the others.
+    """
+    top = max(float(around.max()), 1.0)
+    score = (np.minimum(around, 0.9 * top)).sum(0)
+    lit = np.flatnonzero(around[-1] > 6 * max(noise, 0.5))
+    if lit.size <= MOST:
+        return lit
+    order = lit[np.argpartition(score[lit], lit.size - MOST // 2)]
+    rest, brightest = order[: lit.size - MOST // 2], order[lit.size - MOST // 2 :]
+    return np.sort(np.concatenate([brightest, np.random.default_rng(seed).choice(rest, MOST // 2, replace=False)]))

@@ -1,0 +1,133 @@
+"""What a camera reads without light, by exposure: level, fixed pattern, read noise, hot pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.errors import FileFormatError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Region
+
+_HOT = 12.0  # standard deviations of a dark mean by which a hot pixel stands out
+_ROBUST = 1.4826
+
+
+@dataclass(frozen=True)
+class Darkness:
+    """Hold what is subtracted from the frames of one exposure.
+
+    Attributes:
+        level: dark code of each pixel, float32 (height, width), or one number.
+        hot: pixels whose dark code is too high to trust, (height, width), or False.
+        read_noise: standard deviation of one dark frame's noise, DN; NaN: one frame cannot tell.
+        frames: how many dark frames it is from.
+    """
+
+    level: np.ndarray | float
+    hot: np.ndarray | bool
+    read_noise: float
+    frames: int
+
+
+def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
+    """Return level and noise of the dark frames of one exposure, (height, width) each.
+
+    A pixel's own dark mean counts by how much more pixels differ than their noise explains: James and Stein's shrinkage towards
+    the frame's level.
+    """
+    stack = np.asarray(stack, np.float32)
+    n = len(stack)
+    mean = stack.mean(0)
+    level = float(mean.mean()) if mean.size < 100 else _trimmed_mean(mean)
+    spread = _ROBUST * float(np.median(np.abs(mean - np.median(mean))))
+    if n < 2:
+        noise = float(np.sqrt(max(_clipped_variance(mean - level), 0)))
+        return Darkness(level, np.abs(mean - level) > _HOT * max(spread, noise, 0.5), noise, n)
+    variance = float(np.mean([_clipped_variance(a - b) / 2 for a, b in pairwise(stack)]))
+    pattern = max(_clipped_variance(mean - level) - variance / n, 0.0)
+    # a pattern that is not seen beyond chance is none
+    if pattern < 4 * variance / n * np.sqrt(2 / mean.size):
+        pattern = 0.0
+    share = pattern / (pattern + variance / n) if pattern else 0.0
+    hot = np.abs(mean - level) > _HOT * max(np.sqrt(pattern + variance / n), 0.5)
+    return Darkness(level + share * (mean - level) if share else level, hot, float(np.sqrt(variance)), n)
+
+
+def measure_darkness(
+    reader: MosaicReader,
+    capture: Capture,
+    region: Region | None,
+    exposures: Sequence[str],
+    frame_levels: dict[str, float],
+) -> tuple[dict[str, Darkness], list[Remark]]:
+    """Return the darkness of every exposure, and what was noticed.
+
+    Args:
+        reader: how frames are read.
+        capture: where they lie.
+        region: part of the frames that is used; None: all of it.
+        exposures: names of the exposures.
+        frame_levels: of each exposure, what its darkest frame's median code is, DN.
+
+    Returns:
+        Darkness by exposure; where an exposure has no dark frames, that of the others, or of what is stated.
+    """
+    found: dict[str, Darkness] = {}
+    remarks = []
+    for exposure in exposures:
+        stack = []
+        for frame in capture.of("dark", exposure=exposure):
+            try:
+                one = reader.read(frame, region)
+            except FileFormatError as error:
+                remarks.append(Remark("bad-frame", str(error)))
+                continue
+            level, noise = float(np.median(one)), float(np.std(one))
+            if level > frame_levels.get(exposure, np.inf) + max(6 * noise, 2.0):
+                text = (
+                    f"{capture.folder / frame.file}: is brighter than the frames of its exposure: {level:.0f} DN over "
+                )
+                remarks.append(Remark("dark-too-bright", f"{text}{frame_levels[exposure]:.0f}; it was left out"))
+                continue
+            if stack and one.shape != stack[0].shape:
+                text = f"{capture.folder / frame.file}: is of another size than the dark frames before; it was left out"
+                remarks.append(Remark("other-size", text))
+                continue
+            stack.append(one)
+        if stack:
+            found[exposure] = dark_of(stack)
+    missing = [name for name in exposures if name not in found]
+    if found and missing:
+        for name in missing:
+            nearest = min(found, key=lambda other: abs(list(exposures).index(other) - list(exposures).index(name)))
+            found[name] = found[nearest]
+        text = f"no dark frame of exposure {', '.join(missing)}: that of the nearest exposure was subtracted"
+        remarks.append(Remark("dark-missing", text))
+    if not found:
+        stated = capture.settings["camera"]["black_level_dn"]
+        for name in exposures:
+            found[name] = Darkness(frame_levels.get(name, 0.0) if stated is None else stated, False, float("nan"), 0)
+        what = "the darkest frame's median" if stated is None else "camera.black_level_dn"
+        remarks.append(
+            Remark("dark-missing", f"no dark frames: {what} was subtracted; dim values are uncertain by its error")
+        )
+    return found, remarks
+
+
+def _trimmed_mean(values: np.ndarray) -> float:
+    """Return the mean without hot pixels: exact for rounded codes, where a median is not."""
+    middle = np.median(values)
+    width = 6 * max(_ROBUST * float(np.median(np.abs(values - middle))), 1.0)
+    return float(values[np.abs(values - middle) <= width].mean(dtype=np.float64))
+
+
+def _clipped_variance(values: np.ndarray) -> float:
+    """Return the variance without what stands out by eight standard deviations."""
+    width = 8 * max(_ROBUST * float(np.median(np.abs(values))), 0.5)
+    kept = values[np.abs(values) <= width]
+    return float(kept.var(dtype=np.float64)) if kept.size else 0.0

@@ -1,0 +1,278 @@
+"""Exposure ratios, clip level, photon transfer and linearity from brackets: pictures of one thing in several exposures.
+
+The light of a pixel in exposure k is e_k f: f its flux, e_k the exposure. Sums over groups of pixels obey the same law, and the
+quasi-likelihood's equations sum_p w (d_k - e_k f) = 0 are linear in the data d: no bias by noise in f, as a regression has.
+A group holds pixels of one lamp position, one brightness and one set of exposures that do not clip them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.bracket_sample import BracketSample
+
+_SAFE = 0.85
+"""Share of the clip level up to which a pixel is predicted from shorter exposures to be usable."""
+_ROBUST = 1.4826
+
+
+class ClipLevel(NamedTuple):
+    """Hold the code at which pixels clip.
+
+    Attributes:
+        level: DN as read.
+        std: standard deviation of the level, DN.
+        spread: standard deviation of a clipped pixel's code, DN.
+        pixels: how many clipped pixels it is from; 0: none was seen, and `level` is the largest code.
+    """
+
+    level: float
+    std: float
+    spread: float
+    pixels: int
+
+    @property
+    def threshold(self) -> float:
+        """Return the code from which a pixel is taken to be clipped, DN."""
+        if not self.pixels:
+            return self.level + 1.0
+        return self.level - max(6 * self.spread, 0.002 * abs(self.level), 0.5)
+
+
+class ExposureRatios(NamedTuple):
+    """Hold what the brackets say of the exposures.
+
+    Attributes:
+        value: exposure relative to the shortest, (k,).
+        std: relative standard deviation of each, (k,); 0 for the shortest.
+        misfit: scatter over what noise explains, chi2 a degree of freedom.
+        curve: code above dark over the largest one, relative departure from a straight line there, and its standard deviation;
+            (n, 3).
+        linked: whether overlapping pixels link all exposures.
+    """
+
+    value: np.ndarray
+    std: np.ndarray
+    misfit: float
+    curve: np.ndarray
+    linked: bool
+
+
+def first_guess(
+    samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
+) -> np.ndarray:
+    """Return relative exposures from medians of neighbouring exposures' ratios; the nominal ones where nothing overlaps."""
+    guess = np.ones(count)
+    for k in range(1, count):
+        ratios = []
+        for sample in samples:
+            places = {int(e): i for i, e in enumerate(sample.exposures)}
+            if k - 1 in places and k in places:
+                low, high = sample.light[places[k - 1]], sample.light[places[k]]
+                around = sample.around[places[k]]
+                good = (around > 40 * noise) & (around < 0.7 * top) & (high < 0.8 * top)
+                ratios += [(float(high[good].sum()), float(low[good].sum()))]
+        over, under = (float(sum(column)) for column in zip(*ratios, strict=True)) if ratios else (0.0, 0.0)
+        step = over / under if under > 0 and over > 200 * noise else nominal[k] / nominal[k - 1]
+        guess[k] = guess[k - 1] * (step if np.isfinite(step) and step > 1 else 2.0)
+    return guess
+
+
+def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, largest: float) -> ClipLevel:
+    """Return the code of pixels that a shorter exposure says must be clipped.
+
+    Args:
+        samples: of all lamp positions.
+        guess: relative exposures.
+        largest: largest code of all frames, DN.
+    """
+    codes = []
+    for sample in samples:
+        for i in range(1, len(sample.exposures)):
+            step = guess[sample.exposures[i]] / guess[sample.exposures[i - 1]]
+            must = step * sample.light[i - 1] > 1.6 * largest
+            codes.append(sample.codes[i][must])
+    found = np.concatenate(codes) if codes else np.zeros(0)
+    if found.size < 3:
+        return ClipLevel(largest, float("nan"), 0.0, 0)
+    level = float(np.median(found))
+    spread = _ROBUST * float(np.median(np.abs(found - level)))
+    # rounding leaves the median within half a code
+    return ClipLevel(level, float(np.hypot(1.25 * spread / np.sqrt(found.size), 0.29)), spread, int(found.size))
+
+
+def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise: float) -> np.ndarray:
+    """Return which pixels can be used in which exposure, (k, n): the shorter exposures say so, not the pixel itself."""
+    relative = exposures[sample.exposures]
+    below = sample.codes < clip.threshold
+    height = max(clip.level - float(np.median(sample.codes[0] - sample.light[0])), 1.0)
+    fits = np.ones_like(below)
+    total, weight = np.zeros(sample.light.shape[1]), 0.0
+    for k in range(1, len(relative)):
+        total, weight = total + sample.light[k - 1] * fits[k - 1], weight + relative[k - 1] * fits[k - 1]
+        predicted = np.maximum(total / np.maximum(weight, 1e-300), 0) + 2 * noise / relative[k - 1]
+        # the neighbours see what a shorter exposure's noise hides
+        fits[k] = fits[k - 1] & (relative[k] * predicted < _SAFE * height) & (sample.around[k] < _SAFE * height)
+    return below & (fits if clip.pixels else True)
+
+
+def fit_ratios(
+    samples: Sequence[BracketSample], guess: np.ndarray, clip: ClipLevel, noise: float, gain: float
+) -> ExposureRatios:
+    """Return the exposure ratios that explain all brackets together.
+
+    Args:
+        samples: of all lamp positions.
+        guess: relative exposures to begin with.
+        clip: where pixels clip.
+        noise: read noise, DN.
+        gain: DN per electron.
+    """
+    exposures = guess.copy()
+    for _ in range(3):
+        sums, counts = _groups(samples, exposures, clip, noise)
+        exposures, flux = _solve(sums, counts, exposures, noise, gain)
+    used = counts > 0
+    mean = exposures * flux[:, None]
+    weight = np.where(used, mean / np.maximum(mean + noise**2 / gain, 1e-12), 0)
+    information = counts * mean * weight / gain
+    total = information.sum(1)
+    good = total > 0
+    matrix = np.diag(information.sum(0)) - (information[good] / total[good, None]).T @ information[good]
+    linked = bool(
+        np.linalg.matrix_rank(matrix[1:, 1:] + 0.0, tol=1e-6 * max(matrix.max(), 1e-300)) == len(exposures) - 1
+    )
+    variance = counts * (gain * np.maximum(mean, 0) + noise**2)
+    chi = np.where(used & (variance > 0), (sums - counts * mean) ** 2 / np.where(variance > 0, variance, 1), 0)
+    degrees = int(used.sum() - len(flux) - len(exposures) + 1)
+    misfit = float(chi.sum() / degrees) if degrees > 0 else float("nan")
+    std = np.full(len(exposures), np.inf)
+    std[0] = 0.0
+    if linked and len(exposures) > 1:
+        std[1:] = np.sqrt(np.diag(np.linalg.inv(matrix[1:, 1:])) * max(1.0, misfit if degrees > 0 else 1.0))
+    return ExposureRatios(exposures / exposures[0], std, misfit, _curve(sums, counts, mean, variance), linked)
+
+
+def fit_gain(
+    samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLevel, noise: float
+) -> tuple[float, float]:
+    """Return the gain, DN per electron, and its standard deviation, from how exposures of one thing differ.
+
+    u = d_a - (e_a/e_b) d_b has variance K m (1 + e_a/e_b) + read noise^2 (1 + (e_a/e_b)^2), m the mean of d_a: the slope over m
+    is K, with no pairs of equal frames. Bins of brightness, robust in each.
+    """
+    rows = []
+    for sample in samples:
+        use = usable(sample, ratios, clip, noise)
+        for b in range(1, len(sample.exposures)):
+            a = b - 1
+            share = ratios[sample.exposures[a]] / ratios[sample.exposures[b]]
+            both = use[a] & use[b]
+            if both.sum() < 20:
+                continue
+            difference = sample.light[a][both] - share * sample.light[b][both]
+            brightness = share * sample.around[b][both]
+            own = share * sample.light[b][both]  # four times the light of a: its noise is small
+            good = (brightness > 0) & (np.abs(own - brightness) < 0.2 * np.maximum(brightness, 20 * noise))
+            rows.append(np.stack([difference[good], own[good], brightness[good], np.full(good.sum(), share)]))
+    if not rows:
+        return float("nan"), float("inf")
+    difference, mean, brightness, share = np.concatenate(rows, axis=1)
+    inside = (brightness > 3 * noise) & (mean > 0)
+    difference, mean, brightness, share = difference[inside], mean[inside], brightness[inside], share[inside]
+    if difference.size < 200:
+        return float("nan"), float("inf")
+    # bins by the neighbours: inside a bin of its own brightness a pixel's noise would be cut off
+    cuts = np.unique(np.quantile(brightness, np.linspace(0, 1, 25)))
+    place = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
+    slope, extra, size = [], [], []
+    for one in range(len(cuts) - 1):
+        part = place == one
+        if part.sum() < 30:
+            continue
+        scaled = difference[part] / np.sqrt((1 + share[part]) * mean[part])
+        extra.append(float(np.mean(noise**2 * (1 + share[part] ** 2) / ((1 + share[part]) * mean[part]))))
+        middle = np.median(scaled)
+        width = 6 * _ROBUST * float(np.median(np.abs(scaled - middle)))
+        kept = scaled[np.abs(scaled - middle) <= max(width, 1e-12)]
+        slope.append(float(kept.var(ddof=1)) - extra[-1])
+        size.append(kept.size)
+    if not slope:
+        return float("nan"), float("inf")
+    # weights by the expected scatter: by the measured one, bins that happen to be low would count more
+    value = float(np.median(slope))
+    for _ in range(4):
+        error = (max(value, 1e-9) + np.asarray(extra)) * np.sqrt(2 / np.asarray(size))
+        value = float(np.sum(slope / error**2) / np.sum(1 / error**2))
+    scatter = float(np.sum(((np.asarray(slope) - value) / error) ** 2) / max(len(slope) - 1, 1))
+    return value, float(np.sqrt(max(scatter, 1.0) / np.sum(1 / error**2)))
+
+
+def _groups(
+    samples: Sequence[BracketSample], exposures: np.ndarray, clip: ClipLevel, noise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of light (DN) and pixel counts, (groups, exposures) each; where a group is not used, both are 0."""
+    sums, counts = [], []
+    for sample in samples:
+        use = usable(sample, exposures, clip, noise)
+        relative = exposures[sample.exposures]
+        usual = np.where(use, sample.around, 0).sum(0) / np.maximum((use * relative[:, None]).sum(0), 1e-300)
+        bright = np.clip(np.floor(3 * np.log2(np.maximum(usual * relative[-1], 1e-3))), -20, 100).astype(int) + 20
+        key = bright * (1 << len(relative)) + (use * (1 << np.arange(len(relative)))[:, None]).sum(0)
+        names, place = np.unique(key, return_inverse=True)
+        one_sum, one_count = np.zeros((len(names), len(exposures))), np.zeros((len(names), len(exposures)))
+        for i, k in enumerate(sample.exposures):
+            one_sum[:, k] = np.bincount(place, np.where(use[i], sample.light[i], 0), len(names))
+            one_count[:, k] = np.bincount(place, use[i], len(names))
+        sums.append(one_sum)
+        counts.append(one_count)
+        good = np.isfinite(sample.reference)
+        if good.sum() > 1:
+            one_sum, one_count = np.zeros((1, len(exposures))), np.zeros((1, len(exposures)))
+            one_sum[0, sample.exposures[good]] = sample.reference[good] * sample.reference_pixels
+            one_count[0, sample.exposures[good]] = sample.reference_pixels
+            sums.append(one_sum)
+            counts.append(one_count)
+    sums, counts = np.concatenate(sums), np.concatenate(counts)
+    shared = (counts > 0).sum(1) > 1
+    return sums[shared], counts[shared]
+
+
+def _solve(
+    sums: np.ndarray, counts: np.ndarray, exposures: np.ndarray, noise: float, gain: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return exposures and flux of each group (DN a pixel at exposure 1) that solve the quasi-likelihood's equations."""
+    used = counts > 0
+    exposures = exposures.copy()
+    flux = sums.sum(1) / np.maximum((counts * exposures).sum(1), 1e-300)
+    for _ in range(400):
+        mean = np.maximum(exposures * flux[:, None], 0)
+        weight = np.where(used, mean / np.maximum(mean + noise**2 / gain, 1e-12) + 1e-9, 0)
+        flux = (weight * sums).sum(1) / np.maximum((weight * counts * exposures).sum(1), 1e-300)
+        known = np.maximum((weight * counts * flux[:, None]).sum(0), 1e-300)
+        new = np.where(used.any(0), (weight * sums).sum(0) / known, exposures)
+        new = np.where(new > 0, new / new[0], exposures)
+        done = np.abs(np.log(new / exposures)).max() < 1e-9
+        exposures = new
+        if done:
+            break
+    return exposures, flux
+
+
+def _curve(sums: np.ndarray, counts: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return code, relative departure from linear, and its standard deviation, by octaves of the code."""
+    used = counts > 0
+    code, rest, var, size = mean[used], (sums - counts * mean)[used], variance[used], (counts * mean)[used]
+    if not code.size:
+        return np.zeros((0, 3))
+    place = np.floor(2 * np.log2(np.maximum(code, 1e-3) / code.max())).astype(int)
+    rows = []
+    for one in np.unique(place):
+        part = place == one
+        total = size[part].sum()
+        if total > 0:
+            rows.append((code[part].mean() / code.max(), rest[part].sum() / total, np.sqrt(var[part].sum()) / total))
+    return np.array(rows).reshape(-1, 3)

@@ -1,0 +1,192 @@
+"""One linear picture of each lamp position from its exposures, with its noise; clipped pixels are censored, never dropped.
+
+The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2): K the gain, r the
+read noise.
+Which exposures a pixel clips in is predicted from its shorter ones, because a choice by its own noisy code would bias it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from matcam.acquisition.bracket_sample import same_colour_neighbours
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Region
+
+_SAFE = 0.93
+"""Share of the clip level that a pixel may be predicted to reach."""
+_DIM = 10.0
+"""Read noises in the longest exposure below which a pixel's variance is that of its neighbours."""
+_BRIGHT = 30.0
+"""Read noises above which a pixel tells whether its exposures agree."""
+
+
+def merge(
+    capture: Capture, region: Region | None = None, progress: Progress | None = None
+) -> tuple[list[MergedPicture], Radiometry]:
+    """Measure a capture's radiometry, and merge the exposures of every lamp position.
+
+    One lamp position is in memory at a time.
+
+    Args:
+        capture: where the frames lie.
+        region: first column, first row, width, height of the part that is used, px; the first two even. None: the capture's
+            own, or all. Default: None.
+        progress: called after each lamp position of both passes. Default: None.
+
+    Returns:
+        The merged pictures in the order of the lamps, and the radiometry.
+
+    Raises:
+        FitError: no lamp position has a frame that can be read.
+    """
+    radiometry = measure_radiometry(capture, region, progress)
+    pictures = []
+    for number, picture in enumerate(merged_pictures(capture, radiometry)):
+        pictures.append(picture)
+        if progress:
+            progress("merging", number + 1, len(radiometry.used))
+    return pictures, radiometry
+
+
+def merged_pictures(capture: Capture, radiometry: Radiometry) -> Iterator[MergedPicture]:
+    """Yield the merged picture of each lamp position, one at a time.
+
+    Args:
+        capture: where the frames lie.
+        radiometry: what their codes mean, as from `measure_radiometry`.
+    """
+    reader = MosaicReader(capture)
+    for lamp in radiometry.used:
+        yield merge_position(capture, lamp, radiometry, reader)
+
+
+def merge_position(
+    capture: Capture, lamp: str, radiometry: Radiometry, reader: MosaicReader | None = None
+) -> MergedPicture:
+    """Merge the exposures of one lamp position.
+
+    Args:
+        capture: where the frames lie.
+        lamp: name of the lamp position.
+        radiometry: what their codes mean.
+        reader: how frames are read; None: a new one. Default: None.
+
+    Returns:
+        The picture in electrons (or DN, as `radiometry.unit` says) of the reference exposure.
+    """
+    reader = reader or MosaicReader(capture)
+    frames = radiometry.used[lamp]
+    region = radiometry.region
+    clip, noise = radiometry.clip, radiometry.read_noise.value
+    gain = radiometry.gain.value if math.isfinite(radiometry.gain.value) else 1.0
+    codes = [reader.read(frame, region) for frame in frames]
+    relative = np.array([radiometry.exposures[frame.exposure].value for frame in frames])
+    step = 1 if reader.cfa is None else 2
+    light, full, hot = [], [], np.zeros(codes[0].shape, bool)
+    heights = []
+    for frame, code in zip(frames, codes, strict=True):
+        dark = radiometry.darkness[frame.exposure]
+        light.append(code - np.asarray(dark.level, np.float32))
+        full.append(code >= clip.threshold)
+        heights.append(clip.level - float(np.mean(dark.level)))
+        if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
+            hot |= dark.hot
+    use = _usable(light, full, relative, heights, noise, step, bool(clip.pixels))
+    flux, variance = _weighted(light, use, relative, gain, noise, step)
+    none = ~np.any(use, axis=0)
+    # clipped everywhere: the truth is at least what the shortest exposure holds
+    floor = min(heights[0], clip.threshold - (clip.level - heights[0])) / relative[0]
+    flux = np.where(none, floor, flux)
+    variance = np.where(none, (gain * floor * relative[0] + noise**2) / relative[0] ** 2, variance)
+    values, std = (flux / gain).astype(np.float32), (np.sqrt(variance) / gain).astype(np.float32)
+    values[hot], std[hot] = np.nan, np.nan
+    origin = (0, 0) if region is None else (region[1], region[0])
+    shape = (values.shape[0], values.shape[1])
+    return MergedPicture(lamp, values, std, none & ~hot, reader.channel_map(shape, origin), radiometry.channels, origin)
+
+
+def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
+    """Return how much the exposures of a lamp position differ beyond their noise, chi2 a degree of freedom.
+
+    Well above 1 the sample, camera or lamp moved between the exposures.
+    """
+    reader = MosaicReader(capture)
+    noise = radiometry.read_noise.value
+    gain = radiometry.gain.value if math.isfinite(radiometry.gain.value) else 1.0
+    total, count = 0.0, 0
+    steep = np.nan_to_num(picture.values) * gain
+    for frame in radiometry.used[lamp]:
+        relative = radiometry.exposures[frame.exposure].value
+        dark = radiometry.darkness[frame.exposure].level
+        code = reader.read(frame, radiometry.region)
+        mean = relative * steep
+        good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - np.mean(dark))) & ~picture.clipped
+        good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
+        rest = (code - dark)[good] - mean[good]
+        # the mean contains this frame: its share of the information is no residual
+        own = (gain * mean[good] + noise**2) - (relative * picture.std[good] * gain) ** 2
+        kept = own > 0.05 * (gain * mean[good] + noise**2)
+        total += float(np.sum(rest[kept] ** 2 / own[kept]))
+        count += int(kept.sum())
+    return total / count if count else float("nan")
+
+
+def misfit_remark(lamp: str, misfit: float) -> Remark | None:
+    """Return the remark that a lamp position's exposures differ; None where they do not."""
+    if not misfit > 2.0:
+        return None
+    text = f"lamp {lamp}: its exposures differ {math.sqrt(misfit):.1f} times more than noise: "
+    return Remark("bracket-moved", text + "sample, camera or lamp moved between them")
+
+
+def _usable(
+    light: list[np.ndarray],
+    full: list[np.ndarray],
+    relative: np.ndarray,
+    heights: list[float],
+    noise: float,
+    step: int,
+    seen: bool,
+) -> np.ndarray:
+    """Return which exposures of which pixel are used, (k, height, width)."""
+    use = np.stack([~one for one in full])
+    if not seen:
+        return use
+    total, weight = np.zeros_like(light[0]), np.zeros_like(light[0])
+    for k in range(1, len(light)):
+        total += np.where(use[k - 1], light[k - 1], 0)
+        weight += np.where(use[k - 1], relative[k - 1], 0).astype(np.float32)
+        predicted = np.where(weight > 0, total / np.maximum(weight, 1e-30), np.inf)
+        use[k] &= (relative[k] * predicted < _SAFE * heights[k]) | (
+            # dim in the shorter exposure: its noise says little, the neighbours' light does
+            (predicted * relative[k - 1] < 8 * noise) & (same_colour_neighbours(light[k], step) < _SAFE * heights[k])
+        )
+    return use
+
+
+def _weighted(
+    light: list[np.ndarray], use: np.ndarray, relative: np.ndarray, gain: float, noise: float, step: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flux of every pixel (DN at the reference exposure) and its variance."""
+    top, under = np.zeros(light[0].shape), np.zeros(light[0].shape)
+    for one, d, e in zip(use, light, relative, strict=True):
+        top += np.where(one, d, 0)
+        under += np.where(one, e, 0)
+    flux = top / np.maximum(under, 1e-30)
+    # a dim pixel's own noise would weigh against what made it bright: its neighbours say what variance to expect
+    around = same_colour_neighbours(flux, step)
+    flux = np.maximum(np.where(around * relative[-1] < _DIM * noise, around, flux), 0)
+    top, information = np.zeros(light[0].shape), np.zeros(light[0].shape)
+    for one, d, e in zip(use, light, relative, strict=True):
+        weight = np.where(one, e / (gain * e * flux + noise**2), 0)
+        top += weight * d
+        information += weight * e
+    flux = top / np.maximum(information, 1e-30)
+    return flux, 1 / np.maximum(information, 1e-30)

@@ -1,0 +1,109 @@
+"""Frames of a capture as mosaics of linear codes: one value a pixel, with the colour that it sees.
+
+A grey picture and a raw mosaic are taken as they are. Of a picture in full colour each pixel gives one of its three values, as
+a mosaic of the stated colours would have: where the picture was demosaiced from that mosaic, these are what was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, CaptureFrame, Region
+from matcam.files.photographs import Photograph
+from matcam.files.tone_curve import decoded
+
+_TILES = {"R": 0, "G": 1, "B": 2}
+_EIGHT = 255
+
+
+@dataclass
+class MosaicReader:
+    """Read frames of a capture as mosaics, and check that they are of one kind.
+
+    Attributes:
+        capture: where the frames lie.
+        remarks: what was noticed of the frames' kind, once each.
+    """
+
+    capture: Capture
+    remarks: dict[str, Remark]
+    _first: tuple[str, str | None, str, bool] | None = None
+
+    def __init__(self, capture: Capture):
+        self.capture, self.remarks, self._first = capture, {}, None
+
+    @property
+    def cfa(self) -> str | None:
+        """Return the colours of the first 2 x 2 px of a whole frame, as stated or as the frames' files say."""
+        return self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Return the names of the colours, which `channel_map` counts."""
+        return ("grey",) if self.cfa is None else ("R", "G", "B")
+
+    def channel_map(self, shape: tuple[int, int], origin: tuple[int, int] = (0, 0)) -> np.ndarray:
+        """Return the channel of each pixel of a region whose first pixel is at `origin` (row, column)."""
+        if self.cfa is None:
+            return np.zeros(shape, np.int8)
+        tile = np.array([_TILES[c] for c in self.cfa], np.int8).reshape(2, 2)
+        rows, columns = (np.arange(n) + start for n, start in zip(shape, origin, strict=True))
+        return tile[rows[:, None] % 2, columns % 2]
+
+    def read(self, frame: CaptureFrame, region: Region | None = None) -> np.ndarray:
+        """Return the codes of a frame or a region, float32 (height, width).
+
+        FileFormatError naming the frame where it is of another kind than the first, or was processed and nobody accepted that.
+        """
+        photograph = self.capture.read(frame, region)
+        self._check(frame, photograph)
+        values = photograph.values
+        if self.capture.settings["camera"]["tone"] == "srgb":
+            full = photograph.saturation if np.isfinite(photograph.saturation) else 1.0
+            values = decoded(np.asarray(values, np.float64) / full) * full
+        if values.ndim == 3:
+            origin = (0, 0) if region is None else (region[1], region[0])
+            channel = self.channel_map(values.shape[:2], origin)
+            values = np.take_along_axis(values, channel[..., None].astype(np.intp), axis=2)[..., 0]
+        return np.asarray(values, np.float32)
+
+    def _check(self, frame: CaptureFrame, photograph: Photograph) -> None:
+        path = self.capture.folder / frame.file
+        values, camera = photograph.values, self.capture.settings["camera"]
+        colour = values.ndim == 3
+        kind = (str(values.dtype), photograph.cfa, photograph.exif.camera, colour)
+        if self._first is None:
+            self._first = kind
+            if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
+                raise FileFormatError(f"{path}: its mosaic is {photograph.cfa}; capture.toml says {camera['cfa']}")
+        elif kind != self._first:
+            what = [
+                f"{name} {new} instead of {old}"
+                for name, new, old in zip(
+                    ("samples", "mosaic", "camera", "full colour"), kind, self._first, strict=True
+                )
+                if new != old
+            ]
+            raise FileFormatError(f"{path}: is of another kind than the frames before: {', '.join(what)}")
+        if colour and camera["cfa"] is None:
+            raise FileFormatError(
+                f"{path}: is a picture in full colour: give raw frames, or state the mosaic it came from as camera.cfa "
+                "and accept_processed = true"
+            )
+        processed = []
+        if colour:
+            processed.append("demosaiced: blur by up to half a pixel that no profile of the raw camera knows")
+        if values.dtype.kind == "u" and values.dtype.itemsize == 1:
+            processed.append("of 8 bits: rounding of 0.3 codes, and probably a tone curve that bends every ratio")
+        if camera["tone"] != "linear":
+            processed.append("through a tone curve: exposure ratios and clip level are no better than that curve")
+        if processed and not camera["accept_processed"]:
+            raise FileFormatError(
+                f"{path}: is {processed[0].split(':')[0]}: give raw frames, or accept it with camera.accept_processed = true"
+            )
+        for text in processed:
+            self.remarks.setdefault(text, Remark("processed", f"frames are {text}"))

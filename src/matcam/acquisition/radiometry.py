@@ -1,0 +1,395 @@
+"""What the codes of a capture's frames mean: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
+
+All of it comes from the pictures; what is printed on a dial or stands in metadata is compared with it and never
+used in its place (docs/model.md 10). Two passes: this one keeps some pixels of every lamp position, `merging.py` reads the
+frames again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
+from matcam.acquisition.darkness import Darkness, measure_darkness
+from matcam.acquisition.exposure_ratios import (
+    ClipLevel,
+    ExposureRatios,
+    first_guess,
+    fit_gain,
+    fit_ratios,
+    measure_clip_level,
+)
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
+from matcam.camera.camera import Camera
+from matcam.core.errors import FileFormatError, FitError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, CaptureFrame, Region, Stated
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how many of it, and of how many."""
+
+_ROUNDING = 1 / 12
+"""Variance of a rounded code, DN^2."""
+_GRAZING = 0.2
+"""Cosine below which a diffuse reference is not used."""
+
+
+@dataclass(frozen=True)
+class Radiometry:
+    """Hold what the codes of a capture's frames mean.
+
+    Attributes:
+        exposures: light of each exposure relative to `reference_exposure`, by name, the shortest first, with standard
+            deviation.
+        reference_exposure: the exposure in whose unit merged values are.
+        clip: code at which pixels clip, DN as read.
+        gain: DN per electron, with standard deviation; NaN: not determined, and merged values are DN.
+        read_noise: DN, with standard deviation.
+        lamp_output: light of each lamp position by the reference, relative to their mean, with standard deviation; NaN where
+            there is no reference. Merged values are not divided by it: it is the prior of a picture's gain.
+        linearity: departure from a straight line: share of the largest code, relative departure, its standard
+            deviation, (n, 3).
+        misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
+        darkness: what is subtracted, by exposure.
+        used: files of each lamp position that can be used, the shortest exposure first.
+        channels: names of the colours.
+        region: part of the frames that is used; None: all of it.
+        remarks: what a reader should know, frames named.
+    """
+
+    exposures: dict[str, Stated]
+    reference_exposure: str
+    clip: ClipLevel
+    gain: Stated
+    read_noise: Stated
+    lamp_output: dict[str, Stated]
+    linearity: np.ndarray
+    misfit: float
+    darkness: dict[str, Darkness]
+    used: dict[str, tuple[CaptureFrame, ...]]
+    channels: tuple[str, ...]
+    region: Region | None = None
+    remarks: tuple[Remark, ...] = field(default=())
+
+    @property
+    def clip_level(self) -> float:
+        """Return the code at which pixels clip, DN as read; the largest code where none is seen to."""
+        return self.clip.level
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of merged values."""
+        return "electrons" if math.isfinite(self.gain.value) else "DN"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was found as a JSON object."""
+        return {
+            "exposures": {name: list(value) for name, value in self.exposures.items()},
+            "reference_exposure": self.reference_exposure,
+            "clip_level_dn": [self.clip.level, self.clip.std],
+            "clipped_pixels_seen": self.clip.pixels,
+            "gain_dn_per_electron": list(self.gain),
+            "read_noise_dn": list(self.read_noise),
+            "lamp_output": {name: list(value) for name, value in self.lamp_output.items()},
+            "linearity": self.linearity.tolist(),
+            "misfit": self.misfit,
+            "channels": list(self.channels),
+            "remarks": [remark.to_dict() for remark in self.remarks],
+        }
+
+
+def capture_camera(capture: Capture) -> Camera | None:
+    """Load the camera profile of a capture; None where it states none.
+
+    FileFormatError where the profile is wrong, or its sensor has another mosaic than the capture states.
+    """
+    if capture.profile is None:
+        return None
+    camera = Camera.load(capture.profile)
+    cfa = capture.settings["camera"]["cfa"]
+    if cfa and camera.sensor is not None and camera.sensor.cfa != cfa:
+        raise FileFormatError(
+            f"{capture.profile}: is of a camera with the mosaic {camera.sensor.cfa}; capture.toml says {cfa}: "
+            "is it of another camera?"
+        )
+    return camera
+
+
+def measure_radiometry(capture: Capture, region: Region | None = None, progress: Progress | None = None) -> Radiometry:
+    """Measure what the codes of a capture's frames mean.
+
+    Args:
+        capture: where the frames lie.
+        region: first column, first row, width, height of the part that is used, px; the first two even. None: the capture's
+            own, or all. Default: None.
+        progress: called after each lamp position. Default: None.
+
+    Returns:
+        The radiometry; frames that cannot be used are named in its remarks.
+
+    Raises:
+        FitError: no lamp position has a frame that can be read.
+    """
+    region = capture.region if region is None else region
+    reader, remarks = MosaicReader(capture), list(capture.problems)
+    names = capture.exposures
+    shapes: dict[str, tuple[int, ...]] = {}
+    levels = _frame_levels(capture, reader, region, names)
+    darkness, found = measure_darkness(reader, capture, region, names, levels)
+    remarks += found
+    noise = _read_noise(darkness)
+    step = 1 if reader.cfa is None else 2
+    samples: list[BracketSample] = []
+    used: dict[str, tuple[CaptureFrame, ...]] = {}
+    largest, smallest = -np.inf, np.inf
+    for number, lamp in enumerate(capture.lamps):
+        bracket = _bracket(capture, reader, region, lamp, names, shapes, remarks)
+        if progress:
+            progress("radiometry", number + 1, len(capture.lamps))
+        if not bracket:
+            continue
+        used[lamp] = tuple(frame for frame, _ in bracket)
+        largest = max(largest, *(float(codes.max()) for _, codes in bracket))
+        smallest = min(smallest, *(float(codes.min()) for _, codes in bracket))
+        samples.append(_sample(capture, reader, lamp, bracket, names, darkness, noise, step, number))
+    if not samples:
+        raise FitError(
+            f"{capture.folder}: no frame of any lamp position can be read: {remarks[0] if remarks else 'see frames.csv'}"
+        )
+    remarks += reader.remarks.values()
+    order = _order(samples, len(names))
+    names = [names[k] for k in order]
+    back = np.argsort(order)
+    samples = [_sorted(sample, back) for sample in samples]
+    nominal = np.array([capture.time(name) for name in names])
+    top = largest - min(smallest, *(float(np.mean(d.level)) for d in darkness.values()))
+    if top < 10 * max(noise, 0.3) or not any(sample.codes.size for sample in samples):
+        raise FitError(
+            f"{capture.folder}: every frame is dark: the brightest code is {top:.0f} DN above dark; expose longer"
+        )
+    if all((sample.median > 0.99 * largest).all() for sample in samples):
+        raise FitError(
+            f"{capture.folder}: every frame is clipped: half of its pixels or more read {largest:.0f}; expose less"
+        )
+    guess = first_guess(samples, len(names), top, noise, nominal)
+    clip = measure_clip_level(samples, guess, largest)
+    gain = Stated(1.0)
+    ratios = ExposureRatios(guess, np.full(len(names), np.inf), np.nan, np.zeros((0, 3)), False)
+    for _ in range(2):  # weights need the gain, the gain needs ratios
+        ratios = fit_ratios(samples, ratios.value, clip, noise, gain.value)
+        measured = fit_gain(samples, ratios.value, clip, noise)
+        if math.isfinite(measured[0]) and measured[0] > 0:
+            gain = Stated(*measured)
+    if not (math.isfinite(measured[0]) and measured[0] > 0):
+        gain = _stated_gain(capture, remarks)
+    reference = len(names) // 2
+    value = ratios.value / ratios.value[reference]
+    others = np.arange(len(names)) != reference
+    error = np.zeros(len(names))
+    error[others] = value[others] * np.hypot(ratios.std[others], ratios.std[reference])
+    remarks += exposure_remarks(names, ratios, nominal)
+    remarks += clip_remarks(clip, names, samples)
+    remarks += linearity_remarks(ratios)
+    output = _lamp_output(capture, samples, value, gain, noise)
+    return Radiometry(
+        {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
+        names[reference],
+        clip,
+        gain,
+        Stated(noise, noise * _noise_error(darkness)),
+        output,
+        ratios.curve,
+        ratios.misfit,
+        darkness,
+        {lamp: tuple(sorted(frames, key=lambda f: names.index(f.exposure))) for lamp, frames in used.items()},
+        reader.channels,
+        region,
+        tuple(remarks),
+    )
+
+
+def _frame_levels(
+    capture: Capture, reader: MosaicReader, region: Region | None, names: Sequence[str]
+) -> dict[str, float]:
+    """Return a low code (5 % of the pixels lie below) of one frame of each exposure, DN."""
+    found = {}
+    for name in names:
+        for frame in capture.of("frames", exposure=name):
+            try:
+                found[name] = float(np.quantile(reader.read(frame, region)[::3, ::3], 0.05))
+            except FileFormatError:
+                continue
+            break
+    return found
+
+
+def _bracket(
+    capture: Capture,
+    reader: MosaicReader,
+    region: Region | None,
+    lamp: str,
+    names: Sequence[str],
+    shapes: dict[str, tuple[int, ...]],
+    remarks: list[Remark],
+) -> list[tuple[CaptureFrame, np.ndarray]]:
+    """Return the frames of one lamp position that can be used, with their codes, in the order of `names`."""
+    found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
+    for frame in capture.of("frames", lamp=lamp):
+        path = capture.folder / frame.file
+        if frame.exposure in found:
+            text = f"{path}: is a second frame of lamp {lamp}, exposure {frame.exposure}; it was left out"
+            remarks.append(Remark("extra-frame", text))
+            continue
+        try:
+            codes = reader.read(frame, region)
+        except FileFormatError as error:
+            remarks.append(Remark("bad-frame", str(error)))
+            continue
+        shape = shapes.setdefault("frames", codes.shape)
+        if codes.shape != shape:
+            text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the frames before {shape[1]} x {shape[0]}"
+            remarks.append(Remark("other-size", f"{text}; it was left out"))
+            continue
+        if not np.isfinite(codes).all():
+            remarks.append(Remark("bad-frame", f"{path}: holds values that are not finite; it was left out"))
+            continue
+        found[frame.exposure] = frame, codes
+    missing = [name for name in names if name not in found]
+    if missing:
+        text = f"lamp {lamp} has no usable frame of exposure {', '.join(missing)}"
+        remarks.append(Remark("missing-frame", text))
+    return [found[name] for name in names if name in found]
+
+
+def _sample(
+    capture: Capture,
+    reader: MosaicReader,
+    lamp: str,
+    bracket: list[tuple[CaptureFrame, np.ndarray]],
+    names: Sequence[str],
+    darkness: dict[str, Darkness],
+    noise: float,
+    step: int,
+    seed: int,
+) -> BracketSample:
+    hot = np.zeros(bracket[0][1].shape, bool)
+    around, light = [], []
+    for frame, codes in bracket:
+        dark = darkness[frame.exposure]
+        if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
+            hot |= dark.hot
+        light.append(codes - np.asarray(dark.level, np.float32))
+        around.append(same_colour_neighbours(light[-1], step).ravel())
+    neighbours = np.stack(around)
+    neighbours[:, hot.ravel()] = 0
+    order = np.argsort(neighbours.mean(1))
+    chosen = choose_pixels(neighbours[order], noise, seed)
+    reference, pixels = np.full(len(bracket), np.nan), 0
+    if capture.reference_region is not None:
+        for i, (frame, _) in enumerate(bracket):
+            level = darkness[frame.exposure].level
+            patch = reader.read(frame, capture.reference_region)
+            base = float(np.mean(level))
+            pixels = patch.size
+            reference[i] = (
+                float(patch.mean(dtype=np.float64)) - base if patch.max() < 0.9 * _ceiling(bracket) else np.nan
+            )
+    return BracketSample(
+        lamp,
+        np.array([list(names).index(frame.exposure) for frame, _ in bracket]),
+        np.stack([codes.ravel()[chosen] for _, codes in bracket]),
+        np.stack([one.ravel()[chosen] for one in light]),
+        neighbours[:, chosen],
+        reference,
+        pixels,
+        np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
+    )
+
+
+def _ceiling(bracket: list[tuple[CaptureFrame, np.ndarray]]) -> float:
+    return max(float(codes.max()) for _, codes in bracket)
+
+
+def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
+    """Return the exposures by their light, the least first: the codes themselves say which is which."""
+    total, weight = np.zeros(count), np.zeros(count)
+    for sample in samples:
+        if len(sample.exposures) == count:
+            total[sample.exposures] += sample.light.mean(1) if sample.light.size else 0.0
+            weight[sample.exposures] += 1
+    return np.argsort(total / np.maximum(weight, 1), kind="stable") if (weight > 0).all() else np.arange(count)
+
+
+def _sorted(sample: BracketSample, back: np.ndarray) -> BracketSample:
+    places = back[sample.exposures]
+    order = np.argsort(places)
+    return sample._replace(
+        exposures=places[order],
+        codes=sample.codes[order],
+        light=sample.light[order],
+        around=sample.around[order],
+        reference=sample.reference[order],
+        median=sample.median[order],
+    )
+
+
+def _read_noise(darkness: dict[str, Darkness]) -> float:
+    """Return the read noise of one frame with rounding, DN."""
+    known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
+    return float(max(np.median(known), math.sqrt(_ROUNDING))) if known else 2.0
+
+
+def _noise_error(darkness: dict[str, Darkness]) -> float:
+    known = [d for d in {id(d): d for d in darkness.values()}.values() if d.frames > 1]
+    return 0.005 if known else 0.3
+
+
+def _stated_gain(capture: Capture, remarks: list[Remark]) -> Stated:
+    camera = capture_camera(capture)
+    if camera is not None and camera.sensor is not None:
+        remarks.append(Remark("gain-stated", "the frames do not determine the gain: the profile's was used"))
+        return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))
+    remarks.append(
+        Remark("gain-unknown", "the frames do not determine the gain, and no profile states it: 1 DN per electron")
+    )
+    return Stated(float("nan"), float("inf"))
+
+
+def _lamp_output(
+    capture: Capture, samples: Sequence[BracketSample], exposures: np.ndarray, gain: Stated, noise: float
+) -> dict[str, Stated]:
+    """Return the lamps' light by the reference, relative to its mean."""
+    diffuse = capture.settings["reference"] is not None and capture.settings["reference"]["kind"] == "diffuse"
+    found: dict[str, Stated] = {}
+    scale = gain.value if math.isfinite(gain.value) else 1.0
+    for sample in samples:
+        good = np.isfinite(sample.reference)
+        value, std = math.nan, math.nan
+        if good.any() and sample.reference_pixels:
+            relative = exposures[sample.exposures[good]]
+            light, pixels = sample.reference[good], sample.reference_pixels
+            value = float(light.sum() / relative.sum())
+            std = math.sqrt(float(np.sum(np.maximum(light, 0) * scale + noise**2)) / pixels) / float(relative.sum())
+            if diffuse:  # a white patch that faces the camera
+                angle = capture.lamps[sample.lamp].angle
+                cosine = math.cos(angle)
+                if not cosine > _GRAZING:
+                    value = math.nan
+                else:
+                    value, std = value / cosine, std / cosine
+                    std = math.hypot(std, value * math.tan(angle) * capture.direction_std)
+            if not value > 3 * std:
+                value = math.nan
+        found[sample.lamp] = Stated(value, std)
+    known = [v.value for v in found.values() if math.isfinite(v.value)]
+    mean = float(np.mean(known)) if known else math.nan
+    return {
+        lamp: Stated(v.value / mean, v.std / mean) if math.isfinite(v.value) else Stated(math.nan, math.nan)
+        for lamp, v in found.items()
+    }

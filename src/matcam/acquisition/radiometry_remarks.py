@@ -1,0 +1,80 @@
+"""What a reader should know of a capture's radiometry: wrong times, clipping, tone curves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from matcam.acquisition.bracket_sample import BracketSample
+from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
+from matcam.core.remark import Remark
+
+_WRONG_TIME = 0.02
+"""Relative error of a nominal exposure time that is remarked."""
+
+
+def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:
+    """Return what the exposures' ratios say against their nominal times."""
+    found = []
+    if len(names) > 1 and not ratios.linked:
+        found.append(
+            Remark(
+                "exposures-not-linked",
+                "no pixels are well exposed in two exposures: nominal times stand where they must",
+            )
+        )
+    if np.isnan(nominal).any():
+        missing = ", ".join(name for name, time in zip(names, nominal, strict=True) if math.isnan(time))
+        found.append(Remark("times-missing", f"exposure {missing} has no nominal time; ratios come from the frames"))
+        return found
+    if len(names) < 2:
+        return found
+    if (np.diff(nominal) < 0).any():
+        found.append(
+            Remark("times-contradict", "the frames' brightness is in another order than their nominal exposure times")
+        )
+    said = nominal / nominal[0]
+    wrong = ratios.value / said - 1
+    for name, error, std in zip(names, wrong, ratios.std, strict=True):
+        if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
+            text = f"exposure {name}: true over nominal time is {1 + error:.3f} +- {std:.3f} of that of {names[0]}"
+            found.append(Remark("times-wrong", text + "; the frames' own ratio is used"))
+    slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
+    if abs(slope - 1) > 0.2:
+        text = f"codes grow like exposure to the power {slope:.2f}: a tone curve is in the frames, or nominal times are wrong"
+        found.append(Remark("tone-curve", text))
+    return found
+
+
+def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[BracketSample]) -> list[Remark]:
+    """Return whether pixels clip, and where they do in the shortest exposure."""
+    found = []
+    if not clip.pixels:
+        found.append(
+            Remark("clip-not-seen", f"no pixel is seen to clip; codes up to {clip.level:.0f} DN are taken as they are")
+        )
+    elif clip.spread > 0.02 * clip.level:
+        text = f"clipped pixels scatter by {clip.spread / clip.level:.1%} about {clip.level:.0f} DN: no one clip level"
+        found.append(Remark("clip-unclear", text))
+    for sample in samples:
+        peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
+        if peak:
+            text = f"lamp {sample.lamp}: {peak} pixels are clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
+            found.append(Remark("peak-clipped", text))
+    return found
+
+
+def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
+    """Return where codes are not proportional to light."""
+    curve = ratios.curve
+    curve = curve[curve[:, 0] > 0.02] if len(curve) else curve
+    if not len(curve):
+        return []
+    bad = (np.abs(curve[:, 1]) > 0.01) & (np.abs(curve[:, 1]) > 5 * curve[:, 2])
+    if not bad.any():
+        return []
+    worst = curve[bad][np.abs(curve[bad][:, 1]).argmax()]
+    text = f"codes depart by {worst[1]:+.1%} from a straight line at {worst[0]:.0%} of the largest: "
+    return [Remark("not-linear", text + "a tone curve, or a frame that moved")]

@@ -1,0 +1,447 @@
+"""A capture: a folder of photographs of a sample under a moved lamp, and what is known of the rig.
+
+    capture.toml    what is known: units in the names, a value or [value, standard deviation]
+    frames.csv      file,lamp,angle_deg,azimuth_deg,exposure,time_s     one line a picture; empty where it does not apply
+    frames/         pictures of the sample, one for each lamp position and exposure
+    dark/           lens covered, by exposure
+    flat/           evenly lit, pairs of one exposure
+    outline/        the sample before a bright field
+    reference/      a white or monitor picture for a lamp position
+
+docs/capture.md lists the fields, `json_schema()` is the published schema (docs/capture-v1.schema.json). Bad settings are an
+error; a bad picture is left out and named in `Capture.problems`. Nothing outside of the folder is read.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError, WithJsonSchema
+
+from matcam.core.errors import FileFormatError
+from matcam.core.io import checked_version, first_problem, reading
+from matcam.core.registry import CFAS
+from matcam.core.remark import Remark
+from matcam.files.photographs import PICTURES, Photograph, open_photograph
+
+FORMAT, VERSION = "matcam capture", 1
+SETTINGS, LIST = "capture.toml", "frames.csv"
+KINDS = ("frames", "dark", "flat", "outline", "reference")
+COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
+_WHAT = "a capture"
+_LARGEST = 4 << 20  # bytes of capture.toml or frames.csv
+_MOST = 20_000  # lines of frames.csv
+_NAME = re.compile(r"[\w.+-]{1,60}")
+
+Region = tuple[int, int, int, int]
+"""Part of a frame: first column, first row, width, height, px."""
+
+
+class Stated(NamedTuple):
+    """Hold a stated value with its standard deviation, in one unit; a standard deviation of 0 says that it is exact."""
+
+    value: float
+    std: float = 0.0
+
+
+def _stated(low: float, unit_free_high: float = math.inf) -> Any:
+    """Return the type of a value or [value, standard deviation] above `low`, kept as a list of two."""
+
+    def check(value: Any) -> list[float]:
+        pair = value if isinstance(value, list) else [value, 0.0]
+        if len(pair) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in pair):
+            raise ValueError("must be a value or [value, standard deviation]")
+        number, std = map(float, pair)
+        if not (math.isfinite(number) and math.isfinite(std)) or std < 0:
+            raise ValueError("must be finite, with a standard deviation of at least 0")
+        if not low <= number <= unit_free_high:
+            raise ValueError(f"must lie in [{low:g}, {unit_free_high:g}], got {number:g}")
+        return [number, std]
+
+    number = {"type": "number", "minimum": low}
+    pair = {"type": "array", "prefixItems": [number, {"type": "number", "minimum": 0}], "minItems": 2, "maxItems": 2}
+    return Annotated[list[float], BeforeValidator(check), WithJsonSchema({"anyOf": [number, pair]})]
+
+
+_Positive, _Share, _NotNegative = _stated(1e-12), _stated(0.0, 1.0), _stated(0.0)
+_Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Camera(_Strict):
+    profile: str | None = None
+    cfa: str | None = None
+    tone: Literal["linear", "srgb"] = "linear"
+    accept_processed: bool = False
+    black_level_dn: FiniteFloat | None = None
+
+
+class _Sample(_Strict):
+    kind: Literal["sphere", "cylinder", "flat"] = "sphere"
+    radius_mm: _Positive | None = None
+    region_px: _Box | None = None
+
+
+class _Distances(_Strict):
+    camera_mm: _Positive | None = None
+    lamp_mm: _Positive | None = None
+
+
+class _LampSection(_Strict):
+    radius_mm: _NotNegative = [0.0, 0.0]
+    motion: Literal["arc", "free", "table"] = "free"
+    intensity: Literal["reference", "constant", "table"] = "constant"
+    gain_std: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.005
+    direction_std_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
+
+
+class _Reference(_Strict):
+    kind: Literal["diffuse", "monitor"]
+    reflectance: _Share | None = None
+    region_px: _Box | None = None
+
+
+class _Outline(_Strict):
+    field_beyond_deg: Annotated[FiniteFloat, Field(ge=0, le=90)] = 3.0
+
+
+class _Settings(_Strict):
+    format: Literal["matcam capture"]
+    version: Literal[1]
+    camera: _Camera = _Camera()
+    sample: _Sample = _Sample()
+    distances: _Distances = _Distances()
+    lamp: _LampSection = _LampSection()
+    reference: _Reference | None = None
+    outline: _Outline = _Outline()
+
+
+class CaptureFrame(NamedTuple):
+    """Name one picture of a capture.
+
+    Attributes:
+        file: name inside the folder, such as "frames/L05_E2.tif".
+        kind: "frames", "dark", "flat", "outline" or "reference": the folder in which it lies.
+        lamp: the lamp position; empty where there is none.
+        exposure: which exposure; pictures of one exposure share their time.
+        time: nominal exposure time, s; NaN: not stated.
+    """
+
+    file: str
+    kind: str
+    lamp: str
+    exposure: str
+    time: float
+
+
+class LampGuess(NamedTuple):
+    """State where a lamp position is thought to be, seen from the sample's centre.
+
+    Attributes:
+        angle: between lamp and optical axis, rad; NaN: not stated.
+        azimuth: about the axis from +x (right) towards +y (up), rad; NaN: not stated.
+    """
+
+    angle: float
+    azimuth: float
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Return the unit vector (x, y, z) to the lamp; NaN where an angle is not stated."""
+        sin = math.sin(self.angle)
+        return np.array([sin * math.cos(self.azimuth), sin * math.sin(self.azimuth), math.cos(self.angle)])
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Hold what a capture states, and read its frames when they are asked for.
+
+    Attributes:
+        folder: where it lies.
+        frames: the pictures that can be used, in the order of `frames.csv`.
+        lamps: lamp positions by name, in the same order.
+        settings: capture.toml, checked, with all defaults.
+        problems: what is wrong with the other pictures, each naming its frame.
+    """
+
+    folder: Path
+    frames: tuple[CaptureFrame, ...]
+    lamps: dict[str, LampGuess]
+    settings: dict[str, Any]
+    problems: tuple[Remark, ...] = ()
+
+    def of(self, kind: str, lamp: str | None = None, exposure: str | None = None) -> list[CaptureFrame]:
+        """Return the frames of a kind, of one lamp position or exposure where that is given."""
+        return [
+            frame
+            for frame in self.frames
+            if frame.kind == kind and lamp in (None, frame.lamp) and exposure in (None, frame.exposure)
+        ]
+
+    @property
+    def exposures(self) -> list[str]:
+        """Return the exposures of the sample's pictures, the shortest nominal time first."""
+        times: dict[str, float] = {}
+        for frame in self.of("frames"):
+            times.setdefault(frame.exposure, frame.time)
+        return sorted(times, key=lambda name: (math.isnan(times[name]), times[name]))
+
+    def time(self, exposure: str) -> float:
+        """Return the nominal time of an exposure, s; NaN where it is not stated."""
+        return next((f.time for f in self.frames if f.exposure == exposure and not math.isnan(f.time)), math.nan)
+
+    @property
+    def profile(self) -> Path | None:
+        """Return the file of the camera's profile; None where there is none."""
+        name = self.settings["camera"]["profile"]
+        return None if name is None else self.folder / name
+
+    @property
+    def radius_mm(self) -> Stated | None:
+        """Return the sample's radius, mm; None: not stated."""
+        return _as_stated(self.settings["sample"]["radius_mm"])
+
+    @property
+    def camera_radii(self) -> Stated | None:
+        """Return the camera's distance from the sample's centre, in its radii; None: not stated."""
+        return self._in_radii("camera_mm")
+
+    @property
+    def lamp_radii(self) -> Stated | None:
+        """Return the lamp's distance from the sample's centre, in its radii; None: not stated."""
+        return self._in_radii("lamp_mm")
+
+    @property
+    def direction_std(self) -> float:
+        """Return how well the lamps' directions are stated: standard deviation of each of two angles, rad."""
+        return math.radians(self.settings["lamp"]["direction_std_deg"])
+
+    @property
+    def reference_region(self) -> Region | None:
+        """Return where the reference stands in every frame; None: it is not in the frames."""
+        section = self.settings["reference"]
+        return None if section is None or section["region_px"] is None else tuple(section["region_px"])  # type: ignore[return-value]
+
+    @property
+    def region(self) -> Region | None:
+        """Return the part of the frames that is used; None: all of it."""
+        box = self.settings["sample"]["region_px"]
+        return None if box is None else tuple(box)
+
+    def _in_radii(self, name: str) -> Stated | None:
+        distance, radius = _as_stated(self.settings["distances"][name]), self.radius_mm
+        if distance is None or radius is None:
+            return None
+        ratio = distance.value / radius.value
+        return Stated(ratio, ratio * math.hypot(distance.std / distance.value, radius.std / radius.value))
+
+    def read(self, frame: CaptureFrame, region: Region | None = None) -> Photograph:
+        """Read a frame, or a region of it, as it lies in its file.
+
+        Args:
+            frame: one of `frames`.
+            region: first column, first row, width, height, px. None: the whole frame. Default: None.
+
+        Returns:
+            The picture's codes; nothing is converted.
+
+        Raises:
+            FileFormatError: the file is missing, damaged, or no longer inside the folder.
+        """
+        return open_photograph(_inside(self.folder, frame.file), region)
+
+
+def _as_stated(pair: list[float] | None) -> Stated | None:
+    return None if pair is None else Stated(*pair)
+
+
+def read_capture(folder: str | Path) -> Capture:
+    """Read what a capture states, and which of its frames are there.
+
+    No picture is decoded. Frames that are missing or stated wrongly are left out and listed in `problems`.
+
+    Args:
+        folder: where `capture.toml` and `frames.csv` lie.
+
+    Returns:
+        The capture.
+
+    Raises:
+        FileFormatError: one of the two files is missing or wrong, or no frame can be used; the message names the field.
+
+    Example:
+        >>> read_capture("none")
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.FileFormatError: none: no such folder
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileFormatError(
+            f"{folder}: " + ("is no folder: give a capture's" if folder.exists() else "no such folder")
+        )
+    settings = read_settings(folder / SETTINGS)
+    if settings["camera"]["profile"] is not None:
+        _inside(folder, settings["camera"]["profile"])
+    frames, lamps, problems = _listed(folder)
+    problems += _unlisted(folder, frames, problems)
+    if not any(frame.kind == "frames" for frame in frames):
+        why = f": {problems[0]}" if problems else ": list them in it"
+        raise FileFormatError(f"{folder / LIST}: no frame of the sample can be used{why}")
+    return Capture(folder, tuple(frames), lamps, settings, tuple(problems))
+
+
+def read_settings(path: Path) -> dict[str, Any]:
+    """Read and check a `capture.toml`; FileFormatError names the field."""
+    try:
+        document = tomllib.loads(_text(path))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not TOML: {error}") from None
+    checked_version(document, path, _WHAT, FORMAT, (VERSION,))
+    try:
+        settings = _Settings.model_validate(document).model_dump()
+    except ValidationError as error:
+        raise FileFormatError(f"{path}: {first_problem(error)}") from None
+    cfa = settings["camera"]["cfa"]
+    if cfa is not None and cfa not in CFAS:
+        raise FileFormatError(f"{path}: field camera.cfa: must be one of {', '.join(CFAS)}, got {cfa!r:.20}")
+    return settings
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of capture.toml."""
+    return _Settings.model_json_schema()
+
+
+def _text(path: Path) -> str:
+    with reading(path, _WHAT):
+        if path.stat().st_size > _LARGEST:
+            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a capture's description")
+        if not path.resolve().is_relative_to(path.parent.resolve()):
+            raise FileFormatError(f"{path}: is a link out of its folder: put the file itself there")
+        return path.read_text(encoding="utf-8-sig", errors="replace")
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """Return the path of a file of the folder; FileFormatError where it leads out of it."""
+    pure = PurePosixPath(name)
+    path = folder / name
+    if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
+        raise FileFormatError(f"{path}: leads out of the capture's folder: give a name inside it")
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise FileFormatError(f"{path}: is a link out of the capture's folder: put the file itself there")
+    return path
+
+
+def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
+    """Return the frames of frames.csv that are there, the lamps, and what is wrong with the others."""
+    path = folder / LIST
+    reader = csv.reader(io.StringIO(_text(path)))
+    try:
+        lines = [
+            (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)
+        ]
+    except csv.Error as error:
+        raise FileFormatError(f"{path}: line {reader.line_num}: {error}") from None
+    if not lines or sorted(lines[0][1]) != sorted(COLUMNS):
+        got = ",".join(lines[0][1]) if lines else "nothing"
+        raise FileFormatError(f"{path}: first line must be {','.join(COLUMNS)}, got {got:.100}")
+    if len(lines) > _MOST:
+        raise FileFormatError(f"{path}: {len(lines)} lines; a capture has at most {_MOST} frames")
+    frames: list[CaptureFrame] = []
+    lamps: dict[str, LampGuess] = {}
+    problems: list[Remark] = []
+    seen: set[str] = set()
+    header = lines[0][1]
+    for number, cells in lines[1:]:
+        if len(cells) != len(COLUMNS):
+            problems.append(
+                Remark("bad-line", f"{path}: line {number} has {len(cells)} cells; {len(COLUMNS)} are read")
+            )
+            continue
+        row = dict(zip(header, cells, strict=True))
+        try:
+            frame, guess = _frame(folder, row, seen, lamps)
+        except FileFormatError as error:
+            problems.append(Remark("bad-frame", f"{error} (line {number} of {LIST})"))
+            continue
+        seen.add(frame.file)
+        frames.append(frame)
+        if frame.lamp and guess is not None:
+            lamps[frame.lamp] = guess
+    times: dict[str, float] = {}
+    for frame in frames:
+        if not math.isnan(frame.time) and frame.time != times.setdefault(frame.exposure, frame.time):
+            text = f"{folder / frame.file}: exposure {frame.exposure} has {frame.time:g} s here and "
+            text += f"{times[frame.exposure]:g} s before: give one name to one exposure"
+            problems.append(Remark("times-differ", text))
+    return frames, lamps, problems
+
+
+def _frame(
+    folder: Path, row: dict[str, str], seen: set[str], lamps: dict[str, LampGuess]
+) -> tuple[CaptureFrame, LampGuess | None]:
+    """Return one line's frame and lamp; FileFormatError where it cannot be used."""
+    name = row["file"]
+    if not name or not name.isprintable() or len(name) > 200:
+        raise FileFormatError(f"{folder}: frame {name[:40]!r} has no name that is plain text")
+    path = _inside(folder, name)
+    kind = PurePosixPath(name).parts[0]
+    if kind not in KINDS or len(PurePosixPath(name).parts) != 2:
+        raise FileFormatError(f"{path}: lies in none of {', '.join(KINDS)}")
+    if name in seen:
+        raise FileFormatError(f"{path}: is listed twice")
+    if not path.is_file():
+        raise FileFormatError(f"{path}: no such file")
+    if path.suffix.lower() not in PICTURES:
+        raise FileFormatError(f"{path}: is no picture by its suffix")
+    values = {}
+    for column in ("angle_deg", "azimuth_deg", "time_s"):
+        try:
+            values[column] = float(row[column]) if row[column] else math.nan
+        except ValueError:
+            raise FileFormatError(f"{path}: {column} must be a number, got {row[column]!r:.20}") from None
+        if math.isinf(values[column]) or (column == "time_s" and values[column] <= 0):
+            raise FileFormatError(f"{path}: {column} must be finite and, if a time, above 0, got {row[column]:.20}")
+    for column in ("lamp", "exposure"):
+        if row[column] and not _NAME.fullmatch(row[column]):
+            raise FileFormatError(f"{path}: {column} must be letters, digits, . + - _, got {row[column]!r:.20}")
+    lamp, guess = row["lamp"], None
+    if kind == "frames":
+        if not lamp or not row["exposure"]:
+            raise FileFormatError(f"{path}: a frame needs its lamp and its exposure")
+        if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
+            raise FileFormatError(f"{path}: angle_deg must lie in [0, 180], got {row['angle_deg']:.20}")
+        guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]))
+        known = lamps.get(lamp)
+        if known is not None and not np.allclose(known, guess, atol=1e-9, rtol=0, equal_nan=True):
+            raise FileFormatError(f"{path}: lamp {lamp} is stated at another place than before")
+    return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
+
+
+def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[Remark]) -> list[Remark]:
+    """Name the pictures of the folder that frames.csv does not list."""
+    listed = {frame.file for frame in frames}
+    texts = " ".join(str(problem) for problem in problems)
+    found = []
+    for kind in KINDS:
+        place = folder / kind
+        if not place.is_dir() or not place.resolve().is_relative_to(folder.resolve()):
+            continue
+        for path in sorted(place.iterdir()):
+            name = f"{kind}/{path.name}"
+            if path.suffix.lower() in PICTURES and name not in listed and str(path) not in texts:
+                found.append(Remark("unlisted-frame", f"{path}: is not listed in {LIST} and was not read"))
+    return found

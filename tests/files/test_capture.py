@@ -1,0 +1,192 @@
+"""capture.toml and frames.csv: what is read, and what is refused by name."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from matcam.core.errors import FileFormatError
+from matcam.files.capture import COLUMNS, json_schema, read_capture
+from tests.conftest import REPOSITORY
+from tests.oracle.capture import as_toml, write_tiff
+
+SETTINGS = {
+    "format": "matcam capture",
+    "version": 1,
+    "camera": {"profile": "camera.json", "cfa": "RGGB"},
+    "sample": {"kind": "sphere", "radius_mm": [25.0, 0.005]},
+    "distances": {"camera_mm": [1000, 5], "lamp_mm": 625},
+    "lamp": {"radius_mm": [3.5, 0.05], "motion": "arc", "intensity": "reference", "gain_std": 0.005},
+    "reference": {"kind": "monitor", "region_px": [0, 0, 4, 4]},
+}
+
+
+def row(file, lamp="", angle="", azimuth="", exposure="", time=""):
+    return dict(zip(COLUMNS, (file, lamp, angle, azimuth, exposure, time), strict=True))
+
+
+ROWS = [
+    row("frames/a.tif", "L1", "20", "90", "E1", "0.01"),
+    row("frames/b.tif", "L1", "20", "90", "E2", "0.04"),
+    row("frames/c.tif", "L2", "60", "90", "E1", "0.01"),
+    row("dark/d.tif", exposure="E1", time="0.01"),
+]
+
+
+def write(folder, settings=SETTINGS, rows=ROWS, frames=True):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "capture.toml").write_text(as_toml(settings) if isinstance(settings, dict) else settings)
+    with (folder / "frames.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    for one in rows if frames else ():
+        path = folder / one["file"]
+        if path.resolve().is_relative_to(folder.resolve()):
+            path.parent.mkdir(exist_ok=True)
+            write_tiff(path, np.full((6, 8), 300, np.uint16))
+    return folder
+
+
+def test_what_is_stated_is_read(tmp_path):
+    capture = read_capture(write(tmp_path))
+    assert [frame.file for frame in capture.of("frames")] == ["frames/a.tif", "frames/b.tif", "frames/c.tif"]
+    assert [frame.file for frame in capture.of("dark", exposure="E1")] == ["dark/d.tif"]
+    assert capture.exposures == ["E1", "E2"]
+    assert capture.time("E2") == 0.04
+    assert capture.radius_mm == (25.0, 0.005)
+    assert capture.camera_radii.value == pytest.approx(40)
+    assert capture.camera_radii.std == pytest.approx(np.hypot(5 / 25, 40 * 0.005 / 25))
+    assert capture.lamp_radii.value == pytest.approx(25)
+    assert capture.profile == tmp_path / "camera.json"
+    assert capture.reference_region == (0, 0, 4, 4)
+    assert capture.region is None
+    assert capture.problems == ()
+    assert capture.direction_std == pytest.approx(np.radians(1.0))
+
+
+def test_lamps_point_up_where_their_azimuth_is_90_degrees(tmp_path):
+    """x right, y up, z to the camera."""
+    guess = read_capture(write(tmp_path)).lamps["L2"]
+    assert guess.direction == pytest.approx([0, np.sin(np.radians(60)), 0.5])
+
+
+def test_frames_are_read_in_part(tmp_path):
+    capture = read_capture(write(tmp_path))
+    picture = np.arange(48, dtype=np.uint16).reshape(6, 8)
+    write_tiff(tmp_path / "frames/a.tif", picture)
+    assert (capture.read(capture.frames[0]).values == picture).all()
+    assert (capture.read(capture.frames[0], (2, 4, 5, 2)).values == picture[4:6, 2:7]).all()
+    with pytest.raises(FileFormatError, match="of another size"):
+        capture.read(capture.frames[0], (4, 0, 6, 6))
+
+
+BAD_SETTINGS = {
+    "unknown key": ({**SETTINGS, "lamp": {"radius": 3}}, "field lamp.radius: extra inputs"),
+    "unknown table": ({**SETTINGS, "lamps": {"a": 1}}, "field lamps: extra inputs"),
+    "no number": ({**SETTINGS, "distances": {"camera_mm": "far"}}, "field distances.camera_mm: .*value or"),
+    "three numbers": ({**SETTINGS, "sample": {"radius_mm": [1, 2, 3]}}, "field sample.radius_mm: .*value or"),
+    "negative": ({**SETTINGS, "sample": {"radius_mm": -1}}, "field sample.radius_mm: .*must lie in"),
+    "negative std": ({**SETTINGS, "sample": {"radius_mm": [1, -1]}}, "field sample.radius_mm: .*standard deviation"),
+    "truth value": ({**SETTINGS, "sample": {"radius_mm": True}}, "field sample.radius_mm"),
+    "other version": ({**SETTINGS, "version": 2}, "version 2 is unknown"),
+    "other format": ({**SETTINGS, "format": "capture"}, 'field "format" must be "matcam capture"'),
+    "mosaic": ({**SETTINGS, "camera": {"cfa": "RGBW"}}, "field camera.cfa: must be one of"),
+    "reflectance": ({**SETTINGS, "reference": {"kind": "diffuse", "reflectance": 98}}, "field reference.reflectance"),
+    "profile outside": ({**SETTINGS, "camera": {"profile": "../camera.json"}}, "leads out of"),
+    "not TOML": ("format = matcam capture", "not TOML"),
+    "infinite": ("format = 'matcam capture'\nversion = 1\n[sample]\nradius_mm = inf", "must be finite"),
+}
+
+
+@pytest.mark.parametrize(("settings", "message"), BAD_SETTINGS.values(), ids=BAD_SETTINGS)
+def test_bad_settings_are_refused_by_name(tmp_path, settings, message):
+    with pytest.raises(FileFormatError, match=message) as error:
+        read_capture(write(tmp_path, settings))
+    assert "\n" not in str(error.value)
+
+
+BAD_ROWS = {
+    "missing": (row("frames/none.tif", "L1", "20", "90", "E1", "0.01"), "none.tif: no such file", False),
+    "outside": (row("frames/../../x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
+    "absolute": (row("/etc/x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
+    "elsewhere": (row("other/x.tif", "L1", "20", "90", "E1", "0.01"), "lies in none of", True),
+    "twice": (ROWS[0], "a.tif: is listed twice", True),
+    "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
+    "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg must lie in", True),
+    "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
+    "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs its lamp", True),
+    "lamp moved": (row("frames/x.tif", "L1", "25", "90", "E3", "1"), "x.tif: lamp L1 is stated at another place", True),
+    "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must be letters", True),
+    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: is no picture", True),
+    "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
+}
+
+
+@pytest.mark.parametrize(("bad", "message", "there"), BAD_ROWS.values(), ids=BAD_ROWS)
+def test_bad_lines_are_listed_and_the_rest_is_used(tmp_path, bad, message, there):
+    folder = write(tmp_path / "capture")
+    if there:
+        (folder / bad["file"]).parent.mkdir(exist_ok=True)
+        write_tiff(folder / bad["file"], np.zeros((6, 8), np.uint16))
+    write(folder, rows=[*ROWS, bad], frames=False)
+    capture = read_capture(folder)
+    assert {frame.file for frame in capture.frames} >= {one["file"] for one in ROWS}
+    assert [message in str(problem) for problem in capture.problems].count(True) == 1
+    assert all("\n" not in str(problem) for problem in capture.problems)
+
+
+def test_extra_pictures_are_named(tmp_path):
+    folder = write(tmp_path)
+    write_tiff(folder / "frames/extra.tif", np.zeros((6, 8), np.uint16))
+    (problem,) = read_capture(folder).problems
+    assert "extra.tif: is not listed" in str(problem)
+
+
+@pytest.mark.parametrize("what", ["frame", "folder", "list"])
+def test_links_out_of_the_folder_are_not_followed(tmp_path, what):
+    outside = write(tmp_path / "outside")
+    folder = write(tmp_path / "capture")
+    if what == "frame":
+        (folder / "frames/a.tif").unlink()
+        (folder / "frames/a.tif").symlink_to(outside / "frames/a.tif")
+        assert "is a link out of" in str(read_capture(folder).problems[0])
+        return
+    name = "frames" if what == "folder" else "frames.csv"
+    (folder / name).rename(folder / "away")
+    (folder / name).symlink_to(outside / name)
+    with pytest.raises(FileFormatError, match="is a link out of"):
+        read_capture(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "first line must be file,lamp"),
+        ("file,lamp\n", "first line must be"),
+        (",".join(COLUMNS) + "\n", "no frame of the sample"),
+        (",".join(COLUMNS) + "\nframes/a.tif,L1\n", "line 2 has 2 cells"),
+        (",".join(COLUMNS) + '\n"frames/a.tif', "no frame|csv|line"),
+    ],
+)
+def test_a_list_without_any_frame_is_refused(tmp_path, text, message):
+    folder = write(tmp_path)
+    (folder / "frames.csv").write_text(text)
+    with pytest.raises(FileFormatError, match=message):
+        read_capture(folder)
+
+
+def test_no_folder_and_no_files(tmp_path):
+    with pytest.raises(FileFormatError, match="no such folder"):
+        read_capture(tmp_path / "none")
+    with pytest.raises(FileFormatError, match=r"capture\.toml"):
+        read_capture(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileFormatError, match="is no folder"):
+        read_capture(tmp_path / "file")
+
+
+def test_the_published_schema_is_that_of_the_reader():
+    published = json.loads((REPOSITORY / "docs/capture-v1.schema.json").read_text())
+    assert published == json_schema(), "write docs/capture-v1.schema.json anew: matcam.files.capture.json_schema()"
