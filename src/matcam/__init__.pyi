@@ -30,6 +30,7 @@ from .material.ndf.ggx import GGX
 from .material.ndf.power_lobes import EPD, SGD
 from .material.optical_constants import metal
 from .material.reflectance import Conductor, Dielectric, Schlick, fresnel_conductor
+from .reconstruction.reconstruction import reconstruct
 from .rigs import Rig
 from .sample.curved import Cylinder, Sphere
 from .sample.shape import Flat
@@ -86,6 +87,7 @@ __all__ = [
     "peak_response",
     "picture",
     "read_merl",
+    "reconstruct",
     "rigs",
     "rivals",
     "targets",

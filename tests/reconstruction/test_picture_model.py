@@ -8,7 +8,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction import picture_rule
-from matcam.reconstruction.observed_pixels import Place, chosen_pixels, mirror_point
+from matcam.reconstruction.observed_pixels import Place, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
 from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
 
@@ -33,7 +33,10 @@ def seen(alpha, theta_d, azimuth):
     truth = picture(Surface("ggx", alpha, n=(1e9,), k=(0.0,), diffuse=(0.0,)), VIEW, lamp)[..., 0]
     nothing = np.zeros(truth.shape, int)
     merged = MergedPicture("L", truth, np.ones_like(truth), nothing > 0, nothing, ("grey",))
-    place = Place(VIEW.column, VIEW.row, VIEW.radius, lamp, mirror_point(lamp, *NEAR))
+    normal = mirror_angle(lamp_angle(np.radians(theta_d), VIEW), VIEW)
+    out = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
+    highlight = out * np.cos(azimuth), out * np.sin(azimuth)
+    place = Place(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
     return lamp, chosen_pixels(merged, place, scale=alpha / 3, plateau=0.0, seed=0)
 
 
@@ -92,10 +95,3 @@ def test_a_bright_disc_is_the_mean_of_its_points(model):
     point = np.asarray(model.window(parameters(0.02), lamp_frame(lamp), pixels.window, slopes=False)[0].lobe)
     assert np.abs(recorded[0] - recorded[1]).max() < 1e-3 * recorded[1].max()
     assert np.abs(point - recorded[1]).max() > 0.02 * recorded[1].max()
-
-
-@pytest.mark.parametrize("angle", [0.05, 1.0, 2.4])
-def test_the_mirror_point_solves_alhazens_problem(angle):
-    normal = mirror_angle(angle, VIEW)
-    expected = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
-    assert mirror_point(direction(angle, 0.0), *NEAR)[0] == pytest.approx(expected, abs=1e-9)

@@ -76,7 +76,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
         raise FitError(f"{picture.name}: the sphere's disc holds {one.sum()} values; it must lie in the frame")
-    spots, background, seen = _spots(picture, one, on)
+    spots, background, _ = _spots(picture, one, on)
     if not spots:
         raise FitError(f"{picture.name}: no highlight stands out on the sphere; the lamp may be off, or behind it")
     first = spots[0]

@@ -20,6 +20,7 @@ from matcam.cli import (
     inspect,
     limits,
     predict,
+    reconstruct,
     render,
     simulate,
 )
@@ -63,6 +64,7 @@ for _name, _module in {
     "predict": predict,
     "fresnel": fresnel,
     "correct": correct,
+    "reconstruct": reconstruct,
     "fit": fit,
     "limits": limits,
     "simulate": simulate,

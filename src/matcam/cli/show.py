@@ -151,6 +151,35 @@ def tallying(what: str) -> Iterator[Any]:
         yield update
 
 
+@contextlib.contextmanager
+def stepping() -> Iterator[Any]:
+    """Show the steps of one long work on standard error; yield update(step, done, total), total 0 where it is not known.
+
+    If that is no terminal, a line appears there at most twice a minute.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
+    if sys.stderr.isatty():
+        with Console(stderr=True).status(Text("starting")) as status:
+
+            def show(step: str, done: int, total: int) -> None:
+                status.update(Text(printable(f"{step}: {done} of {total}" if total else step)))
+
+            yield show
+        return
+    last = -math.inf
+
+    def log(step: str, done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= _SECONDS:
+            last = now
+            remark(f"{step}: {done} of {total}" if total else step)
+
+    yield log
+
+
 class _Log:
     """Report progress as lines, at most one in half a minute."""
 

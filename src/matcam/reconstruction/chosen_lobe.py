@@ -155,7 +155,7 @@ def _widened(scene: Scene, source: str, factor: float) -> Scene:
     if source == "lamp":
         return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
     if source == "gain":
-        return replace(scene, gain_std=scene.gain_std * factor)
+        return replace(scene, gain_std=np.asarray(scene.gain_std) * factor)
     if source == "outline":
         return replace(
             scene, outline_covariance=scene.outline_covariance * factor**2, shift_std=scene.shift_std * factor

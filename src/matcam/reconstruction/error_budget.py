@@ -62,7 +62,7 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
         theta_d: angle, rad.
     """
     seen = fit.solution.theta_d
-    normal = _NORMAL[(_NORMAL >= seen.min()) & (_NORMAL <= seen.max())]
+    normal = np.array([angle for angle in _NORMAL if seen.min() <= angle <= seen.max()])
     normal = normal if normal.size else np.array([seen.min()])
     at = np.append(normal, theta_d)
     value, slopes = curve.at(at), curve.slopes(at)

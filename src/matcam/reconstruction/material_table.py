@@ -36,7 +36,7 @@ def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], unit: flo
         unit_std: its relative standard deviation.
 
     Returns:
-        Dataset with `brdf` (1/sr), `brdf_std` (1/sr) and `supported` over the MERL grid. A grey capture has three equal channels.
+        Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over the MERL grid. A grey capture has three equal channels.
     """
     layout, solution = fit.layout, fit.solution
     grid = merl_grid("centre")

@@ -1,7 +1,7 @@
 """Which pixels of a picture are fitted: all about the highlight, and some everywhere else.
 
-The window about the highlight holds what the lens and a narrow lobe do. Beyond it the picture is smooth, and pixels at every half
-angle say what tails and diffuse part are. They are drawn evenly in the logarithm of the half angle, with a fixed seed.
+The window about the highlight holds what the lens and a narrow lobe do. Beyond it the picture is smooth, and pixels at every
+half angle say what tails and diffuse part are. They are drawn evenly in the logarithm of the half angle, with a fixed seed.
 """
 
 from __future__ import annotations
@@ -61,22 +61,6 @@ class Place(NamedTuple):
     radius: float
     lamp: np.ndarray
     highlight: tuple[float, float]
-
-
-def mirror_point(lamp: np.ndarray, camera_nearness: float, lamp_nearness: float) -> tuple[float, float]:
-    """Return where the sphere mirrors the lamp, on the outline's disc (Alhazen's problem, by iteration)."""
-    axis = np.array([0.0, 0.0, 1.0])
-    normal = lamp + axis
-    normal = normal / max(np.linalg.norm(normal), 1e-12)
-    for _ in range(200):
-        light, view = lamp - lamp_nearness * normal, axis - camera_nearness * normal
-        half = light / np.linalg.norm(light) + view / np.linalg.norm(view)
-        half /= max(np.linalg.norm(half), 1e-12)
-        moved, normal = np.abs(half - normal).max(), half
-        if moved < 1e-14:
-            break
-    scale = np.sqrt(1 - camera_nearness**2) / (1 - camera_nearness * normal[2])
-    return float(scale * normal[0]), float(scale * normal[1])
 
 
 def chosen_pixels(picture: MergedPicture, place: Place, *, scale: float, plateau: float, seed: int) -> Pixels:

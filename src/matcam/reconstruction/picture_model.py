@@ -1,8 +1,8 @@
 """What the pixels of one picture record of a lobe, and how that changes with every parameter.
 
-A pixel reads  integral of kernel(place - pixel) L(place) over the picture.  In a window about the highlight the nodes stand on the
-sphere, so that the outline moves with its centre and radius; pixels elsewhere, where the picture is smooth on their own scale, take
-Gauss's rule of the kernel.
+A pixel reads the integral of kernel(place - pixel) L(place) over the picture. About the highlight the nodes stand on
+the sphere, so that the outline moves with its centre and radius. Pixels elsewhere, where the picture is smooth on their own
+scale, take Gauss's rule of the kernel.
 """
 
 from __future__ import annotations

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core import checks
+from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark
+from matcam.files.capture import Capture, read_capture
 from matcam.inverse.fit.fit_parameters import readable_value
 from matcam.inverse.fit.fit_setup import AUTO
-from matcam.material.masking import Masking
+from matcam.material.masking import MASKINGS, Masking
+from matcam.reconstruction.captured_scene import CapturedScene, Progress, captured_scene
 from matcam.reconstruction.chosen_lobe import chosen_fit
 from matcam.reconstruction.error_budget import (
     Inseparable,
@@ -26,6 +31,7 @@ from matcam.reconstruction.error_budget import (
 )
 from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
 from matcam.reconstruction.sphere_fit import Known, Scene, SphereFit
 
@@ -52,6 +58,7 @@ class Reconstruction:
         not_determined: parameters that the pictures alone do not tell apart.
         tried: unexplained share of the light by lobe.
         remarks: what a reader should know.
+        captured: what the capture's frames said before the fit; None: the pictures were merged elsewhere. Default: None.
     """
 
     table: xr.Dataset
@@ -63,6 +70,7 @@ class Reconstruction:
     not_determined: tuple[Inseparable, ...]
     tried: dict[str, float]
     remarks: tuple[Remark, ...]
+    captured: CapturedScene | None = None
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -147,14 +155,14 @@ class Reconstruction:
         ]
         if self.fit.solution.unexplained > _POOR:
             words.append(
-                f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every error: look "
-                "at the residual pictures."
+                f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every "
+                "error: look at the residual pictures."
             )
         pair = strongest(self.not_determined)
         if pair is not None:
             words.append(
-                f"The pictures alone do not tell {pair.names[0]} from {pair.names[1]} (correlation {pair.correlation:.3f}): the "
-                "result rests on what was stated of it."
+                f"The pictures alone do not tell {pair.names[0]} from {pair.names[1]} (correlation {pair.correlation:.3f}): "
+                "the result rests on what was stated of it."
             )
         if not np.isfinite(self.unit.std):
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
@@ -197,8 +205,72 @@ class Reconstruction:
                 for name, chi2, out in zip(fit.names, solution.chi2.tolist(), solution.left_out.tolist(), strict=True)
             ],
             "not_determined": [one.to_dict() for one in self.not_determined],
+            "radiometry": None if self.captured is None else self.captured.radiometry.to_dict(),
+            "left_out": [] if self.captured is None else list(self.captured.left_out),
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
+
+
+def reconstruct(
+    capture: Capture | str | Path,
+    ndf: str = AUTO,
+    *,
+    masking: Masking = "smith",
+    diffuse: bool = True,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Reconstruct a material from a capture: photographs of a sphere under a moved lamp.
+
+    Frames are merged by what they say of exposures, noise and clipping. Outline and highlights give the geometry a start. Then
+    lobe, reflectance, diffuse part, lens, outline, lamps and distances are fitted to the pixels of all pictures at once, within
+    what the capture states of each. Every error of the result contains all of them, and what the fit does not explain.
+
+    Args:
+        capture: as from `files.capture.read_capture`, or its folder.
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the likelier of "ggx" and
+            "epd", bent where that explains more.
+        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        diffuse: whether the material may have a Lambertian part. Default: True.
+        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+
+    Returns:
+        Table, parameters, geometry, error budget and remarks.
+
+    Raises:
+        ArgumentError: an argument is wrong, or the capture is not of a sphere.
+        FileFormatError: the capture's files are wrong.
+        FitError: there is no sphere, too few highlights, or nothing to fit.
+
+    Source:
+        docs/model.md 10.
+
+    Example:
+        >>> found = matcam.reconstruct("shots/")  # doctest: +SKIP
+        >>> print(found.verdict)  # doctest: +SKIP
+        >>> matcam.reconstruct("no-such-folder")
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.FileFormatError: no-such-folder: no such folder
+    """
+    checks.choice("ndf", ndf, (AUTO, *FAMILIES))
+    checks.choice("masking", masking, MASKINGS)
+    if not isinstance(capture, Capture):
+        capture = read_capture(capture)
+    say = progress or (lambda step, done, total: None)
+    found = captured_scene(capture, progress)
+    steps = iter(range(1, 1000))
+    result = reconstructed(
+        found.pictures,
+        found.scene,
+        found.lamps,
+        family=ndf,
+        masking=masking,
+        diffuse=diffuse,
+        remarks=found.remarks,
+        pinhole=lambda fit, unit: pinhole_reading(found.pictures, fit, unit),
+        progress=lambda line: say(f"fitting ({line})", next(steps), 0),
+    )
+    return replace(result, captured=found)
 
 
 def reconstructed(
@@ -255,7 +327,7 @@ def reconstructed(
         every.append(
             Remark(
                 "unexplained",
-                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; every error was widened",
+                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; all errors contain it",
             )
         )
     spread = max(unit.std, 0.0) if np.isfinite(unit.std) else 0.0

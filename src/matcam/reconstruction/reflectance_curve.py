@@ -1,4 +1,4 @@
-"""F over theta_d from the strengths of all pictures: a metal's or a dielectric's curve where one explains them, else a smooth one.
+"""F over theta_d from the strengths of all pictures: that of n and k where they explain them, else a smooth one.
 
 The strengths are what the pictures say, each with an error of its own and errors that they share. A curve says F between them.
 """
@@ -33,8 +33,8 @@ class ReflectanceCurve:
         model: "conductor", or "smooth" where n and k do not explain the strengths.
         coefficients: of the curve.
         gain: derivatives of the coefficients by the strengths, (coefficients, pictures).
-        own: covariance of the coefficients beside that of the strengths: what is known of the scale, and what the curve does not
-            explain.
+        own: covariance of the coefficients beside that of the strengths: what is known of the scale, and what the curve leaves
+            unexplained.
         misfit: mean squared residual, in standard deviations.
         scale: strength that stands for F = 1, in the curve's own terms.
     """

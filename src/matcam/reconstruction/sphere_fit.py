@@ -1,7 +1,7 @@
 """From merged pictures and what is known of the scene to the best joint fit: priors, a start, and rounds of refinement.
 
-The lobe is looked for on a lattice of widths, with each picture's strengths solved for; then everything is fitted, and the windows
-are laid anew about the highlights that were found, until nothing moves.
+The lobe is looked for on a lattice of widths, with each picture's strengths solved for; then everything is fitted, and the
+windows are laid anew about the highlights that were found, until nothing moves.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
@@ -31,7 +32,7 @@ from matcam.reconstruction.joint_fit import (
     summed_up,
     unexplained_share,
 )
-from matcam.reconstruction.observed_pixels import Pixels, Place, chosen_pixels, mirror_point
+from matcam.reconstruction.observed_pixels import Place, chosen_pixels
 from matcam.reconstruction.picture_model import OWN, SCENE, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
 from matcam.rigs import Rig
@@ -68,7 +69,8 @@ class Scene:
         lamps: directions from the sphere's centre to the lamp, x right, y up, z to the camera, (pictures, 3).
         lamp_std: standard deviation of each along each tangent, rad, () or (pictures,).
         lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
-        gain_std: standard deviation of ln of each picture's gain.
+        gain_std: standard deviation of ln of each picture's gain, () or (pictures,).
+        gain: light of each picture relative to their mean, as a reference says, (pictures,). Default: None, 1 each.
     """
 
     camera: Camera
@@ -82,7 +84,8 @@ class Scene:
     lamps: np.ndarray
     lamp_std: float | np.ndarray
     lamp_radius: float = 0.0
-    gain_std: float = 0.005
+    gain_std: float | np.ndarray = 0.005
+    gain: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -223,6 +226,7 @@ def _write_scene(p: np.ndarray, layout: JointLayout, scene: Scene) -> None:
     p[layout.scene] = [0.0, scene.radius, scene.camera_nearness.value, scene.lamp_nearness.value]
     for k in range(layout.pictures):
         p[layout.own(k)] = [*scene.centres[k], 0.0, 0.0]
+        p[layout.gain(k)] = 0.0 if scene.gain is None else np.log(scene.gain[k])
 
 
 def _searched(
@@ -234,6 +238,8 @@ def _searched(
     part = replace(
         scene, centres=scene.centres[few], lamps=scene.lamps[few],
         lamp_std=np.broadcast_to(scene.lamp_std, len(pictures))[few],
+        gain_std=np.broadcast_to(scene.gain_std, len(pictures))[few],
+        gain=None if scene.gain is None else scene.gain[few],
     )  # fmt: skip
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))
     powers = _POWERS[kind.family] if kind.family in WITH_POWER else (None,)
@@ -306,7 +312,10 @@ def _problem(
     pixels = []
     for k, picture in enumerate(pictures):
         column, row = p[layout.own(k)][:2]
-        place = Place(column, row, radius, frames[k].base, mirror_point(frames[k].base, camera, lamp))
+        distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
+        at_row, at_column = MirrorBall(row, column, radius, distance).mirror_place(frames[k].base, far)
+        highlight = float((at_column - column) / radius), float((row - at_row) / radius)
+        place = Place(column, row, radius, frames[k].base, highlight)
         pixels.append(
             chosen_pixels(picture, place, scale=width / 3, plateau=scene.lamp_radius / 2 if with_disc else 0.0, seed=k)
         )
@@ -384,13 +393,15 @@ def _prior(
         row[places] = line
         add("outline", row, float(line @ expected))
     stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
+    gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
+    gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
     for i, frame in enumerate(frames):
         # where the stated direction lies in this frame, whose base is the direction found last
         stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
             unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
-        unit("gain", layout.gain(i), max(scene.gain_std, 1e-5), 0.0)
+        unit("gain", layout.gain(i), float(gain_stds[i]), float(gains[i]))
     if bend:
         smooth = smoothness(KNOTS)
         for line in smooth:

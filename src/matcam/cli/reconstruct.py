@@ -1,0 +1,113 @@
+"""`matcam reconstruct`: from a folder of photographs of a sphere to its material."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, FamilyOrAuto, Force, Masking
+
+_SOME_FAILED = 1
+
+
+def command(
+    capture: Annotated[Path, typer.Argument(metavar="DIR", help="Capture: a folder with capture.toml and frames.csv.")],
+    ndf: FamilyOrAuto = "auto",
+    masking: Masking = "smith",
+    diffuse: Annotated[
+        bool, typer.Option("--diffuse/--no-diffuse", help="Whether the material may have a Lambertian part.")
+    ] = True,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="MERL file to write; -pinhole.binary, .nc, .json and .html go beside it. Default: DIR-reconstructed.binary.",
+        ),
+    ] = None,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Reconstruct a material from photographs of a sphere under a moved lamp, with its error budget.
+
+    Frames that cannot be used are listed and left out (exit code 1).
+
+    Example: `matcam reconstruct shots/ -o chrome.binary`
+    """
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output
+
+    target = output or Path(f"{capture.resolve().name}-reconstructed.binary")
+    if target.suffix.lower() != ".binary":
+        raise ArgumentError(f"{target}: the reconstructed table is a MERL file, whose name must end in .binary")
+    files = {
+        "table": target,
+        "pinhole": target.with_name(f"{target.stem}-pinhole.binary"),
+        "data": target.with_suffix(".nc"),
+        "document": target.with_suffix(".json"),
+        "page": target.with_suffix(".html"),
+    }
+    for path in files.values():
+        check_output(path, force=force)
+    from matcam.core.jax import use_compilation_cache
+
+    use_compilation_cache()
+    from matcam.reconstruction.reconstruction import reconstruct
+
+    with show.stepping() as watch:
+        result = reconstruct(
+            capture, ndf, masking=None if masking == "none" else masking, diffuse=diffuse, progress=watch
+        )
+    document = {**result.to_dict(), "files": [str(path) for path in files.values()]}
+    _write(result, document, files, capture, force)
+    if json:
+        show.as_json(document)
+    else:
+        _print(result, document)
+    if document["left_out"] or any(one["code"].startswith("frame") for one in document["remarks"]):
+        raise typer.Exit(_SOME_FAILED)
+
+
+def _write(result: Any, document: dict[str, Any], files: dict[str, Path], capture: Path, force: bool) -> None:
+    from matcam.acquisition.outline import stacked
+    from matcam.core.io import write_json
+    from matcam.figures.reconstruction_page import write_reconstruction_page
+    from matcam.files.datasets import write_netcdf
+    from matcam.files.merl import write_merl
+
+    write_merl(files["table"], result.table["brdf"], force=force)
+    write_merl(files["pinhole"], result.pinhole, force=force)
+    write_netcdf(files["data"], result.table.assign(pinhole=result.pinhole), force=force)
+    write_json(files["document"], document, force=force)
+    exposures = [(name, value, std / value) for name, (value, std) in document["radiometry"]["exposures"].items()]
+    write_reconstruction_page(
+        files["page"],
+        result,
+        capture.resolve().name,
+        overview=stacked(result.captured.pictures),
+        exposures=exposures,
+        force=force,
+    )
+
+
+def _print(result: Any, document: dict[str, Any]) -> None:
+    """Print what was found."""
+    show.table(
+        ("parameter", "value", "std"),
+        [(name, f"{value:.5g}", f"{std:.2g}") for name, (value, std) in result.parameters.items()],
+    )
+    budget = result.budget
+    show.table(
+        ("source of error", "F at grazing, %", "roughness, %"),
+        [
+            (source, f"{100 * parts['ratio']:.2g}", f"{100 * parts['roughness']:.2g}")
+            for source, parts in budget.items()
+        ],
+    )
+    show.say(document["verdict"])
+    for one in document["remarks"]:
+        show.say(f"note: {one['text']}")
+    show.say("written: " + ", ".join(document["files"]))
