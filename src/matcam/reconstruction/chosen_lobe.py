@@ -21,6 +21,8 @@ from matcam.reconstruction.sphere_fit import Known, Scene, SphereFit, fit_sphere
 _BEND = 1.0
 _NOT_EXPLAINED = 0.006
 """Unexplained share of the light from which a bent lobe is tried."""
+_NOISE_ALONE, _AS_NOISE = 0.003, 1.2
+"""Unexplained share of the light, and mean squared residual, up to which the noise alone explains the pictures."""
 _CLEARLY = 0.9  # of the unexplained share: what a bent lobe must at least take away
 _CONTRADICTED = 2.5
 """Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
@@ -93,13 +95,14 @@ def chosen_fit(
         scene = wider
         best = fitted(first, scene, start=best)
         tried[first] = best.solution.unexplained
-    if family == AUTO:
+    if family == AUTO and not _explained(best):
         for name in CANDIDATES[1:]:
             width = float(np.exp(best.solution.p[0]))
-            other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]))
+            other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]), rounds=1)
             tried[name] = other.solution.unexplained
             if _likelier(other, best):
-                best = other
+                best = fitted(name, scene, start=other)
+                tried[name] = best.solution.unexplained
     if best.solution.unexplained > _NOT_EXPLAINED:
         bent = fitted(best.kind.family, scene, start=best, bend=_BEND)
         tried[f"{best.kind.family}, bent"] = bent.solution.unexplained
@@ -112,6 +115,11 @@ def chosen_fit(
                 )
             )
     return ChosenFit(best, tried, tuple(remarks))
+
+
+def _explained(fit: SphereFit) -> bool:
+    """Say whether photon and read noise explain the pictures: then no other lobe is looked for."""
+    return fit.solution.unexplained < _NOISE_ALONE and float(np.median(fit.solution.chi2)) < _AS_NOISE
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:

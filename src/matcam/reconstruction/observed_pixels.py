@@ -63,7 +63,9 @@ class Place(NamedTuple):
     highlight: tuple[float, float]
 
 
-def chosen_pixels(picture: MergedPicture, place: Place, *, scale: float, plateau: float, seed: int) -> Pixels:
+def chosen_pixels(
+    picture: MergedPicture, place: Place, *, scale: float, plateau: float, seed: int, keep: Pixels | None = None
+) -> Pixels:
     """Return the pixels of a picture that are fitted.
 
     Args:
@@ -72,8 +74,22 @@ def chosen_pixels(picture: MergedPicture, place: Place, *, scale: float, plateau
         scale: angle on which the lobe changes at its peak, rad.
         plateau: half the lamp's angular radius, rad.
         seed: of the draw of the scattered pixels.
+        keep: a choice that stays, but for its nodes, where the highlight is still where it was. Default: None.
     """
-    window = window_about((place.column, place.row), place.radius, place.highlight, scale=scale, plateau=plateau)
+    window = window_about(
+        (place.column, place.row),
+        place.radius,
+        place.highlight,
+        scale=scale,
+        plateau=plateau,
+        keep=None if keep is None else keep.window,
+    )
+    if (
+        keep is not None
+        and np.array_equal(keep.window.pixel_u, window.pixel_u)
+        and np.array_equal(keep.window.pixel_v, window.pixel_v)
+    ):
+        return keep._replace(window=window)
     first, second = np.meshgrid(window.pixel_u, window.pixel_v)
     near_column, near_row = (second, first) if window.turned else (first, second)
     far_column, far_row = _scattered(picture, place, (near_column, near_row), seed)

@@ -46,7 +46,13 @@ class Window(NamedTuple):
 
 
 def window_about(
-    centre: tuple[float, float], radius: float, place: tuple[float, float], *, scale: float, plateau: float = 0.0
+    centre: tuple[float, float],
+    radius: float,
+    place: tuple[float, float],
+    *,
+    scale: float,
+    plateau: float = 0.0,
+    keep: Window | None = None,
 ) -> Window:
     """Return the window about a highlight.
 
@@ -56,6 +62,7 @@ def window_about(
         place: p_x and p_y of the highlight on the outline's disc.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
+        keep: a window whose pixels stay where the highlight has moved by no more than a pixel. Default: None.
 
     Returns:
         The nodes and pixels.
@@ -65,6 +72,11 @@ def window_about(
     along, across = (p_y, p_x) if turned else (p_x, p_y)
     column = np.round(centre[0] + radius * p_x)
     row = np.round(centre[1] - radius * p_y)
+    if keep is not None and keep.turned == turned:
+        old = (keep.pixel_u[WINDOW // 2], keep.pixel_v[WINDOW // 2])
+        old_column, old_row = old[::-1] if turned else old
+        if max(abs(old_column - column), abs(old_row - row)) <= 1:
+            column, row = old_column, old_row
     span = np.arange(WINDOW) - WINDOW // 2
     pixel_u, pixel_v = (row + span, column + span) if turned else (column + span, row + span)
     reach = (WINDOW // 2 + 1 + _MARGIN) / radius

@@ -327,7 +327,7 @@ def reconstructed(
         every.append(
             Remark(
                 "unexplained",
-                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; all errors contain it",
+                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; errors contain it",
             )
         )
     spread = max(unit.std, 0.0) if np.isfinite(unit.std) else 0.0

@@ -32,8 +32,8 @@ from matcam.reconstruction.joint_fit import (
     summed_up,
     unexplained_share,
 )
-from matcam.reconstruction.observed_pixels import Place, chosen_pixels
-from matcam.reconstruction.picture_model import OWN, SCENE, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.observed_pixels import Pixels, Place, chosen_pixels
+from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -137,7 +137,7 @@ class SphereFit:
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
 
     def strengths_rows(self) -> np.ndarray:
-        """Return the derivatives of the strengths, read at the stated angles, by all parameters, (pictures x channels, size)."""
+        """Return the derivatives of the strengths, read at the stated angles, by all parameters, (strengths, size)."""
         layout, solution = self.layout, self.solution
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
@@ -160,6 +160,7 @@ def fit_sphere(
     lamps: np.ndarray | None = None,
     start: SphereFit | None = None,
     widths: np.ndarray = _WIDTHS,
+    rounds: int = _ROUNDS,
     progress: Callable[[str], None] | None = None,
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere.
@@ -175,6 +176,7 @@ def fit_sphere(
             scene.
         start: a fit of these pictures by another lobe, from which the search goes on. Default: None.
         widths: widths (the lobe's first parameter) among which it is looked for, where there is no start.
+        rounds: most rounds of refinement. Default: 4.
         progress: is called with a line about each round. Default: None.
     """
     if len(pictures) < 2:
@@ -199,16 +201,16 @@ def fit_sphere(
             p[layout.own(k)][2:] = 0.0
     slope = np.zeros((layout.pictures, layout.channels))
     unexplained, solution = 0.02, None
-    for turn in range(_ROUNDS):
-        width = float(np.exp(p[0]))
-        problem = _problem(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend)
+    for turn in range(rounds):
+        last = None if solution is None else solution.problem.pixels
+        problem = _problem(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
             p = _with_strengths(problem, p, unexplained)
             p[layout.diffuse] *= diffuse
         before = p.copy()
-        p, cost = solve(problem, p, unexplained)
+        p, _ = solve(problem, p, unexplained)
         share = unexplained_share(problem, p)
         settled = abs(share - unexplained) < 0.05 * unexplained + 1e-4
         unexplained = share
@@ -300,8 +302,9 @@ def _problem(
     diffuse: bool,
     bend: float,
     disc: bool = True,
+    keep: Sequence[Pixels] | None = None,
 ) -> JointProblem:
-    """Lay the windows about the highlights at parameters p, with the lamps of `known` as base, and state the prior of `scene`."""
+    """Lay the windows about the highlights at p, with the lamps of `known` as base, and state the prior of `scene`."""
     layout = JointLayout(kind.size, len(pictures[0].channels), len(pictures))
     width = float(np.exp(p[0]))
     _, radius, camera, lamp = p[layout.scene]
@@ -316,8 +319,11 @@ def _problem(
         at_row, at_column = MirrorBall(row, column, radius, distance).mirror_place(frames[k].base, far)
         highlight = float((at_column - column) / radius), float((row - at_row) / radius)
         place = Place(column, row, radius, frames[k].base, highlight)
+        plateau = scene.lamp_radius / 2 if with_disc else 0.0
         pixels.append(
-            chosen_pixels(picture, place, scale=width / 3, plateau=scene.lamp_radius / 2 if with_disc else 0.0, seed=k)
+            chosen_pixels(
+                picture, place, scale=width / 3, plateau=plateau, seed=k, keep=None if keep is None else keep[k]
+            )
         )
     low, high = _bounds(layout, kind, scene)
     fixed = low == high

@@ -1,4 +1,4 @@
-"""What a picture of a sphere shows along each line of sight: normal, light and view, and the radiance of a lobe (docs/model.md 10).
+"""What a picture of a sphere shows along each line of sight: normal, light and view, and a lobe's radiance (docs/model.md 10).
 
 Everything is a function of the place p = (p_x, p_y) on the unit disc of the sphere's outline: x right, y up. The sphere has
 radius 1, the camera stands at 1 / camera_nearness on the z axis, and the lamp at 1 / lamp_nearness in direction `lamp`. Both
