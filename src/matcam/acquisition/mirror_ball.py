@@ -88,9 +88,7 @@ class MirrorBall(NamedTuple):
         else:
             depth = self.distance * camera[2] - normals[..., 2]
             x, y = (
-                self._focal
-                * (normals[..., k] - self.distance * camera[k] + camera[k] / camera[2] * depth)
-                / depth
+                self._focal * (normals[..., k] - self.distance * camera[k] + camera[k] / camera[2] * depth) / depth
                 for k in (0, 1)
             )
         hidden = np.where(seen, 0.0, np.nan)
