@@ -76,7 +76,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
         raise FitError(f"{picture.name}: the sphere's disc holds {one.sum()} values; it must lie in the frame")
-    spots, background, _ = _spots(picture, one, on)
+    spots, background = _spots(picture, one, on)
     if not spots:
         raise FitError(f"{picture.name}: no highlight stands out on the sphere; the lamp may be off, or behind it")
     first = spots[0]
@@ -114,8 +114,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
 
 def _spots(
     picture: MergedPicture, one: np.ndarray, on: np.ndarray
-) -> tuple[list[tuple[float, float, float, int]], float, float]:
-    """Return bright spots as (row, column, light, pixels), the brightest first, the light around them, and its noise."""
+) -> tuple[list[tuple[float, float, float, int]], float]:
+    """Return bright spots as (row, column, light, pixels), the brightest first, and the light around them."""
     light = np.where(one, picture.values, -np.inf)
     background = float(np.median(picture.values[one]))
     noise = float(np.median(picture.std[one]))
@@ -124,7 +124,7 @@ def _spots(
     light = np.where(on, light, -np.inf)
     peak = float(light.max())
     if peak - background < max(10 * noise, _FAINTEST * abs(background)):
-        return [], background, noise
+        return [], background
     labels, count = ndimage.label(light > background + _LEVEL * (peak - background), np.ones((3, 3)))
     index = np.arange(1, count + 1)
     above = np.where(labels > 0, light - background, 0.0)
@@ -132,7 +132,7 @@ def _spots(
     size = np.atleast_1d(ndimage.sum(labels > 0, labels, index)).astype(int)
     places = np.array(ndimage.center_of_mass(above, labels, index)).reshape(-1, 2)
     order = [k for k in np.argsort(total)[::-1] if total[k] > _WORTH * total.max()]
-    return [(float(places[k, 0]), float(places[k, 1]), float(total[k]), int(size[k])) for k in order], background, noise
+    return [(float(places[k, 0]), float(places[k, 1]), float(total[k]), int(size[k])) for k in order], background
 
 
 class _LobeFit:

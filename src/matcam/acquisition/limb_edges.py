@@ -133,6 +133,20 @@ class BandPixels(NamedTuple):
     radius: float
 
 
+def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
+    """Return for each pixel how strongly its colour sees the step at the limb, against the first colour's."""
+    gain = np.ones(len(pixels.values))
+    first = None
+    for one in channels:
+        of = pixels.channel == one
+        inner, outer = of & (pixels.inside > 2), of & (pixels.inside < -2)
+        if len(channels) > 1 and inner.any() and outer.any():
+            step = float(np.mean(pixels.values[inner]) - np.mean(pixels.values[outer]))
+            first = step if first is None else first
+            gain[of] = step / first if step * first > 0 else 1.0
+    return gain
+
+
 def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbSectors:
     """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each turn.
 
@@ -149,19 +163,21 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     turned = np.mod(pixels.azimuth, 2 * np.pi)
     sector = np.minimum((turned / width).astype(int), count - 1)
     channels = np.unique(pixels.channel)
-    per = len(powers.columns) + 3
+    gain = _channel_levels(pixels, channels)
+    powers_at = len(channels) + 1
+    columns = powers_at + len(powers.columns) + 1
     number = np.bincount(sector, minlength=count)
-    freedom = number - per * len(channels) - 1
+    freedom = number - columns - 1
     # every sector's pixels in a row of their own; where it has fewer, the weight is 0
     order = np.argsort(sector, kind="stable")
     rank = np.arange(len(order)) - np.repeat(np.cumsum(number) - number, number)
 
     def rows(of: np.ndarray) -> np.ndarray:
-        out = np.zeros((count, max(number.max(initial=0), per * len(channels) + 1)))
+        out = np.zeros((count, max(number.max(initial=0), columns + 1)))
         out[sector[order], rank] = of[order]
         return out
 
-    inside, values, weight = rows(pixels.inside), rows(pixels.values), rows(1 / pixels.std)
+    inside, values, weight = rows(pixels.inside), rows(pixels.values / gain), rows(gain / pixels.std)
     along, colour = rows((turned - middle[sector]) / width), rows(pixels.channel.astype(float))
     masks = [(colour == one) * weight for one in channels]
     target = values * weight
@@ -169,19 +185,19 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     # which light begins without a step may lie anywhere
     bright = np.where(weight > 0, np.abs(values), 0.0)
     level = np.maximum(np.percentile(bright, 90, axis=1), 1e-300)
-    prior = np.zeros((count, per * len(channels), per * len(channels)))
-    for i in range(len(channels)):
-        for j, exponent in enumerate(powers.exponents):
-            if exponent > 0:
-                prior[:, i * per + 2 + j, i * per + 2 + j] = (pixels.radius / 2) ** -exponent / (_STEEPEST * level)
+    prior = np.zeros((count, columns, columns))
+    for j, exponent in enumerate(powers.exponents):
+        if exponent > 0:
+            prior[:, powers_at + j, powers_at + j] = (pixels.radius / 2) ** -exponent / (_STEEPEST * level)
     target = np.concatenate([target, np.zeros((count, prior.shape[1]))], axis=1)
     shift = np.zeros(count)
     for turn in range(_TURNS):
         t = inside + shift[:, None] - powers.variance / (2 * pixels.radius)
         blurred, slopes = powers(t.ravel())
         blurred, slopes = blurred.reshape(-1, *t.shape), slopes.reshape(-1, *t.shape)
-        step = [np.ones_like(t), np.minimum(t, 0.0) / 10, *blurred, blurred[0] * along]
-        matrix = np.stack([column * mask for mask in masks for column in step], axis=2)
+        # each colour has a background of its own; the light of the sphere is one, up to the colours' gains
+        light = [np.minimum(t, 0.0) / 10, *blurred, blurred[0] * along]
+        matrix = np.stack([*masks, *(column * weight for column in light)], axis=2)
         matrix = np.concatenate([matrix, prior], axis=1)
         scale = np.linalg.norm(matrix, axis=1)
         good = (scale > 0).all(1) & (freedom > number / 4)
@@ -192,10 +208,9 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         solution = np.linalg.solve(r, np.einsum("spc,sp->sc", q, target)[..., None])[..., 0] / scale
         residual = target - np.einsum("spc,sc->sp", matrix, solution)
         # derivative of the model by the edge's position, with the coefficients of light free
-        outside = [np.zeros_like(t), (t < 0) / 10, *slopes, slopes[0] * along]
-        slope = sum(
-            mask * sum(c[:, None] * column for c, column in zip(solution[:, i * per :].T, outside, strict=False))
-            for i, mask in enumerate(masks)
+        moved = [(t < 0) / 10, *slopes, slopes[0] * along]
+        slope = weight * sum(
+            c[:, None] * column for c, column in zip(solution[:, len(channels) :].T, moved, strict=True)
         )
         slope = np.concatenate([slope, np.zeros(prior.shape[:2])], axis=1)
         slope = slope - np.einsum("spc,sc->sp", q, np.einsum("spc,sp->sc", q, slope))
@@ -207,13 +222,11 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         shift += np.clip(move, -_FAR, _FAR)
     chi2 = ((residual - slope * move[:, None]) ** 2).sum(1)
     # light two pixels inside the limb, over what is outside
-    contrast = np.zeros(count)
-    for i in range(len(masks)):
-        within = slice(i * per + 2, (i + 1) * per - 1)
-        inverse = np.linalg.inv(r) / scale[:, :, None]
-        at = 2.0 ** np.array(powers.exponents)
-        noise = np.sqrt((np.einsum("p,spc->sc", at, inverse[:, within]) ** 2).sum(1))
-        contrast = np.maximum(contrast, np.abs(solution[:, within] @ at) / noise)
+    within = slice(powers_at, columns - 1)
+    inverse = np.linalg.inv(r) / scale[:, :, None]
+    at = 2.0 ** np.array(powers.exponents)
+    noise = np.sqrt((np.einsum("p,spc->sc", at, inverse[:, within]) ** 2).sum(1))
+    contrast = np.abs(solution[:, within] @ at) / noise
     nothing = np.where(good, 0.0, np.nan)
     return LimbSectors(
         middle,

@@ -17,6 +17,7 @@ from scipy.optimize import minimize_scalar
 from matcam.acquisition.circle_search import FoundCircle, find_circles
 from matcam.acquisition.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 
@@ -25,13 +26,17 @@ EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5
 """Powers of the distance inside the limb that its light is made of: the cosine of the viewing angle goes as the root.
 "coated": they are multiplied with the transmittance of a clear coat, as on glossy plastic; a lit sphere is tried as both."""
 
-_SIGMAS = (0.05, 2.5)  # px, of a lens that nobody has measured
+_SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of a lens that nobody has measured
+_PIXELS_IN_SECTOR = 80
 _CONTRAST = 8.0  # a step of light over its noise
 _LARGEST_STD = 0.3  # px, of a sector's edge
 _MISFIT = 6.0  # times the usual chi squared: dust, a stand
 _OUTLIER = 4.0  # standard deviations
 _TEMPER = 8.0
 """Difference in chi squared between two models of the light that makes one e times likelier; 2, were the models exact."""
+_SIMPLER = 20.0
+"""A sphere is taken for one without a coat, unless chi squared falls by more than this with it."""
+_FIT = ("chi2", "freedom")
 FEWEST_SECTORS = 8
 _GRAZING = (4.0, 2.5)
 """Fresnel reflectance at a grazing angle g is exp(-c g): c of metals and glasses, and its spread."""
@@ -112,6 +117,11 @@ class Outline:
     def std(self) -> np.ndarray:
         """Standard deviations of row, column and radius, px (3,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def ball(self) -> MirrorBall:
+        """The sphere of this outline, as a mirror."""
+        return MirrorBall(self.row, self.column, self.radius, self.sighting.distance, self.sighting.axis)
 
     def curve(self, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns of the outline, px, for an overlay.
@@ -203,8 +213,9 @@ def find_outline(
 def _likelier(one: Outline, other: Outline) -> Outline:
     """Return the outline whose light follows the pixels better; where both do, what parts them counts as error."""
     both = one.used & other.used
-    scale = max(1.0, min(np.sum(each.sectors.chi2[both]) / np.sum(each.sectors.freedom[both]) for each in (one, other)))
-    worse = float(np.sum(other.sectors.chi2[both] - one.sectors.chi2[both])) / scale
+    chi2, freedom = (np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in _FIT)
+    # the bands differ by a few pixels
+    worse = float(np.diff((chi2 - freedom) / max(1.0, float(np.min(chi2 / freedom))))[0]) + _SIMPLER
     best, rest = (one, other) if worse >= 0 else (other, one)
     share = 1 / (1 + np.exp(min(abs(worse) / _TEMPER, 50.0)))
     apart = np.array([rest.row - best.row, rest.column - best.column, rest.radius - best.radius])
@@ -265,9 +276,10 @@ class OutlineFit:
         self.exponents, self.place = tuple(exponents), start
         self.good = np.isfinite(picture.values) & (picture.std > 0) & ~picture.clipped
         self.rows, self.columns = np.indices(picture.values.shape)
-        self.count = int(np.clip(2 * np.pi * start[2] / 6 / 3, 24, 72)) if len(np.unique(picture.channel)) > 1 else 72
         self.inside = float(np.clip(0.1 * start[2], 6, 16))
         self.outside = 5.0
+        area = 2 * np.pi * float(start[2]) * (self.inside + self.outside)
+        self.count = int(np.clip(area / _PIXELS_IN_SECTOR, 24, 72))
 
     def band(self, place: np.ndarray, wider: float = 0.0) -> BandPixels:
         """Return the pixels near the curve."""
@@ -353,8 +365,13 @@ class OutlineFit:
     def outline(self, lens: tuple[float, float] | None, backlight_reach: tuple[float, float] | None) -> Outline:
         """Return the outline with everything that is uncertain about it."""
         remarks = []
-        place, *_ = self.settle(self.place, 2.0, self.exponents[:2], turns=3, wider=3.0)
-        sigma, sigma_std = lens if lens is not None else self.lens(self.settle(place, 0.7, self.exponents, turns=2)[0])
+        # a step and a line do not run away, wherever the search has left them
+        place, *_ = self.settle(self.place, 1.0, (0, 1), turns=4, wider=2.0)
+        if lens is None:
+            sigma, _ = self.lens(place)
+            place, *_ = self.settle(place, sigma, self.exponents, turns=3)
+            lens = self.lens(place, about=sigma)
+        sigma, sigma_std = lens
         place, edges, used, covariance, scatter = self.settle(place, sigma, self.exponents)
         noise = covariance
         # how the outline moves with the lens
@@ -404,7 +421,7 @@ class OutlineFit:
         row, column = place[0] - self.picture.origin[0], place[1] - self.picture.origin[1]
         _refuse_cut(self.picture, FoundCircle(row, column, float(place[2]), 1.0))
 
-    def lens(self, place: np.ndarray) -> tuple[float, float]:
+    def lens(self, place: np.ndarray, about: float | None = None) -> tuple[float, float]:
         """Return the lens's blur that the edges show, and its standard deviation, px."""
 
         def misfit(log_sigma: float) -> float:
@@ -416,9 +433,10 @@ class OutlineFit:
                 return 0.0
             return float(edges.chi2[chosen].sum() / edges.freedom[chosen].sum())
 
-        found = minimize_scalar(
-            misfit, bounds=np.log(_SIGMAS), method="bounded", options={"xatol": 0.02, "maxiter": 14}
-        )
+        tried = np.log(_SIGMAS if about is None else [about * one for one in (0.6, 1.0, 1.7)])
+        best = int(np.argmin([misfit(one) for one in tried]))
+        bounds = (float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
+        found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 0.02, "maxiter": 7})
         sigma, least = float(np.exp(found.x)), float(found.fun)
         # chi squared rises by its own scale one standard deviation away
         freedom = float(self.edges(place, sigma, self.exponents).freedom.sum())

@@ -1,0 +1,302 @@
+"""Hold highlights against lamps that somebody wrote down: the radius that they want, an arc they lie on, usual mistakes.
+
+Axes: x right, y up, z to the camera. Directions go from the sphere's centre to the lamp.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from matcam.acquisition.highlights import lamp_angles_apart
+from matcam.acquisition.mirror_ball import MirrorBall, unit
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.remark import Remark
+
+_LIKELY = 0.5
+"""A mistake explains a table if the angles left are at most this share of those before."""
+_WRONG = np.radians(1.5)
+"""Angles up to this need no mistake to explain them."""
+
+
+class RadiusByHighlights(NamedTuple):
+    """Tell which radius the highlights of known lamps want, against that of the outline.
+
+    Attributes:
+        row: of the sphere's centre that they want, px.
+        column: likewise.
+        radius: that they want if lamps and camera are distant, px.
+        std: standard deviations of row, column and radius, px (3,).
+        rms: distance of the highlights from where they should be, px.
+        mismatch: radius over that of the outline, less 1.
+        mismatch_std: its standard deviation, with that of the outline.
+        inverse_distances: 1 / camera distance + 1 / lamp distance that would explain it, 1/radii.
+        inverse_distances_std: its standard deviation, 1/radii.
+        turn: of the table's axes against the camera's that would explain the centre, rad (3,), about x, y, z.
+        remarks: what a reader should know.
+    """
+
+    row: float
+    column: float
+    radius: float
+    std: np.ndarray
+    rms: float
+    mismatch: float
+    mismatch_std: float
+    inverse_distances: float
+    inverse_distances_std: float
+    turn: np.ndarray
+    remarks: tuple[Remark, ...]
+
+
+def radius_by_highlights(
+    rows: np.ndarray, columns: np.ndarray, lamps: np.ndarray, ball: MirrorBall, ball_std: np.ndarray | None = None
+) -> RadiusByHighlights:
+    """Compare the radius that the highlights of known lamps want with that of the outline.
+
+    Under a near lamp, before a near camera, highlights stand further apart than under distant ones: by
+    (1 / camera distance + 1 / lamp distance) / 2 of their distance from the centre. Highlights alone cannot tell that from a
+    larger sphere, or from directions that are too narrow; the outline can.
+
+    Args:
+        rows: of the highlights' mirror points, px (n,).
+        columns: likewise, px (n,).
+        lamps: known directions (n, 3).
+        ball: the sphere by its outline.
+        ball_std: standard deviations of its row, column and radius, px (3,). Default: 0.
+
+    Returns:
+        The radius that they want, and what could explain it.
+
+    Raises:
+        FitError: fewer than four highlights.
+    """
+    rows, columns, lamps = np.asarray(rows, float), np.asarray(columns, float), unit(np.asarray(lamps, float))
+    if len(rows) < 4:
+        raise FitError(f"{len(rows)} highlights do not tell a radius; at least 4 are needed")
+
+    def off(p: np.ndarray) -> np.ndarray:
+        row, column = MirrorBall(*p).mirror_place(lamps)
+        return np.nan_to_num(np.concatenate([row - rows, column - columns]), nan=1e3)
+
+    found = least_squares(off, [ball.row, ball.column, ball.radius], loss="soft_l1", x_scale="jac")
+    rest = off(found.x)
+    variance = float(np.sum(rest**2)) / (2 * len(rows) - 3)
+    std = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * variance)
+    by_outline = np.zeros(3) if ball_std is None else np.asarray(ball_std, float)
+    ratio = float(found.x[2] / ball.radius)
+    ratio_std = float(ratio * np.hypot(std[2] / found.x[2], by_outline[2] / ball.radius))
+    inverse, inverse_std = 2 * (ratio - 1), 2 * ratio_std
+    # the table's axes may be turned against the camera's: what is left once the distances are allowed for
+    near = MirrorBall(ball.row, ball.column, ball.radius * ratio)
+    turn = _turn(near.lamp_seen_at(near.normals(rows, columns)), lamps)
+    remarks = []
+    if abs(ratio - 1) > 2 * ratio_std:
+        cause = (
+            f"1/D + 1/Q = 1/{1 / inverse:.0f} of camera and lamp distance in radii, or directions {ratio - 1:.1%} too narrow"
+            if inverse > 0
+            else f"directions {1 - ratio:.1%} too wide, or an outline too large"
+        )
+        remarks.append(
+            Remark(
+                "radius-mismatch",
+                f"the highlights want a radius of {found.x[2]:.2f} px, the outline has {ball.radius:.2f} px: {cause}",
+            )
+        )
+    size = float(np.linalg.norm(turn))
+    if size > np.radians(0.2) and np.hypot(*(found.x[:2] - [ball.row, ball.column])) > 3 * np.hypot(*std[:2]):
+        remarks.append(
+            Remark(
+                "table-turned", f"the table's axes are turned by {np.degrees(size):.2f} degrees against the camera's"
+            )
+        )
+    return RadiusByHighlights(
+        *map(float, found.x),
+        std,
+        float(np.sqrt(np.sum(rest**2) / len(rows))),
+        ratio - 1,
+        ratio_std,
+        inverse,
+        inverse_std,
+        turn,
+        tuple(remarks),
+    )
+
+
+def _turn(lamps: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Return the rotation vector that takes lamps to their table, rad (3,)."""
+    good = np.isfinite(lamps).all(1)
+    return Rotation.align_vectors(table[good], lamps[good])[0].as_rotvec()
+
+
+class LampArc(NamedTuple):
+    """Describe lamps on an arc: directions at one angle from an axis.
+
+    Attributes:
+        axis: unit vector about which the arm turns (3,).
+        opening: angle between axis and lamps, rad; pi/2 if the arm turns in a plane through the sphere's centre.
+        angles: of each lamp about the axis, rad (n,), from the first lamp.
+        directions: of the lamps on the arc, unit vectors (n, 3).
+        rms: angle between given directions and the arc, rad.
+        axis_std: standard deviation of the axis' direction and of the opening, rad (3,).
+    """
+
+    axis: np.ndarray
+    opening: float
+    angles: np.ndarray
+    directions: np.ndarray
+    rms: float
+    axis_std: np.ndarray
+
+
+def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: float = np.radians(3.0)) -> LampArc:
+    """Fit an arc to lamps' directions.
+
+    Args:
+        lamps: directions (n, 3).
+        std: standard deviation of a direction, rad. Default: 0.2 degrees.
+        opening_std: by how much the arc may miss a great circle, rad. Default: 3 degrees.
+
+    Returns:
+        The arc, with every lamp moved on to it.
+
+    Raises:
+        FitError: fewer than three lamps, or lamps that are not on an arc.
+
+    Example:
+        >>> turn = np.radians([5, 20, 40, 60, 80])
+        >>> arc = fit_arc(np.stack([np.sin(turn), 0 * turn, np.cos(turn)], axis=1))
+        >>> np.degrees(arc.angles).round(3) + 0.0, round(float(np.degrees(arc.opening)), 3)
+        (array([ 0., 15., 35., 55., 75.]), 90.0)
+    """
+    lamps = unit(np.asarray(lamps, float))
+    if len(lamps) < 3:
+        raise FitError(f"{len(lamps)} lamps do not tell an arc; at least 3 are needed")
+    start = np.linalg.svd(lamps)[2][2]
+    if np.dot(np.cross(lamps[0], lamps[-1]), start) < 0:
+        start = -start
+    frame = np.linalg.svd(start[None])[2][1:]
+
+    def axis(p: np.ndarray) -> np.ndarray:
+        return unit(start + p[0] * frame[0] + p[1] * frame[1])
+
+    def off(p: np.ndarray) -> np.ndarray:
+        beside = np.arccos(np.clip(lamps @ axis(p), -1, 1)) - np.pi / 2 - p[2]
+        return np.append(beside / std, p[2] / opening_std)
+
+    found = least_squares(off, np.zeros(3))
+    about, opening = axis(found.x), np.pi / 2 + float(found.x[2])
+    first = unit(lamps[0] - (lamps[0] @ about) * about)
+    second = np.cross(about, first)
+    angles = np.arctan2(lamps @ second, lamps @ first)
+    on = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+    on = np.cos(opening) * about + np.sin(opening) * on
+    rms = float(np.sqrt(np.mean(lamp_angles_apart(on, lamps) ** 2)))
+    if rms > max(5 * std, np.radians(2.0)):
+        raise FitError(f"the lamps lie {np.degrees(rms):.1f} degrees rms beside one arc; give motion = 'free'")
+    freedom = max(len(lamps) - 2, 1)
+    spread = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, 2 * found.cost / freedom)
+    return LampArc(about, opening, angles, on, rms, np.sqrt(np.diag(spread)))
+
+
+class TableVerdict(NamedTuple):
+    """Tell whether a lamp table fits the highlights, and which mistake explains it if not.
+
+    Attributes:
+        mistake: "none", "unexplained", or the name of the mistake.
+        rms: angles between the highlights' lamps and the table as given, rad.
+        rms_explained: the same once the mistake is undone, rad.
+        remarks: in words, where something is wrong.
+    """
+
+    mistake: str
+    rms: float
+    rms_explained: float
+    remarks: tuple[Remark, ...]
+
+
+_WORDS = {
+    "y-flipped": "its y axis points down; y must point up",
+    "x-flipped": "its x axis points left; x must point right",
+    "z-flipped": "its z axis points away from the camera; z must point to it",
+    "xy-swapped": "x and y are exchanged",
+    "xy-flipped": "x and y both point the other way: the picture is turned by 180 degrees",
+    "light-reversed": "its vectors point from the lamp to the sample; they must point to the lamp",
+    "normals": "its vectors are the normals at the highlights; they must point to the lamps",
+    "halved": "its vectors lie at twice the angle: they were reflected twice",
+    "degrees-as-radians": "its angles are degrees, read as radians",
+    "radians-as-degrees": "its angles are radians, read as degrees",
+    "order-reversed": "its rows are in the reverse order of the pictures",
+}
+
+
+def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
+    """Say which usual mistake explains a lamp table that contradicts the highlights.
+
+    Each mistake is made on the lamps that the highlights show; the one whose result the table matches is named.
+
+    Args:
+        lamps: directions by the highlights (n, 3); NaN where there was none.
+        table: directions as given (n, 3).
+
+    Returns:
+        The verdict; "none" if the table is right to 1.5 degrees rms.
+
+    Raises:
+        ArgumentError: the shapes differ, or fewer than three lamps have a highlight.
+
+    Example:
+        >>> turn = np.radians([10, 25, 40, 70])
+        >>> lamps = np.stack([0.6 * np.sin(turn), 0.8 * np.sin(turn), np.cos(turn)], axis=1)
+        >>> explain_lamp_table(lamps, lamps * [1, -1, 1]).mistake
+        'y-flipped'
+    """
+    lamps, table = np.asarray(lamps, float), np.asarray(table, float)
+    if lamps.shape != table.shape or lamps.ndim != 2 or lamps.shape[1] != 3:
+        raise ArgumentError(f"lamps and table must both have shape (n, 3), got {lamps.shape} and {table.shape}")
+    good = np.isfinite(lamps).all(1) & np.isfinite(table).all(1)
+    if good.sum() < 3:
+        raise ArgumentError(f"only {good.sum()} lamps have a highlight and a row in the table; at least 3 are needed")
+    lamps, table = unit(lamps[good]), unit(table[good])
+    rms = _rms(lamps, table)
+    if rms < _WRONG:
+        return TableVerdict("none", rms, rms, ())
+    # the angles that are left, in units of what the mistake makes of an error of the lamps
+    left = {name: _rms(made, table) / stretch for name, (made, stretch) in _mistakes(lamps).items()}
+    best = min(left, key=lambda name: left[name])
+    if left[best] < max(_LIKELY * rms, 0.0) and left[best] < 2 * _WRONG:
+        text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights: {_WORDS[best]}"
+        return TableVerdict(best, rms, left[best], (Remark(f"table-{best}", text),))
+    text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights, and no usual mistake explains it"
+    return TableVerdict("unexplained", rms, rms, (Remark("table-contradicts", text),))
+
+
+def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(lamp_angles_apart(lamps, table) ** 2)))
+
+
+def _mistakes(lamps: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
+    """Return what a table would hold under each mistake, and by how much the mistake stretches angles."""
+    z = np.array([0.0, 0.0, 1.0])
+    angle, azimuth = np.arctan2(np.hypot(lamps[:, 0], lamps[:, 1]), lamps[:, 2]), np.arctan2(lamps[:, 1], lamps[:, 0])
+
+    def polar(angle: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+        return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
+
+    turn = 180 / np.pi
+    return {
+        "y-flipped": (lamps * [1, -1, 1], 1.0),
+        "x-flipped": (lamps * [-1, 1, 1], 1.0),
+        "z-flipped": (lamps * [1, 1, -1], 1.0),
+        "xy-swapped": (lamps[:, [1, 0, 2]], 1.0),
+        "xy-flipped": (lamps * [-1, -1, 1], 1.0),
+        "light-reversed": (-lamps, 1.0),
+        "normals": (unit(lamps + z), 0.5),
+        "halved": (2 * lamps[:, 2:] * lamps - z, 2.0),
+        "degrees-as-radians": (polar(angle * turn, azimuth * turn), turn / 4),
+        "radians-as-degrees": (polar(angle / turn, azimuth / turn), 1 / turn),
+        "order-reversed": (lamps[::-1], 1.0),
+    }
