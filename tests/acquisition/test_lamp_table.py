@@ -74,17 +74,17 @@ def test_lamp_directions_taken_for_normals():
 
 
 def test_lamps_reflected_twice():
-    true, angle, azimuth = lamps()
+    _, angle, azimuth = lamps()
     assert named(polar(2 * angle, azimuth))[0] == "halved"
 
 
 def test_degrees_for_radians():
-    true, angle, azimuth = lamps()
+    _, angle, azimuth = lamps()
     assert named(polar(np.degrees(angle), np.degrees(azimuth)))[0] == "degrees-as-radians"
 
 
 def test_radians_for_degrees():
-    true, angle, azimuth = lamps()
+    _, angle, azimuth = lamps()
     assert named(polar(np.radians(angle), np.radians(azimuth)))[0] == "radians-as-degrees"
 
 

@@ -23,6 +23,7 @@ _LEVEL = 0.3  # of the highlight's height: what is above belongs to it
 _WORTH = 0.05  # of its light: another bright spot that is named
 _FAINTEST = 0.3  # of the sphere's own light
 _BROADEST = 0.12  # of the disc's area
+_LOST = 0.3  # of the disc
 _RIM = 0.995  # of the radius
 _PIXELS = 3000
 _SHAPE = 0.05  # share by which a highlight may differ from the lobe that is fitted
@@ -67,7 +68,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         The mirror point. Other bright spots are named with it.
 
     Raises:
-        FitError: no highlight, nothing but clipped pixels, or a spot as broad as the sphere.
+        FitError: no highlight, a clipped sphere, or a spot as broad as the sphere.
     """
     shape = picture.values.shape
     rows, columns = np.indices(shape) + np.array(picture.origin)[:, None, None]
@@ -76,6 +77,9 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
         raise FitError(f"{picture.name}: the sphere's disc holds {one.sum()} values; it must lie in the frame")
+    lost = float(np.mean(picture.clipped[on]))
+    if lost > _LOST:
+        raise FitError(f"{picture.name}: {lost:.0%} of the sphere is clipped; take a shorter exposure too")
     spots, background = _spots(picture, one, on)
     if not spots:
         raise FitError(f"{picture.name}: no highlight stands out on the sphere; the lamp may be off, or behind it")
@@ -96,8 +100,6 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         near &= (rows - picture.origin[0] - r) ** 2 + (columns - picture.origin[1] - c) ** 2 > 2 * size / np.pi + 4
     near &= on & np.isfinite(picture.values)
     clipped = int(np.count_nonzero(picture.clipped & near))
-    if clipped == np.count_nonzero(near):
-        raise FitError(f"{picture.name}: the whole highlight is clipped; take a shorter exposure too")
     chosen = np.flatnonzero(near)
     if len(chosen) > _PIXELS:
         chosen = np.random.default_rng(0).choice(chosen, _PIXELS, replace=False)
@@ -157,7 +159,7 @@ class _LobeFit:
         self.normals = ball.normals(rows, columns)
         self.cosine = np.maximum((ball.views(self.normals) * self.normals).sum(-1), 1e-3)
         self.error = np.hypot(self.std, _SHAPE * np.maximum(self.values, background))
-        self.size, self.background = size, background
+        self.size, self.background = size, max(abs(background), float(np.median(self.std)))
 
     def model(self, p: np.ndarray) -> np.ndarray:
         """Return the light of each pixel: place, logarithms of widths and exponent, then height and background by channel."""
@@ -192,11 +194,20 @@ class _LobeFit:
         first = [0.0, 0.0, np.log(width), np.log(width), np.log(2.0)]
         for k in range(len(self.channels)):
             bright = self.values[self.channel == k].max() - self.background
-            first += [np.log(max(bright, 1e-3 * abs(self.background), 1e-12)), 1.0]
-        found = least_squares(self.residual, first, loss="soft_l1", x_scale="jac", max_nfev=60)
+            first += [np.log(max(bright, 1e-3 * self.background)), 1.0]
+        room = 2 + np.sqrt(self.size)
+        low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
+        low[:5], high[:5] = [-room, -room, -12, -12, -0.5], [room, room, -0.3, -0.3, 3.0]
+        found = least_squares(
+            self.residual,
+            np.clip(first, low + 1e-9, high - 1e-9),
+            bounds=(low, high),
+            loss="soft_l1",
+            x_scale="jac",
+            max_nfev=60,
+        )
         place = self.start + found.x[:2]
-        moved = float(np.hypot(*found.x[:2]))
-        if not np.isfinite(self.ball.normals(*place)).all() or moved > 3 + 2 * np.sqrt(self.size):
+        if not np.isfinite(self.ball.normals(*place)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
             raise FitError(f"{self.name}: the brightest spot is no lobe on the sphere; give the lamp's direction")
         spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
         freedom = max(len(self.values) - len(first), 1)

@@ -5,6 +5,7 @@ Axes: x right, y up, z to the camera. Directions go from the sphere's centre to 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -265,9 +266,13 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     if rms < _WRONG:
         return TableVerdict("none", rms, rms, ())
     # the angles that are left, in units of what the mistake makes of an error of the lamps
-    left = {name: _rms(made, table) / stretch for name, (made, stretch) in _mistakes(lamps).items()}
+    left: dict[str, float] = {}
+    for name, made, stretch in _mistakes(lamps):
+        # where a mistake stretches errors, the lamps next to the axis say nothing: their azimuths are chance
+        apart = float(np.median(lamp_angles_apart(made, table))) if stretch > 2 else _rms(made, table)
+        left[name] = min(apart / stretch, left.get(name, np.inf))
     best = min(left, key=lambda name: left[name])
-    if left[best] < max(_LIKELY * rms, 0.0) and left[best] < 2 * _WRONG:
+    if left[best] < _LIKELY * rms and left[best] < 2 * _WRONG:
         text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights: {_WORDS[best]}"
         return TableVerdict(best, rms, left[best], (Remark(f"table-{best}", text),))
     text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights, and no usual mistake explains it"
@@ -278,25 +283,24 @@ def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
     return float(np.sqrt(np.mean(lamp_angles_apart(lamps, table) ** 2)))
 
 
-def _mistakes(lamps: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
-    """Return what a table would hold under each mistake, and by how much the mistake stretches angles."""
+def _mistakes(lamps: np.ndarray) -> Iterator[tuple[str, np.ndarray, float]]:
+    """Yield each mistake, what a table would hold under it, and by how much it stretches angles."""
     z = np.array([0.0, 0.0, 1.0])
+    yield "y-flipped", lamps * [1, -1, 1], 1.0
+    yield "x-flipped", lamps * [-1, 1, 1], 1.0
+    yield "z-flipped", lamps * [1, 1, -1], 1.0
+    yield "xy-swapped", lamps[:, [1, 0, 2]], 1.0
+    yield "xy-flipped", lamps * [-1, -1, 1], 1.0
+    yield "light-reversed", -lamps, 1.0
+    yield "normals", unit(lamps + z), 0.5
+    yield "halved", 2 * lamps[:, 2:] * lamps - z, 2.0
+    yield "order-reversed", lamps[::-1], 1.0
     angle, azimuth = np.arctan2(np.hypot(lamps[:, 0], lamps[:, 1]), lamps[:, 2]), np.arctan2(lamps[:, 1], lamps[:, 0])
-
-    def polar(angle: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-        return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
-
     turn = 180 / np.pi
-    return {
-        "y-flipped": (lamps * [1, -1, 1], 1.0),
-        "x-flipped": (lamps * [-1, 1, 1], 1.0),
-        "z-flipped": (lamps * [1, 1, -1], 1.0),
-        "xy-swapped": (lamps[:, [1, 0, 2]], 1.0),
-        "xy-flipped": (lamps * [-1, -1, 1], 1.0),
-        "light-reversed": (-lamps, 1.0),
-        "normals": (unit(lamps + z), 0.5),
-        "halved": (2 * lamps[:, 2:] * lamps - z, 2.0),
-        "degrees-as-radians": (polar(angle * turn, azimuth * turn), turn / 4),
-        "radians-as-degrees": (polar(angle / turn, azimuth / turn), 1 / turn),
-        "order-reversed": (lamps[::-1], 1.0),
-    }
+    for way_round in (azimuth, np.mod(azimuth, 2 * np.pi)):  # written from -180 to 180, or from 0 to 360
+        yield "degrees-as-radians", _polar(angle * turn, way_round * turn), turn / 4
+        yield "radians-as-degrees", _polar(angle / turn, way_round / turn), 1 / turn
+
+
+def _polar(angle: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+    return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)

@@ -1,0 +1,131 @@
+"""Bin pictures of a sphere as if the camera were a pinhole: what a table looks like that no lens was allowed for.
+
+Each pixel stands for the normal at its centre. Its light over its irradiance goes into the cell of its half and difference
+angles; a cell is the mean of its pixels. This is how measured tables were made; beside a reconstruction it shows what the
+camera has done. Pictures come one at a time, so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall, unit
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.grid import CHANNELS, GRID_SHAPE, brdf_table, merl_grid
+
+_CELLS = int(np.prod(GRID_SHAPE))
+_STEEPEST = np.radians(87.0)
+
+
+class PinholeTable:
+    """Gather pixels of a sphere's pictures in the cells of the MERL grid.
+
+    Args:
+        channels: colours of the pictures, ("R", "G", "B") or one of any name, which then stands for all three.
+        isotropic: fill the mirrored azimuth of a pixel, too. Default: True.
+        steepest: angle of light or view to the normal beyond which a pixel is left out, rad. Default: 87 degrees.
+
+    Example:
+        >>> values = np.full((40, 40), 0.25)
+        >>> picture = MergedPicture("1", values, values / 10, values > 1, np.zeros((40, 40), int), ("grey",))
+        >>> table = PinholeTable(("grey",))
+        >>> table.add(picture, MirrorBall(20.0, 20.0, 15.0), np.array([0.0, 0.0, 1.0]))
+        >>> table.pixels > 500
+        True
+    """
+
+    def __init__(
+        self, channels: tuple[str, ...] = CHANNELS, *, isotropic: bool = True, steepest: float = float(_STEEPEST)
+    ):
+        if len(channels) not in (1, 3):
+            raise ArgumentError(f"channels must be one or three colours, got {len(channels)}: {', '.join(channels)}")
+        self.channels, self.isotropic, self.least = tuple(channels), isotropic, float(np.cos(steepest))
+        self._sum, self._number = (np.zeros((len(channels), _CELLS)) for _ in range(2))
+        self.pixels = 0
+        self.clipped = 0
+
+    def add(
+        self,
+        picture: MergedPicture,
+        ball: MirrorBall,
+        lamp: np.ndarray,
+        lamp_distance: float = np.inf,
+        irradiance: float = 1.0,
+    ) -> None:
+        """Add the pixels of one picture. Clipped ones are counted and left out.
+
+        Args:
+            picture: of one lamp.
+            ball: the sphere in this frame.
+            lamp: direction from the sphere's centre (3,): x right, y up, z to the camera.
+            lamp_distance: of the lamp from the centre, radii. Default: infinite.
+            irradiance: at the sphere's centre, across the light: value of a pixel over BRDF and cosine. Default: 1.
+        """
+        if picture.channels != self.channels:
+            raise ArgumentError(f"{picture.name}: its colours are {picture.channels}; the table takes {self.channels}")
+        first = [max(int(np.floor(at - ball.radius * 1.1)) - start, 0) for at, start in self._corner(picture, ball)]
+        last = [max(int(np.ceil(at + ball.radius * 1.1)) - start, 0) for at, start in self._corner(picture, ball)]
+        window = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
+        values, clipped, channel = (a[window] for a in (picture.values, picture.clipped, picture.channel))
+        rows, columns = np.indices(values.shape)
+        normals = ball.normals(rows + first[0] + picture.origin[0], columns + first[1] + picture.origin[1])
+        lamp = unit(np.asarray(lamp, float))
+        nearness = 1 / lamp_distance
+        way = lamp - nearness * normals
+        far = np.linalg.norm(way, axis=-1)
+        light, view = way / far[..., None], ball.views(normals)
+        cos_i, cos_o = (light * normals).sum(-1), (view * normals).sum(-1)
+        with np.errstate(invalid="ignore"):
+            seen = np.isfinite(normals[..., 0]) & (cos_i > self.least) & (cos_o > self.least)
+        self.clipped += int(np.count_nonzero(seen & clipped))
+        seen &= np.isfinite(values) & ~clipped
+        brdf = values[seen] * far[seen] ** 2 / (cos_i[seen] * irradiance)
+        cells = self._cells(normals[seen], light[seen], view[seen])
+        for k in range(len(self.channels)):
+            of = channel[seen] == k
+            self._number[k] += np.bincount(cells[of], minlength=_CELLS)
+            self._sum[k] += np.bincount(cells[of], brdf[of], minlength=_CELLS)
+        self.pixels += int(np.count_nonzero(seen))
+
+    @staticmethod
+    def _corner(picture: MergedPicture, ball: MirrorBall) -> tuple[tuple[float, int], tuple[float, int]]:
+        return (ball.row, picture.origin[0]), (ball.column, picture.origin[1])
+
+    @staticmethod
+    def _cells(normals: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
+        """Return the number of each pixel's cell."""
+        total, difference = light + view, light - view
+        half = unit(total)
+        cosine, across = (half * normals).sum(-1), np.cross(normals, half)
+        sine = np.linalg.norm(across, axis=-1)
+        theta_h = np.arctan2(sine, cosine)
+        theta_d = np.arctan2(np.linalg.norm(difference, axis=-1), np.linalg.norm(total, axis=-1))
+        # the half vector is the pole; x points away from the normal, y along normal x half vector (core/grid.py)
+        x = (light * (cosine[:, None] * half - normals)).sum(-1)
+        y = (light * across).sum(-1)
+        phi_d = np.mod(np.arctan2(y, x), np.pi)
+        i, j, k = merl_grid("centre").index(
+            theta_h=np.minimum(theta_h, np.pi / 2), theta_d=np.minimum(theta_d, np.pi / 2), phi_d=phi_d
+        )
+        return np.ravel_multi_index((i, j, k), GRID_SHAPE)
+
+    def table(self) -> xr.DataArray:
+        """Return the table: the mean of every cell's pixels, 1/sr; NaN where no pixel fell.
+
+        Raises:
+            FitError: no pixel was added.
+        """
+        if not self.pixels:
+            raise FitError(
+                "no pixel of any picture is lit and seen: check the lamps' directions, which must point to the lamp"
+            )
+        total, number = (a.reshape(-1, *GRID_SHAPE) for a in (self._sum, self._number))
+        if self.isotropic:  # phi_d and pi - phi_d mirror each other
+            total, number = total + total[..., ::-1], number + number[..., ::-1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.moveaxis(np.where(number > 0, total / number, np.nan), 0, -1)
+        if len(self.channels) == 1:
+            mean = np.repeat(mean, 3, axis=-1)
+        return brdf_table(mean, "centre", method="pinhole binning", pixels=self.pixels, clipped_left_out=self.clipped)
