@@ -1,0 +1,35 @@
+"""What classical binning makes of the same pictures, with the geometry that the joint fit found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import xarray as xr
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.pinhole_table import PinholeTable
+from matcam.reconstruction.sphere_fit import SphereFit
+
+
+def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, unit: float) -> xr.DataArray:
+    """Bin the pixels of all pictures as if the camera were perfect.
+
+    Args:
+        pictures: in the order of the fit.
+        fit: its outline, lamps and distances are used, and each picture's gain.
+        unit: values per radiance under unit irradiance at the sphere's centre.
+
+    Returns:
+        A table on the MERL grid, 1/sr, NaN where no pixel fell.
+    """
+    p, layout = fit.solution.p, fit.layout
+    _, radius, camera, lamp = p[layout.scene]
+    distance, far = (1 / nearness if nearness > 0 else np.inf for nearness in (camera, lamp))
+    table = PinholeTable(fit.channels)
+    for k, (picture, direction) in enumerate(zip(pictures, fit.lamps, strict=True)):
+        column, row = p[layout.own(k)][:2]
+        ball = MirrorBall(float(row), float(column), float(radius), float(distance))
+        table.add(picture, ball, direction, float(far), irradiance=unit * float(np.exp(p[layout.gain(k)])))
+    return table.table()
