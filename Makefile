@@ -7,7 +7,7 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test test-all lint format bench tables clean
+.PHONY: demo test test-all pytest-test pytest-test-all lint format bench tables clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
@@ -15,14 +15,20 @@ demo: $(VENV)/.installed
 # Two test processes on two cores: a matrix product that starts two threads of its own in each waits for itself
 test test-all: export OPENBLAS_NUM_THREADS = 1
 
-# Most tests compile a program and run it once: without this part of XLA they compile in three quarters of the time.
+# Most tests compile a program and run it once: without this part of XLA they compile in three quarters of the time, and
+# most files do without the rest of XLA's optimisation, too (tests/conftest.py).
 # `test-all` runs the programs as users do
 test: export XLA_FLAGS = --xla_cpu_use_fusion_emitters=false
+test: export MATCAM_TESTS_COMPILE_QUICKLY = 1
 
-test: lint
+# mypy runs beside the tests: one after the other, it would leave a core idle
+test test-all: $(VENV)/.installed-test
+	$(MAKE) -j 2 lint pytest-$@
+
+pytest-test: $(VENV)/.installed-test
 	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not slow"
 
-test-all: lint
+pytest-test-all: $(VENV)/.installed-test
 	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
 lint: $(VENV)/.installed-test

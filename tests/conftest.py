@@ -49,6 +49,20 @@ def compiled_once():
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
+_COMPUTE = ("batch", "cli", "figures", "inverse", "forward/test_measurement.py")
+"""What computes more than it compiles; programs that XLA has not optimised run up to ten times longer."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_quickly(request):
+    """In `make test` most files do without XLA's optimisation, which costs them more than it saves."""
+    from matcam.core.jax import jax
+
+    here = request.path.relative_to(REPOSITORY / "tests").as_posix()
+    quick = "MATCAM_TESTS_COMPILE_QUICKLY" in os.environ and not here.startswith(_COMPUTE)
+    jax.config.update("jax_disable_most_optimizations", quick)
+
+
 @pytest.fixture(scope="session")
 def real_data():
     """Folder of real data beside the checkout."""

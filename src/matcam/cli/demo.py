@@ -42,6 +42,7 @@ def command(
 
 def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) -> None:
     from matcam.core.io import where_written
+    from matcam.files.datasets import read_netcdf
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
 
@@ -59,5 +60,7 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
         named.symlink_to(where_written(table).absolute())
         fresnel.command(named, metal="Cr", output=term, force=force)
     show.say("4. The paper's figures:")
-    figures.command([], output=output, vector="svg", force=force)
+    extracted = read_netcdf(term.with_suffix(".nc"))
+    stems = {"figure-3": None, "figure-4": None, "figure-5": None, f"figure-6-{table.stem}": extracted}
+    figures.draw_all(stems, output, "svg", force=force, quiet=False)
     show.say(f"Done. Open {term} first.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -39,17 +39,22 @@ def command(
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    drawn = []
     of_stem = [*[None] * 3, *sources] if sources else [None] * 4
-    for stem, source in zip(stems, of_stem, strict=True):
-        with show.working(f"drawing {stem}"):
-            drawn.append(_draw(stem, source))
-    # all or nothing: a bad file among several is found before the first picture is written
-    for stem, (data, figure) in zip(stems, drawn, strict=True):
-        _write(data, figure, output / stem, vector, force)
-        show.say(f"{output / stem}.png, .{vector}, .csv", quiet=json)
+    draw_all(dict(zip(stems, of_stem, strict=True)), output, vector, force=force, quiet=json)
     if json:
         show.as_json({"files": [str(path) for path in outputs(output, stems, vector)]})
+
+
+def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bool, quiet: bool) -> None:
+    """Draw and write figures. sources: of each stem its table's file, or what `fresnel` extracted from it; None: simulated."""
+    drawn = {}
+    for stem, source in sources.items():
+        with show.working(f"drawing {stem}"):
+            drawn[stem] = _draw(stem, source)
+    # all or nothing: a bad file among several is found before the first picture is written
+    for stem, (data, figure) in drawn.items():
+        _write(data, figure, output / stem, vector, force)
+        show.say(f"{output / stem}.png, .{vector}, .csv", quiet=quiet)
 
 
 def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
@@ -57,7 +62,7 @@ def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
     return [folder / f"{stem}.{suffix}" for stem in stems for suffix in ("png", vector, "csv")]
 
 
-def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:
+def _draw(stem: str, source: Any) -> tuple[Any, Any]:
     from matcam import paper
     from matcam.figures.curves import highlight_figure, loss_figure
 
@@ -69,9 +74,12 @@ def _draw(stem: str, source: Path | None) -> tuple[Any, Any]:
         return data, loss_figure(data)
     from matcam import rigs
     from matcam.figures.curves import fresnel_figure
+    from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
+
+    if source is not None and not isinstance(source, Path):
+        return source, fresnel_figure(source, tabulated_fresnel(source, "Cr"))
     from matcam.files.merl import read_merl
     from matcam.forward.measurement import simulated_chromium
-    from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
 
     result = fresnel(simulated_chromium() if source is None else read_merl(source), rigs.merl())
     return result, fresnel_figure(result, tabulated_fresnel(result, "Cr" if source is None else None))

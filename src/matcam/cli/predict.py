@@ -78,11 +78,12 @@ def command(
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
     from matcam.core.jax import use_compilation_cache
-    from matcam.figures.style import check_picture
 
     inputs = [camera] if camera else []
     for path in (output, map_):
         if path:
+            from matcam.figures.style import check_picture  # Matplotlib only where something is drawn
+
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.core.registry import family_ndf

@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import AnyArray, jax, jnp
 
 GRID_SHAPE = (90, 90, 180)
 """Cells of a MERL table along (theta_h, theta_d, phi_d)."""
@@ -116,18 +116,19 @@ def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[j
     return mean - half_difference, mean + half_difference
 
 
-def azimuth_difference(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> jax.Array:
+def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
     """Return the azimuth between light and view about the surface normal, rad, in [0, pi]; pi is the mirror side."""
-    theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+    # of NumPy's arrays by NumPy: each shape would need a dozen compiled programs
+    xp: Any = np if all(isinstance(a, np.ndarray) for a in (theta_h, theta_d, phi_d)) else jnp
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
-    along = jnp.cos(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
-    offset = jnp.sin(theta_h) * jnp.cos(theta_d)
-    across = jnp.sin(theta_d) * jnp.sin(phi_d)
+    along = xp.cos(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
+    offset = xp.sin(theta_h) * xp.cos(theta_d)
+    across = xp.sin(theta_d) * xp.sin(phi_d)
     x_i, x_o = offset + along, offset - along
     sine, cosine = x_i * -across - across * x_o, x_i * x_o - across * across
     # along the normal there is no azimuth: any will do, but its derivative must be a number
-    return jnp.abs(jnp.arctan2(sine, jnp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
+    return jnp.asarray(xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine))))
 
 
 def half_and_difference(

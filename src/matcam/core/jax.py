@@ -21,13 +21,23 @@ from matcam.core.sealed import CompiledFunctions
 
 jax.config.update("jax_enable_x64", True)
 
-__all__ = ["AnyArray", "FloatArray", "is_concrete", "jax", "jnp", "plainly_compiled", "use_compilation_cache"]
+__all__ = [
+    "AnyArray",
+    "FloatArray",
+    "is_concrete",
+    "jax",
+    "jnp",
+    "plainly_compiled",
+    "program_folder",
+    "use_compilation_cache",
+]
 
 AnyArray = jax.Array | np.ndarray
 FloatArray = npt.NDArray[np.float64]
 
 
 _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
+_SEALED = "compiled"
 
 
 def is_concrete(value: object) -> bool:
@@ -58,11 +68,17 @@ def use_compilation_cache() -> None:
     A program may choose this for its user; a library must not. What was used longest ago is removed where the folder holds more
     than a limit: each shape of a picture has functions of its own.
     """
-    folder = user_cache_folder() / ("compiled" if _use_sealed_cache() else "jax")
+    folder = user_cache_folder() / (_SEALED if _use_sealed_cache() else "jax")
     _trim(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def program_folder() -> Path | None:
+    """Return the folder of whole programs, where `use_compilation_cache` was called; None where they cannot be kept."""
+    folder = jax.config.jax_compilation_cache_dir
+    return Path(folder) if folder and Path(folder).name == _SEALED else None
 
 
 def _use_sealed_cache() -> bool:

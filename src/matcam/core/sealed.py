@@ -9,6 +9,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 from matcam.core.errors import OutputError
@@ -52,16 +54,33 @@ class CompiledFunctions:
         path: folder of the files.
     """
 
+    _passed_by = threading.local()
+
     def __init__(self, path: str):
         self._path = Path(path)  # the name by which JAX asks for it
 
+    @classmethod
+    @contextlib.contextmanager
+    def passed_by(cls) -> Iterator[None]:
+        """Have this thread compile anew what it compiles, and not keep it here."""
+        cls._passed_by.now = True
+        try:
+            yield
+        finally:
+            cls._passed_by.now = False
+
     def get(self, key: str) -> bytes | None:
         """Return what was kept under a key, or None."""
-        return read_sealed(self._file(key), key.encode())
+        return None if self._is_passed_by else read_sealed(self._file(key), key.encode())
 
     def put(self, key: str, value: bytes) -> None:
         """Keep bytes under a key."""
-        write_sealed(self._file(key), key.encode(), value)
+        if not self._is_passed_by:
+            write_sealed(self._file(key), key.encode(), value)
+
+    @property
+    def _is_passed_by(self) -> bool:
+        return getattr(self._passed_by, "now", False)
 
     def _file(self, key: str) -> Path:
         return self._path / f"{hashlib.sha256(key.encode()).hexdigest()[:40]}.xla"

@@ -12,7 +12,8 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
-from matcam.core.jax import jnp
+from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace
@@ -116,7 +117,7 @@ def fresnel(
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
-    _check_highlight(brdf)
+    _check_highlight(brdf, normalise)
     explained = explain(
         brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace, every=max(every, SEARCH_EVERY), doubted=(LENS,)
     )  # fmt: skip
@@ -138,10 +139,10 @@ def fresnel(
     remarks = (*explained.remarks, *_gain_remarks(gain))
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
-    hidden = _mirror_masking(lobe, theta_d, masking)
+    hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, jnp.asarray(theta_d), masking))
     peaks = peak_response(_fitted_rig(rig, found), lobe, np.append(theta_d, 0.0), exact=True, masking=masking)
     *response, centre = np.ones(theta_d.size + 1) if held_back else np.asarray(peaks)
-    per_peak = 4 * np.cos(theta_d) ** 2 / (float(lobe.d(0.0)) * hidden)
+    per_peak = 4 * np.cos(theta_d) ** 2 / (highest * hidden)
     raw = recorded_peak(brdf, theta_d) * per_peak
     corrected_peak = raw / (np.array(response) / centre)
     scale = np.nanmean(np.where(term.used, corrected_peak, np.nan), axis=-1, keepdims=True)
@@ -280,10 +281,7 @@ class _FresnelTerm:
         strength = strengths.value
         used = (theta_d >= normalise[0]) & (theta_d <= normalise[1]) & np.isfinite(strength)
         if not used.any(-1).all():
-            low, high = np.degrees(normalise)
-            raise FitError(
-                f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"
-            )
+            raise _nothing_to_normalise_by(normalise)
         self.used = used
         count = used.sum(-1, keepdims=True)
         mean = np.where(used, strength, 0).sum(-1, keepdims=True) / count
@@ -381,12 +379,14 @@ def _gain_remarks(gain: float) -> tuple[Remark, ...]:
     return (Remark("picture-gain", text),)
 
 
-def _mirror_masking(ndf: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:
-    """Return G where light and view mirror each other."""
+@kept_program
+def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax.Array, jax.Array]:
+    """Return G where light and view mirror each other, and D in the same direction, 1/sr."""
+    highest = ndf.d(0.0)
     if masking is None:
-        return np.ones_like(theta_d)
-    hidden = ndf.smith_lambda(jnp.cos(jnp.asarray(theta_d)))
-    return np.asarray(g2(masking, hidden, hidden, jnp.asarray(jnp.pi)))
+        return jnp.ones_like(theta_d), highest
+    hidden = ndf.smith_lambda(jnp.cos(theta_d))
+    return g2(masking, hidden, hidden, jnp.asarray(jnp.pi)), highest
 
 
 def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
@@ -400,8 +400,15 @@ def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
     return np.where(np.nan_to_num(peak) > 0, peak, np.nan)
 
 
-def _check_highlight(brdf: xr.DataArray) -> None:
-    """Raise FitError for a table that does not fall to half of its peak anywhere."""
+def _nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
+    low, high = np.degrees(normalise)
+    return FitError(
+        f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"
+    )
+
+
+def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None:
+    """Raise FitError for a table that does not fall to half of its peak anywhere, or is missing where F is normalised."""
     quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
     there = np.isfinite(quiet)
     rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)
@@ -413,6 +420,10 @@ def _check_highlight(brdf: xr.DataArray) -> None:
     typical = [np.nanmedian(row) for row in fall if np.isfinite(row).any()]
     if min(typical) >= 0.5:
         raise FitError("no highlight: the table does not fall to half of its peak value anywhere")
+    theta_d = merl_grid(sampling_of(brdf)).theta_d
+    inside = (theta_d >= normalise[0]) & (theta_d <= normalise[1])
+    if not np.isfinite(brdf.values[:, inside]).any(axis=(0, 1, 2)).all():
+        raise _nothing_to_normalise_by(normalise)
 
 
 def _supported_angle(term: _FresnelTerm, theta_d: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ Many edges run through one compiled program, ten of them at once, over and over.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,6 +27,8 @@ from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
 """Edges that run side by side: they fit into the processor's cache."""
+_MANY = 500
+"""Edges from which on a program that runs faster is worth the four times longer that it takes to compile."""
 _WHOLE = 0.5  # px: half width of a pixel that is sensitive all over
 
 
@@ -182,12 +184,12 @@ def edge_mtf_stack(
     return edge_stack(regions, settings)
 
 
-def edge_stack(regions: Iterable[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings) -> EdgeStack:
+def edge_stack(regions: Sequence[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings) -> EdgeStack:
     """Return the results of edges in regions of one shape.
 
     Each item holds at most `AT_ONCE` regions, and what is known beforehand to be wrong with each of them.
     """
-    half = np.float64(settings.half_width)
+    half, few = np.float64(settings.half_width), len(regions) * AT_ONCE < _MANY
     chunks: list[EdgeFits] = []
     frames: list[RegionFrame] = []
     problems: list[Remark | None] = []
@@ -198,7 +200,7 @@ def edge_stack(regions: Iterable[tuple[EdgeRegions, list[Remark | None]]], setti
         value, y, start = (
             np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, y, start)
         )
-        fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns)
+        fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns, few=few)
         if settings.lens.name != "gaussian":
             parametric = jax.vmap(lens_fit, in_axes=(0, None, None))(fits, half, settings.lens)
             fits = fits._replace(parametric=parametric)

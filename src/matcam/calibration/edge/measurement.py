@@ -194,12 +194,13 @@ def edge_fits_of_stack(
     *,
     step: int,
     turns: int,
+    few: bool,
 ) -> EdgeFits:
     """Return `edge_fits` of many regions, side by side.
 
-    value: (n, rows, columns). y and start: (n, rows).
+    value: (n, rows, columns). y and start: (n, rows). few: whether it is not asked often enough to be worth a long compilation.
     """
-    return _program(_fits_of_stack, once=False)(values, y, start, noise, half_width, step=step, turns=turns)
+    return _program(_fits_of_stack, once=few)(values, y, start, noise, half_width, step=step, turns=turns)
 
 
 @jax.jit

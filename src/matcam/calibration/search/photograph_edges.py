@@ -91,7 +91,7 @@ def plane_edge_stack(
         for rows, shares in zip(regions, saturated, strict=True)
     ]
     settings = EdgeSettings(half_width=half_width, accept_sharpened=accept_sharpened)
-    result = edge_stack(zip(regions_in_even_light(regions), known, strict=True), settings)
+    result = edge_stack(list(zip(regions_in_even_light(regions), known, strict=True)), settings)
     problems = [problem for problem in result.problems if problem]
     if len(problems) == len(result):
         code, count = Counter(problem.code for problem in problems).most_common(1)[0]

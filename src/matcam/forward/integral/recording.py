@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.integrals import (
     HighlightPanels,
@@ -100,7 +100,7 @@ def _in_order(records: list[jax.Array], place: np.ndarray) -> jax.Array:
     return jnp.concatenate([*records, jnp.zeros((1, records[0].shape[1]))])[place]
 
 
-@eqx.filter_jit
+@kept_program
 def _record_inside(subject: _Subject, terms: tuple[int, ...], pixels: _Pixels) -> jax.Array:
     def integral(at: _Pixels) -> jax.Array:
         scene = subject.under(jnp.asarray(at.lamp_angle), at.turn)
@@ -109,7 +109,7 @@ def _record_inside(subject: _Subject, terms: tuple[int, ...], pixels: _Pixels) -
     return _in_batches(integral, (pixels,), _INSIDE)
 
 
-@eqx.filter_jit
+@kept_program
 def _record_in_window(
     subject: _Subject, terms: tuple[int, ...], panels: WindowPanels, pixels: _Pixels, whole: AnyArray
 ) -> jax.Array:
@@ -131,7 +131,7 @@ class _HighlightGrid(NamedTuple):
     spacing: jax.Array
 
 
-@eqx.filter_jit
+@kept_program
 def _read_highlights(
     subject: _Subject,
     grid: _HighlightGrid,

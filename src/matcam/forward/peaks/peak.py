@@ -16,7 +16,6 @@ from __future__ import annotations
 from functools import partial, singledispatch
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
@@ -26,6 +25,7 @@ from matcam.camera.optics.optics import Rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import BlurTerms, Imaging, groups_of, imaging_of
 from matcam.forward.integral.integrals import HighlightPanels, Scene, highlight_x, record_around
 from matcam.forward.peaks.peak_tables import tabulated_peak
@@ -40,7 +40,7 @@ from matcam.sample.shape import Curved, Flat
 _FREQUENCY_PANELS, _GRADE = 24, 4
 
 
-@eqx.filter_jit
+@kept_program
 def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
     """Record a lobe at offsets from its peak, relative to the true peak.
 
@@ -73,7 +73,7 @@ def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: An
     return jax.lax.map(partial(_by_frequencies, rule, transfer, weights), lobe)
 
 
-@eqx.filter_jit
+@kept_program
 def line_record(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array) -> jax.Array:
     """Return the response at the peak in one dimension, (slices,).
 
@@ -248,7 +248,7 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
     return _responses(material, imaging, terms, reaches, theta)
 
 
-@eqx.filter_jit
+@kept_program
 def _responses(
     material: Microfacet, imaging: Imaging, blurs: tuple[BlurTerms, ...], reaches: jax.Array, theta: jax.Array
 ) -> jax.Array:

@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_data import cell_variance, estimate_noise, huber_weights, standardised_residual, whitening
 from matcam.inverse.fit.fit_parameters import LobeKind
@@ -179,7 +179,7 @@ class ShapeCorrection(NamedTuple):
         )
 
 
-@eqx.filter_jit
+@kept_program
 def shape_records(
     operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

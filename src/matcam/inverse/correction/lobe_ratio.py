@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.workspace import Workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection, shape_records
 from matcam.inverse.correction.harmless import LobeRatio
@@ -177,7 +177,7 @@ def lobe_ratio(rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Wo
     return LobeRatio(log, np.sqrt(variance))
 
 
-@eqx.filter_jit
+@kept_program
 def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
     ndf = kind.ndf(q)
     recorded = where.recorded.record(ndf, kind.masking, shifts)
@@ -186,7 +186,7 @@ def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax
     return jnp.log(jnp.where(ok, true, 1.0)) - jnp.log(jnp.where(ok, recorded, 1.0))
 
 
-@eqx.filter_jit
+@kept_program
 def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
     """Return derivatives by the lobe's and all of the rig's coordinates, (coordinates, slices, cells)."""
     both = jax.jacfwd(_log_ratio, argnums=(2, 3))(where, kind, q, shifts)

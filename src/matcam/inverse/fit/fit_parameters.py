@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF
@@ -23,6 +24,10 @@ FresnelModel = str
 
 NARROWEST_PX = 0.02
 """Lobes narrower than this on the sensor are the same point to any camera."""
+
+_NARROWEST_ANGLE, _WIDEST_ANGLE = 1e-9, 1.5
+"""rad; where half a lobe's maximum is looked for."""
+_HALVINGS = 60
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
@@ -185,19 +190,28 @@ def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) ->
 
     The angle is found by bisection, its standard deviation by its implicit derivative.
     """
+    beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, jnp.asarray(q)))
+    if beyond > 0:
+        return float("nan"), float("nan")
+    by_q = -by_lobe / by_angle
+    angle = float(np.exp(low))
+    return angle, angle * float(np.sqrt(by_q @ covariance @ by_q))
 
-    def ratio(log_angle: jax.Array, q: jax.Array) -> jax.Array:
+
+@kept_program
+def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Return where D is half its maximum: ln(2 D / D(0)) at the widest angle, ln(angle), and the former's slopes there."""
+
+    def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:
         ndf = kind.ndf(q)
         return jnp.log(2 * ndf.d(jnp.exp(log_angle)) / ndf.d(1e-9))
 
-    at, f = jnp.asarray(q), jax.jit(ratio)
-    low, high = np.log(1e-9), np.log(1.5)
-    if float(f(high, at)) > 0:
-        return float("nan"), float("nan")
-    for _ in range(60):
+    def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = ends
         middle = (low + high) / 2
-        low, high = (middle, high) if float(f(middle, at)) > 0 else (low, middle)
-    slope = jax.grad(ratio, argnums=(0, 1))(jnp.asarray(low), at)
-    by_q = -np.asarray(slope[1]) / float(slope[0])
-    angle = float(np.exp(low))
-    return angle, angle * float(np.sqrt(by_q @ covariance @ by_q))
+        above = excess(middle, q) > 0
+        return jnp.where(above, middle, low), jnp.where(above, high, middle)
+
+    widest = jnp.log(_WIDEST_ANGLE)
+    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.log(_NARROWEST_ANGLE), widest))
+    return excess(widest, q), low, *jax.grad(excess, argnums=(0, 1))(low, q)

@@ -7,13 +7,13 @@ strength F that is free in every slice is solved for exactly (variable projectio
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
 from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_record, record_and_slopes
@@ -82,7 +82,7 @@ class FitModel(NamedTuple):
     strength_std: np.ndarray
 
 
-@partial(jax.jit, static_argnums=0)
+@kept_program
 def _reflectance(model: FresnelModel, coordinates: jax.Array, theta: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return F and its derivatives for each row of coordinates."""
 

@@ -12,10 +12,10 @@ import time
 from concurrent.futures import Future
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
 
@@ -35,13 +35,13 @@ class RecordAndSlopes(NamedTuple):
     slopes: np.ndarray
 
 
-@eqx.filter_jit
+@kept_program
 def lobe_record(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> jax.Array:
     """Return the record of a lobe, (slices, cells). q: coordinates of the lobe, then of the rig."""
     return operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
 
 
-@eqx.filter_jit
+@kept_program
 def _record_and_slopes(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     def record(q: jax.Array) -> tuple[jax.Array, jax.Array]:
         value = operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
@@ -51,7 +51,7 @@ def _record_and_slopes(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> 
     return value, jnp.moveaxis(slope, -1, 0)
 
 
-@eqx.filter_jit
+@kept_program
 def _several(operator: LobeOperator, kind: LobeKind, rows: jax.Array) -> tuple[jax.Array, jax.Array]:
     return jax.vmap(lambda q: _record_and_slopes(operator, kind, q))(rows)
 

@@ -1,0 +1,49 @@
+"""Processor and wall seconds of whole commands: the very first on a machine, and again with what it has kept."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from matcam import write_merl
+from matcam.forward.measurement import simulated_chromium
+
+COMMANDS = {
+    "predict": ["predict", "0.001", "0.01", "0.1"],
+    "fresnel": ["fresnel", "TABLE", "--metal", "Cr", "-o", "f.png", "--force"],
+    "correct": ["correct", "TABLE", "-o", "c.binary", "--force"],
+}
+WARM = 3
+
+
+def run(command: list[str], folder: str, cache: str) -> tuple[float, float, float]:
+    """Processor seconds, wall seconds and peak memory (GiB) of a process."""
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        command, cwd=folder, env={**os.environ, "XDG_CACHE_HOME": cache}, stdout=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    assert status == 0
+    return usage.ru_utime + usage.ru_stime, time.perf_counter() - start, usage.ru_maxrss / 2**20
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else Path(folder, "chromium.binary")
+        if len(sys.argv) == 1:
+            write_merl(table, simulated_chromium().clip(min=0))
+        for name, words in COMMANDS.items():
+            command = [sys.executable, "-m", "matcam", *(str(table) if word == "TABLE" else word for word in words)]
+            runs = [run(command, folder, f"{folder}/cache-{name}") for _ in range(1 + WARM)]
+            (first, first_wall, _), best = runs[0], min(runs[1:])
+            print(
+                f"{name}: first {first:.1f} s of processor time ({first_wall:.1f} s), "
+                f"again {best[0]:.1f} s ({best[1]:.1f} s), {best[2]:.2f} GiB; load {os.getloadavg()[0]:.1f}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""Compiled programs that are kept on disk ready to run: the next process neither traces nor lowers them again.
+
+JAX's cache of compiled functions saves XLA's work. To find a function there, JAX must still trace it in Python and lower it,
+which costs as much as all arithmetic of a short command. A program that is kept here is found by what it is made of: the
+package's source, the versions, and the kind of its arguments.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+from collections.abc import Callable, Hashable
+from functools import cache, wraps
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec, TypeVar
+
+import equinox as eqx
+import jaxlib
+import numpy as np
+from jax.experimental import serialize_executable
+
+from matcam.core.jax import jax, program_folder
+from matcam.core.sealed import CompiledFunctions, read_sealed, write_sealed
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_ARRAYS = (jax.Array, np.ndarray, np.generic)
+_CPU_INFO = Path("/proc/cpuinfo")
+_log = logging.getLogger("matcam")
+
+
+def kept_program(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile a function as `eqx.filter_jit` does, and keep the program where the process keeps compiled functions.
+
+    Programs are kept for one processor's own backend, and where `use_compilation_cache` was called. Inside another
+    transformation, and for arguments whose kind has no lasting name, the function is only compiled.
+
+    Args:
+        function: a function of positional arguments, which returns an array or a tuple of arrays. Its arrays are traced; all
+            else is part of its kind.
+
+    Returns:
+        The function, compiled.
+
+    Example:
+        >>> from matcam.core.programs import kept_program
+        >>> double = kept_program(lambda x: 2 * x)
+        >>> float(double(np.array(4.0)))
+        8.0
+    """
+    compiled = eqx.filter_jit(function)
+    ready: dict[Hashable, Callable[..., Any] | None] = {}
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        folder = program_folder()
+        if kwargs or folder is None or jax.config.jax_disable_jit or not _one_processor():
+            return compiled(*args, **kwargs)
+        leaves, tree = jax.tree.flatten(args)
+        kinds = tuple(_kind(leaf) for leaf in leaves)
+        if _TRACED in kinds:
+            return compiled(*args)
+        key = tree, kinds
+        if key not in ready:
+            ready[key], result = _Kept(function, leaves, tree, kinds).program(folder)
+            if result is not None:
+                return result
+        program = ready[key]
+        return compiled(*args) if program is None else program(*_arrays(leaves))
+
+    return call
+
+
+_TRACED = ("traced",)
+
+
+def _kind(leaf: Any) -> tuple[Any, ...]:
+    """Return what a program must know of an argument: an array's shape and type, or all of what is no array."""
+    if isinstance(leaf, jax.core.Tracer):
+        return _TRACED
+    if isinstance(leaf, _ARRAYS):
+        return "array", leaf.shape, str(leaf.dtype), bool(getattr(leaf, "weak_type", False))
+    return type(leaf).__qualname__, leaf
+
+
+def _arrays(leaves: list[Any]) -> list[Any]:
+    return [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
+
+
+@cache
+def _one_processor() -> bool:
+    return jax.default_backend() == "cpu" and jax.device_count() == 1
+
+
+class _Kept(NamedTuple):
+    """Hold a function and what is known of its arguments: their leaves, their tree, and the kind of each leaf."""
+
+    function: Callable[..., Any]
+    leaves: list[Any]
+    tree: Any
+    kinds: tuple[Any, ...]
+
+    def program(self, folder: Path) -> tuple[Callable[..., Any] | None, Any]:
+        """Return the program from disk with its first result, or make and keep it; None where it cannot be named."""
+        name = f"{self.function.__module__}.{self.function.__qualname__}"
+        description = f"{name}\n{self.tree}\n{self.kinds!r}"
+        if " at 0x" in description or (made_of := _surroundings()) is None:
+            return None, None
+        key = f"{made_of}\n{description}".encode()
+        path = folder / f"{hashlib.sha256(key).hexdigest()[:40]}.program"
+        stored = read_sealed(path, key)
+        if stored is not None:
+            try:
+                program = serialize_executable.deserialize_and_load(*pickle.loads(stored))
+                result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults show only in running
+            except Exception as error:  # whatever a backend may find wrong
+                _log.warning("matcam: %s in the cache cannot be used (%s): it is made again", path.name, error)
+            else:
+                return program, result
+        with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
+            program = jax.jit(self._of_arrays()).lower(*_arrays(self.leaves)).compile()
+        try:
+            write_sealed(path, key, pickle.dumps(serialize_executable.serialize(program)))
+        except Exception as error:  # what cannot be written down can be run
+            _log.debug("matcam: %s is not kept: %s", name, error)
+        return program, None
+
+    def _of_arrays(self) -> Callable[..., Any]:
+        """Return the function of its arrays alone. JAX keeps it: it must not hold the arrays themselves."""
+        function, tree, kinds = self.function, self.tree, self.kinds
+
+        def of_arrays(*arrays: Any) -> Any:
+            given = iter(arrays)
+            leaves = [next(given) if kind[0] == "array" else kind[1] for kind in kinds]
+            return function(*jax.tree.unflatten(tree, leaves))
+
+        of_arrays.__name__ = function.__name__
+        return of_arrays
+
+
+@cache
+def _surroundings() -> str | None:
+    """Return all that programs depend on besides their arguments; None where the package's source cannot be read."""
+    source = hashlib.sha256()
+    folder = Path(__file__).parents[1]
+    try:
+        for path in sorted(folder.rglob("*.py")):
+            source.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
+    except OSError:
+        return None
+    try:
+        features = [line for line in _CPU_INFO.read_text().splitlines() if line.startswith(("model name", "flags"))][:2]
+    except OSError:
+        features = []
+    versions = [jax.__version__, jaxlib.__version__, np.__version__, eqx.__version__]
+    return repr([source.hexdigest(), versions, os.environ.get("XLA_FLAGS"), features])

@@ -1,0 +1,109 @@
+"""Programs that are kept on disk: found again by what they are made of, and never run when damaged."""
+
+import numpy as np
+import pytest
+
+from matcam import GGX, Beckmann
+from matcam.core import programs
+from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
+from matcam.core.sealed import CompiledFunctions
+
+X = np.linspace(0.0, 1.0, 5)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(programs, "program_folder", lambda: tmp_path)
+    return tmp_path
+
+
+def counted(traces):
+    """A function that notes when it is traced; each call of this makes the same one, as another process would."""
+
+    @kept_program
+    def power(x, exponent, lobe=None):
+        traces.append(exponent)
+        return x**exponent, x if lobe is None else lobe.d(x)
+
+    return power
+
+
+def test_another_process_does_not_trace(folder):
+    traces = []
+    power = counted(traces)
+    for _ in range(2):
+        np.testing.assert_allclose(power(X, 3)[0], X**3)
+    assert traces == [3]
+    assert len(list(folder.iterdir())) == 1
+    again = counted(traces)
+    np.testing.assert_array_equal(again(X, 3)[0], power(X, 3)[0])
+    np.testing.assert_array_equal(again(X + 1, 3)[1], X + 1)
+    assert traces == [3]
+
+
+def test_each_kind_of_argument_has_its_own(folder):
+    traces = []
+    for exponent in (2, 2.0, 3):
+        for x in (X, X[:3], X.astype(np.float32), X[:, None]):
+            np.testing.assert_allclose(counted(traces)(x, exponent)[0], x**exponent, rtol=1e-6)
+    for lobe in (GGX(0.3), Beckmann(0.3), GGX(0.2)):
+        np.testing.assert_allclose(counted(traces)(X, 1, lobe)[1], lobe.d(X), rtol=1e-12)
+    assert len(traces) == len(list(folder.iterdir())) == 14  # both roughnesses share one
+
+
+def test_within_a_transformation_it_is_traced(folder):
+    power = counted([])
+    assert float(jax.grad(lambda x: power(x, 3)[0])(2.0)) == 12
+    np.testing.assert_allclose(jax.vmap(lambda x: power(x, 2)[0])(jnp.asarray(X)), X**2)
+    assert not list(folder.iterdir())
+
+
+def test_what_has_no_lasting_name_is_not_kept(folder):
+    apply = kept_program(lambda f, x: f(x))
+    np.testing.assert_allclose(apply(jnp.sin, X), np.sin(X))
+    assert not list(folder.iterdir())
+
+
+def test_a_damaged_or_foreign_program_is_made_again(folder, caplog, monkeypatch):
+    traces = []
+    counted(traces)(X, 3)
+    (path,) = folder.iterdir()
+    whole = path.read_bytes()
+    for place in np.random.default_rng(1).integers(0, len(whole), 5):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        np.testing.assert_allclose(counted(traces)(X, 3)[0], X**3)
+    assert len(traces) == 6
+    assert "is damaged" in caplog.text
+    monkeypatch.setattr(programs.pickle, "loads", lambda stored: ("no program",))
+    np.testing.assert_allclose(counted(traces)(X, 3)[0], X**3)
+    assert "cannot be used" in caplog.text
+
+
+def test_another_source_is_another_program(folder, monkeypatch):
+    traces = []
+    for source in ("one", "two", "one"):
+        monkeypatch.setattr(programs, "_surroundings", lambda source=source: source)
+        counted(traces)(X, 3)
+    assert len(traces) == len(list(folder.iterdir())) == 2
+    monkeypatch.setattr(programs, "_surroundings", lambda: None)
+    counted(traces)(X, 3)
+    assert len(list(folder.iterdir())) == 2
+
+
+def test_without_a_folder_nothing_is_kept(folder, monkeypatch):
+    monkeypatch.setattr(programs, "program_folder", lambda: None)
+    np.testing.assert_allclose(counted([])(X, 2)[0], X**2)
+    assert not list(folder.iterdir())
+
+
+def test_jaxs_own_cache_is_passed_by(tmp_path):
+    """What it has loaded cannot be written down again."""
+    kept = CompiledFunctions(str(tmp_path / "jax"))
+    with CompiledFunctions.passed_by():
+        kept.put("a", b"1")
+    assert kept.get("a") is None
+    kept.put("a", b"1")
+    with CompiledFunctions.passed_by():
+        assert kept.get("a") is None
+    assert kept.get("a") == b"1"
