@@ -79,7 +79,8 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
     from matcam.files.merl import write_merl
 
     write_merl(files["table"], result.table["brdf"], force=force)
-    write_merl(files["pinhole"], result.pinhole, force=force)
+    # noise about 0 may be negative, which the format cannot say; the NetCDF file keeps it
+    write_merl(files["pinhole"], result.pinhole.clip(min=0.0, keep_attrs=True), force=force)
     write_netcdf(files["data"], result.table.assign(pinhole=result.pinhole), force=force)
     write_json(files["document"], document, force=force)
     exposures = [(name, value, std / value) for name, (value, std) in document["radiometry"]["exposures"].items()]

@@ -1,0 +1,93 @@
+"""`matcam reconstruct` on captures that an independent renderer drew: the truth lies beside the frames, and is not read."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam import read_merl
+from matcam.core.grid import merl_grid
+from matcam.io import read_netcdf
+from tests.oracle.capture import METALS, Sensor, draw
+from tests.oracle.sphere_picture import Surface, View, fresnel
+
+ALPHA, ANGLES = 0.02, np.radians([8, 25, 40, 55, 75])
+VIEW = View(radius=80.0, column=109.6, row=110.3, shape=(220, 220))
+
+
+def chromium(theta_d):
+    """F of the middle channel."""
+    n, k = (np.array(pair[1]) for pair in METALS["Cr"])
+    return fresnel(np.cos(theta_d), n, k)
+
+
+def true_lobe(theta_h, theta_d):
+    """D G / (4 cos cos) at phi_d = 90 degrees, where light and view make one angle with the normal."""
+    tan2 = np.tan(theta_h) ** 2
+    d = 1 / (np.pi * ALPHA**2 * np.cos(theta_h) ** 4 * (1 + tan2 / ALPHA**2) ** 2)
+    cos = np.cos(theta_h) * np.cos(theta_d)
+    smith = (np.sqrt(1 + ALPHA**2 * (1 / cos**2 - 1)) - 1) / 2
+    return d / (1 + 2 * smith) / (4 * cos**2)
+
+
+def test_from_photographs_to_the_material(matcam, tmp_path):
+    """Five lamps, five exposures, a noisy mosaic: roughness, F, lamps and table agree with the truth within their errors, and
+    the pinhole's table lacks what the lens took."""
+    drawn = draw(Surface("ggx", ALPHA, 1.0, *METALS["Cr"], (0.0,)), VIEW, ANGLES, azimuth=0.4, sensor=Sensor(), seed=5)
+    drawn.write(tmp_path / "shots")
+    matcam("reconstruct", tmp_path / "shots", "--ndf", "ggx", "-o", "chrome.binary")
+    assert {path.name for path in tmp_path.glob("chrome*")} == {
+        "chrome.binary", "chrome-pinhole.binary", "chrome.nc", "chrome.json", "chrome.html"
+    }  # fmt: skip
+    found = json.loads((tmp_path / "chrome.json").read_text())
+
+    def pull(pair, truth):
+        return abs(pair[0] - truth) / pair[1]
+
+    alpha = found["parameters"]["alpha"]
+    assert pull(alpha, ALPHA) < 4
+    assert abs(alpha[0] / ALPHA - 1) < 0.02
+    assert pull(found["parameters"]["sigma_px"], VIEW.sigma) < 4
+    assert pull(found["geometry"]["radius_px"], VIEW.radius) < 4
+    for lamp, truth in zip(found["geometry"]["lamps"], drawn.truth["lamps"], strict=True):
+        off = np.degrees(np.arccos(min(float(np.dot(lamp["direction"], truth["direction"])), 1.0)))
+        assert off < 4 * np.sqrt(2) * lamp["std_deg"]
+    strength, std = np.array(found["fresnel"]["value"])[:, 1], np.array(found["fresnel"]["std"])[:, 1]
+    relative = strength / strength[:4].mean() / (chromium(ANGLES) / chromium(ANGLES[:4]).mean())
+    assert np.all(np.abs(relative - 1) < 4 * std / strength)
+    assert not found["fresnel"]["absolute"]
+    assert found["budget"]["total"]["ratio"] < 0.05
+
+    table = read_netcdf(tmp_path / "chrome.nc")
+    grid = merl_grid("centre")
+    i, j, k = grid.index(theta_d=np.radians(55), phi_d=np.pi / 2)
+    value, error, supported = (table[name].values[i, j, k, 1] for name in ("brdf", "brdf_std", "supported"))
+    at = grid.theta_d[j]
+    # F is relative: the scale is that of the curve at 25 degrees
+    scale = strength[1] / chromium(ANGLES[1])
+    truth = true_lobe(grid.theta_h, at) * chromium(at) * scale
+    peak = slice(0, 20)
+    assert supported[peak].all()
+    assert np.abs((value - truth) / error)[peak].max() < 4
+    assert np.abs(value / truth - 1)[peak].max() < 0.06
+    binned = read_merl(tmp_path / "chrome-pinhole.binary").values[i, j, k, 1]
+    near = np.isfinite(binned[:8])
+    assert near.any()
+    assert np.all(binned[:8][near] < 0.9 * truth[:8][near])
+    page = (tmp_path / "chrome.html").read_text()
+    assert "Error budget" in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("nowhere",), "nowhere: no such folder"),
+        ((".",), "capture.toml"),
+        ((".", "-o", "a.nc"), "whose name must end in .binary"),
+    ],
+)
+def test_wrong_captures_are_one_line(matcam, arguments, message):
+    done = matcam("reconstruct", *arguments, code=2)
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
