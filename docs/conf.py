@@ -81,6 +81,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 2,
     "write_computation_times": False,
     "abort_on_example_error": True,
+    "image_scrapers": ("matplotlib", "docs_figures.scrape"),
     "thumbnail_size": (400, 280),
     "nested_sections": False,
 }

@@ -6,7 +6,6 @@ One slanted edge, as a camera photographs it: `edge_mtf` finds the edge, and mea
 lens, with standard deviations.
 """
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import matcam
@@ -23,5 +22,4 @@ found = matcam.edge_mtf(photograph, tone="linear")
 print(f"MTF50 {found.mtf50:.4f} ± {found.mtf50_std:.4f} cycles/px")
 print(f"lens {float(found.parametric.camera.optics.sigma):.4f} px; it was 0.45 px")
 
-edge_figure(found, photograph, None, "one edge")
-plt.show()
+drawn = edge_figure(found, photograph, None, "one edge")  # drawn.savefig("edge.png")

@@ -6,13 +6,10 @@ Everybody divides the peaks by each other: the raw curve, which falls where chro
 fitted through the camera, follow the published tables.
 """
 
-import matplotlib.pyplot as plt
-
 import matcam
 from matcam.figures.curves import fresnel_figure
 from shared_table import EVERY, recorded
 
 result = matcam.fresnel(recorded(), matcam.rigs.merl(), ndf="ggx", every=EVERY)
 tables = matcam.inverse.tabulated_fresnel(result, "Cr")
-fresnel_figure(result, tables, "chromium, simulated")
-plt.show()
+drawn = fresnel_figure(result, tables, "chromium, simulated")  # drawn.savefig("fresnel.png")

@@ -24,10 +24,10 @@ truth = matcam.Camera(matcam.GaussianOptics(0.55), matcam.BoxPixel(0.5))
 # spread function.
 
 tilt = np.radians(5)
-rows, columns = np.mgrid[:260, :380]
+rows, columns = np.mgrid[:240, :240]
 page = np.full(rows.shape, 0.8)
-for x0 in (70, 190, 310):
-    for y0 in (70, 190):
+for x0 in (65, 175):
+    for y0 in (65, 175):
         along = (columns - x0) * np.cos(tilt) + (rows - y0) * np.sin(tilt)
         across = -(columns - x0) * np.sin(tilt) + (rows - y0) * np.cos(tilt)
         inside = np.ones(rows.shape)

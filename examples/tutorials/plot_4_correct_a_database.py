@@ -22,8 +22,8 @@ from shared_table import recorded
 folder = Path(tempfile.gettempdir()) / "matcam-examples"
 shutil.rmtree(folder, ignore_errors=True)
 inputs, outputs = folder / "brdfs", folder / "corrected"
-inputs.mkdir(parents=True)
-matcam.write_merl(inputs / "chromium.binary", recorded())
+inputs.mkdir(parents=True, exist_ok=True)
+matcam.write_merl(inputs / "chromium.binary", recorded().clip(min=0))
 (inputs / "broken.binary").write_bytes((inputs / "chromium.binary").read_bytes()[:1000])
 
 if __name__ == "__main__":  # workers are new processes

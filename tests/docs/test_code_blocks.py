@@ -60,7 +60,7 @@ def workplace(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     from shared_table import recorded
 
-    write_merl("chrome.binary", recorded())
+    write_merl("chrome.binary", recorded().clip(min=0))
     Path("brdfs").mkdir()
     Path("brdfs/chrome.binary").write_bytes(Path("chrome.binary").read_bytes())
     Path("photographs").mkdir()
