@@ -23,7 +23,7 @@ if not (inputs / "chromium.binary").exists():
     matcam.write_merl(inputs / "chromium.binary", recorded().clip(min=0))
 
 if __name__ == "__main__":
-    matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1)
+    matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1, pages=False)
 
 records = {path.stem: json.loads(path.read_text()) for path in outputs.glob("*.json")}
 records = {name: record for name, record in records.items() if "verdict" in record}

@@ -27,7 +27,7 @@ matcam.write_merl(inputs / "chromium.binary", recorded().clip(min=0))
 (inputs / "broken.binary").write_bytes((inputs / "chromium.binary").read_bytes()[:1000])
 
 if __name__ == "__main__":  # workers are new processes
-    run = matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1)
+    run = matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1, pages=False)
     print("corrected:", [one.name for one in run.corrected])
     for failed in run.failures:
         print("failed:", failed.reason.replace(str(folder), "..."))
@@ -52,7 +52,7 @@ plt.show()
 # Start it again, and nothing is done twice.
 
 if __name__ == "__main__":
-    again = matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1)
+    again = matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1, pages=False)
     print("kept:", [one.name for one in again.kept], "corrected:", [one.name for one in again.corrected])
 
 # %%
