@@ -28,7 +28,7 @@ def pages(names=None):
     )
     left = names - set(_SOLE)
     plan = tomllib.loads(_HERE.read_text(encoding="utf-8"))["page"]
-    explicit = [n for page in plan for listed in page["sections"].values() for n in listed if not n.endswith(".*")]
+    explicit = [n for page in plan for listed in page["sections"].values() for n in listed if not n.endswith("*")]
     if wrong := sorted(set(explicit) - names) + sorted({n for n in explicit if explicit.count(n) > 1}):
         raise UndocumentedError(f"reference/api.toml: no public names, or named twice: {', '.join(wrong)}")
     left -= set(explicit)
@@ -38,7 +38,7 @@ def pages(names=None):
         for section, listed in page["sections"].items():
             filled[section] = []
             for one in listed:
-                taken = sorted(n for n in left if n.startswith(one[:-1])) if one.endswith(".*") else [one]
+                taken = sorted(n for n in left if n.startswith(one[:-1])) if one.endswith("*") else [one]
                 left -= set(taken)
                 filled[section] += taken
         found.append((page["file"], page["title"], page["intro"], {s: n for s, n in filled.items() if n}))

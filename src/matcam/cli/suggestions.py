@@ -82,6 +82,7 @@ _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "inspect": _after_inspect,
     "convert": lambda v: ["matcam", "inspect", v["target"]],
     "correct": _after_correct,
+    "reconstruct": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
     "fit": lambda v: _of_table(v, v["files"][0]),
     "fresnel": lambda v: _of_table(v, v["file"]),
     "data merl": _after_data,
