@@ -7,7 +7,7 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test test-all pytest-test pytest-test-all lint format bench tables clean
+.PHONY: demo test test-all pytest-test pytest-test-all lint format bench tables docs clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
@@ -45,11 +45,17 @@ format: $(VENV)/.installed-test
 bench: $(VENV)/.installed-test
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(VENV)/bin/python $$script || exit 1; done
 
+# Every example is executed; warnings, bad links and what would be loaded from outside are errors
+docs: $(VENV)/.installed-docs
+	rm -rf build/site docs/gallery docs/tutorials
+	PYTHONPATH=. $(RUN) sphinx -b html -n -W --keep-going docs build/site
+	@echo "Open build/site/index.html"
+
 tables: $(VENV)/.installed
 	$(RUN) matcam.forward.peaks.build_peak_tables
 
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo build docs/gallery docs/tutorials
 
 # Stamp files: pip runs again only when pyproject.toml has changed
 $(VENV)/.made:
@@ -60,6 +66,10 @@ $(VENV)/.made:
 $(VENV)/.installed: $(VENV)/.made pyproject.toml
 	$(RUN) pip install --quiet $(PIP_FLAGS) --editable .
 	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.made pyproject.toml
+	$(RUN) pip install --quiet $(PIP_FLAGS) --editable '.[docs]'
+	touch $(VENV)/.installed $@
 
 $(VENV)/.installed-test: $(VENV)/.made pyproject.toml
 	$(RUN) pip install --quiet $(PIP_FLAGS) --editable '.[test]'

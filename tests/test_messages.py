@@ -3,24 +3,12 @@
 The messages are collected from the sources, whether a test can provoke them or not. A placeholder stands for a value.
 """
 
-import ast
 import re
-from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-import matcam
+from docs_messages import ABOVE, FAMILY, PLACE, SOURCES, collected
 from matcam.cli import OPTIONS
-from matcam.core import errors
-
-SOURCES = Path(matcam.__file__).parent
-PLACE = "{}"
-
-ABOVE = ("ClusterError", "WorkerError")
-FAMILY = {
-    name for name, value in vars(errors).items() if isinstance(value, type) and issubclass(value, errors.MatcamError)
-}
 
 NAMES = ("BRDF", "MERL", "Mitsuba", "RGL", "Zarr")
 """Words that may begin a message with a capital letter."""
@@ -37,38 +25,6 @@ EXCEPTIONS = {
     "{} of shape (height, width) or (height, width, 3), got {} {}": "the first value says that it must be numbers",
 }
 """Messages whose values say what would be right, and how."""
-
-
-class Message(NamedTuple):
-    """One message: its error, its text with placeholders, and where it stands."""
-
-    error: str
-    text: str
-    place: str
-
-    def __str__(self):
-        return f"{self.place}: {self.text}"
-
-
-def template(node):
-    """The text of an expression, with placeholders."""
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        return node.value
-    if isinstance(node, ast.JoinedStr):
-        return "".join(part.value if isinstance(part, ast.Constant) else PLACE for part in node.values)
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
-        return template(node.left) + template(node.right)
-    return PLACE
-
-
-def collected():
-    for path in sorted(SOURCES.rglob("*.py")):
-        where = path.relative_to(SOURCES).as_posix()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
-                name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
-                if name in FAMILY | set(ABOVE) and node.args:
-                    yield Message(name, template(node.args[0]), f"{where}:{node.lineno}")
 
 
 MESSAGES = list(collected())

@@ -8,6 +8,7 @@ import functools
 import numpy as np
 import pytest
 
+from docs_claims import limit
 from matcam import edge_mtf, edge_mtf_stack
 from tests.oracle import slanted_edge as oracle
 
@@ -37,7 +38,7 @@ def judge(sigma, snr, count, seed):
     slack = 1 + (0 if count >= 500 else 3 / np.sqrt(2 * count))
     (parametric, stated, free, free_stated), _ = trials(sigma, snr, count, seed)
     bound = oracle.bound_of_half(sigma, snr)
-    assert rms(parametric) <= 1.1 * bound * slack
+    assert rms(parametric) <= limit("edge-efficiency") * bound * slack
     assert abs(parametric.mean()) <= 3 * parametric.std() / np.sqrt(count)
     assert rms(stated) == pytest.approx(rms(parametric), rel=0.15 * slack)
     mapper = MTF_MAPPER[sigma][snr == 40] / 100

@@ -48,13 +48,31 @@ def test_verdict_figure_and_columns(edge, photograph, tmp_path):
     assert found["files"] == ["out/e.svg", "out/e.csv"]
 
 
+def test_pitch_commas_and_the_curve_for_other_programs(edge, photograph, tmp_path):
+    text = edge(photograph, "--roi", "30,20,80,160", "--pitch", 5, "--sfr", "mtf.csv").stdout
+    document = json.loads(edge(photograph, "--roi=30,20,80,160", "--pitch", 5, "-o", "b.png", "--json").stdout)
+    lp = document["mtf50_cycles_per_px"] / 0.005
+    assert document["mtf50_lp_per_mm"] == pytest.approx(lp, rel=1e-12)
+    assert "lp/mm" in text
+    assert f"{lp:.2f} ± " in text
+    header, *lines = (tmp_path / "mtf.csv").read_text().splitlines()
+    assert header == "frequency_cy_per_px,frequency_lp_per_mm,SFR"
+    columns = np.array([[float(cell) for cell in line.split(",")] for line in lines])
+    assert columns[-1, 0] <= 1
+    np.testing.assert_allclose(columns[:, 1], columns[:, 0] / 0.005, rtol=1e-6)
+    half = np.interp(document["mtf50_cycles_per_px"], columns[:, 0], columns[:, 2])
+    assert half == pytest.approx(0.5, abs=2e-3)
+
+
 BAD = [
+    (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in (0, inf) um"),
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
     (("cut.tif",), "more than its 3000 bytes can hold: damaged"),
     (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the picture of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),
+    (("chart.tif", "--roi", "1,2,3"), "requires 4 arguments"),
     (("chart.tif", *ROI, "--model", "defocus"), "--wavelength must be given for the defocus model"),
     (("chart.tif", *ROI, "--model", "lens"), "'lens' is not one of"),
     (("chart.tif", *ROI, "--channel", "R"), "asks for a colour of a grey image"),

@@ -4,6 +4,7 @@ import json
 import re
 
 import numpy as np
+import OpenEXR
 import pytest
 import xarray as xr
 from typer.testing import CliRunner
@@ -36,6 +37,7 @@ def test_fit_prints_and_writes(merl_file, tmp_path):
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert document["params"]["alpha"] == pytest.approx(0.004, rel=1e-3)
+    assert document.pop("schema") == "matcam-fit-1"
     assert json.loads(out.read_text()) == document
     again = run("fit", merl_file, "--every", 18, "-o", out)
     assert "--force" in str(again.exception)
@@ -55,10 +57,15 @@ def test_fit_sets_the_camera_against_free_shadowing(merl_file, tmp_path):
 @pytest.mark.slow
 def test_correct_writes_four_files(merl_file, tmp_path):
     out = tmp_path / "corrected.binary"
-    done = run("correct", merl_file, "--ndf", "ggx", "-o", out, "--json")
+    done = run("correct", merl_file, "--ndf", "ggx", "-o", out, "--layers", tmp_path / "l.exr", "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
-    assert len(document["files"]) == 4
+    assert len(document["files"]) == 5
+    layers = OpenEXR.File(str(tmp_path / "l.exr"), separate_channels=True).channels()
+    names = {f"{layer}.{c}" for layer in ("recorded", "corrected", "std") for c in "RGB"} | {"supported.Y"}
+    assert set(layers) == names
+    recorded = read_merl(merl_file).values[:, :, 90, 1].T
+    np.testing.assert_array_equal(layers["recorded.G"].pixels, recorded.astype(np.float32))
     before, after = read_merl(merl_file), read_merl(out)
     np.testing.assert_array_equal(np.isnan(before.values), np.isnan(after.values))
     peaks = [float(np.nanmax(table.values[0, 75, :, 1])) for table in (before, after)]

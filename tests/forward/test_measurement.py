@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from docs_claims import limit
 from matcam import GGX, Microfacet, measure, rigs
 from matcam.core.grid import below_horizon, cosines, merl_grid
 from matcam.forward.integral.blur import imaging_of
@@ -51,7 +52,7 @@ def misses(cells, truths):
     alphas = sorted({alpha for alpha, *_ in cells})
     found = recorded_cells(alphas, [*(cell for _, *cell in cells), *((0, j, 90) for j in range(88))])
     which = np.array([alphas.index(alpha) for alpha, *_ in cells])
-    allowed = np.maximum(1e-4 * np.array(truths), 1e-7 * found[:, len(cells) :].max(axis=1)[which])
+    allowed = np.maximum(limit("recorded-cells") * np.array(truths), 1e-7 * found[:, len(cells) :].max(axis=1)[which])
     return np.abs(found[which, np.arange(len(cells))] - truths) / allowed
 
 

@@ -24,13 +24,14 @@ from matcam.cli import (
     render,
     simulate,
 )
-from matcam.cli.options import Command
+from matcam.cli.common import with_common
+from matcam.cli.options import Command, Group
 
 app = typer.Typer(
     no_args_is_help=True,
-    add_completion=False,
+    cls=Group,
     pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+    rich_markup_mode=None,  # our own help is plain text, and Rich takes a fifth of a second to load
     context_settings={"help_option_names": ["-h", "--help"]},
     help="What a camera does to a reflectance measurement, and how to undo it.",
 )
@@ -77,5 +78,5 @@ for _name, _module in {
     "figures": figures,
     "demo": demo,
 }.items():
-    app.command(_name, cls=Command)(_module.command)
+    app.command(_name, cls=Command)(with_common(_name, _module.command))
 app.add_typer(data.app, name="data", help="Fetch published measurements.")

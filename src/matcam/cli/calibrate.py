@@ -20,9 +20,9 @@ def command(
             help="Photographs of slanted edges to read, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Camera profile to write (JSON).")] = Path(
-        "camera.json"
-    ),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Camera profile to write (JSON).")
+    ] = Path("camera.json"),
     model: Lens = "gaussian",
     half_width: Annotated[
         float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
@@ -35,11 +35,16 @@ def command(
         typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
     ] = None,
     pitch: Annotated[
-        float | None, typer.Option("--pitch", metavar="UM", help="Pixel pitch for diffraction and defocus, um.")
+        float | None,
+        typer.Option(
+            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm besides."
+        ),
     ] = None,
     f_number: Annotated[
         list[float] | None,
-        typer.Option("--f-number", help="F-number: one, or one for each picture. Default: the files' own."),
+        typer.Option(
+            "--f-number", metavar="F", help="F-number: one, or one for each picture. Default: the files' own."
+        ),
     ] = None,
     tone: Annotated[
         str,
@@ -53,24 +58,32 @@ def command(
         Path | None,
         typer.Option(
             "--tone-patches",
+            metavar="FILE",
             help="File with lines x y width height light: patches of the first picture that show its tone curve.",
         ),
     ] = None,
     channel: Annotated[
         list[str] | None,
         typer.Option(
-            "--channel", help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all that the pictures have."
+            "--channel",
+            metavar="COLOUR",
+            help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all that the pictures have.",
         ),
     ] = None,
     chart: Annotated[
         Path | None,
-        typer.Option("--chart", help="Description of the chart, as `matcam chart` writes it: measure all its targets."),
+        typer.Option(
+            "--chart",
+            metavar="FILE",
+            help="Description of the chart, as `matcam chart` writes it: measure all its targets.",
+        ),
     ] = None,
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
     ] = False,
     figure: Annotated[
-        Path | None, typer.Option("--figure", help="Page to write (.png, .pdf, .svg). Default: beside the profile.")
+        Path | None,
+        typer.Option("--figure", metavar="FILE", help="Page to write (.png, .pdf, .svg). Default: beside the profile."),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -110,10 +123,20 @@ def command(
     if json:
         show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
     else:
-        _print(found, written)
+        _print(found, written, pitch)
     for name, why in found.failed.items():
         show.remark(f"left out: {name}: {why}")
     return _SOME_FAILED if found.failed else 0
+
+
+def _mtf50(camera: Any) -> float:
+    """Return the frequency at which lens and pixel pass one half, cycles/px."""
+    import numpy as np
+
+    frequency = np.linspace(0, 2, 2001)
+    passed = np.asarray(camera.mtf(frequency))
+    at = int(np.argmax(passed < 0.5))
+    return float(np.interp(0.5, passed[[at, at - 1]], frequency[[at, at - 1]]))
 
 
 def _files(given: list[Path]) -> list[Path]:
@@ -195,9 +218,12 @@ def _verdict(found: Any) -> list[str]:
     return lines
 
 
-def _print(found: Any, written: list[Path]) -> None:
+def _print(found: Any, written: list[Path], pitch: float | None) -> None:
     for line in _verdict(found):
         show.say(line)
+    for name, camera in found.cameras.items() if pitch else ():
+        half = _mtf50(camera)
+        show.say(f"{name}: MTF50 along the rows {half:.4f} cycles/px, {half * 1000 / (pitch or 1):.2f} lp/mm")
     for remark in found.remarks:
         show.say(f"note: {remark}")
     show.say("written: " + ", ".join(map(str, written)))

@@ -19,16 +19,19 @@ def command(
         ),
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Page to write (.pdf, .svg, .png); its description goes beside it.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Page to write (.pdf, .svg, .png); its description goes beside it."
+        ),
     ] = Path("chart.pdf"),
     page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper format, landscape.")] = "a4",
     size: Annotated[
         tuple[float, float] | None, typer.Option("--size", metavar="WIDTH HEIGHT", help="Size of another page, mm.")
     ] = None,
     pixels: Annotated[
-        float, typer.Option("--pixels", help="Number of camera pixels that the page's width will fill.")
+        float, typer.Option("--pixels", metavar="PX", help="Number of camera pixels that the page's width will fill.")
     ] = 3000.0,
-    dpi: Annotated[float, typer.Option("--dpi", help="Resolution of a PNG, dots per inch.")] = 600.0,
+    dpi: Annotated[float, typer.Option("--dpi", metavar="DPI", help="Resolution of a PNG, dots per inch.")] = 600.0,
     force: Force = False,
     json: AsJson = False,
 ) -> None:

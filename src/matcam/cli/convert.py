@@ -20,7 +20,10 @@ def command(
     ],
     sampling: Sampling = "centre",
     square: Annotated[
-        int, typer.Option("--square", help="Resolution of a .bsdf to write, in values along each side; 192 make 36 MB.")
+        int,
+        typer.Option(
+            "--square", metavar="N", help="Resolution of a .bsdf to write, in values along each side; 192 make 36 MB."
+        ),
     ] = 192,
     metadata: Annotated[
         Path | None,

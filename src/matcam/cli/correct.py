@@ -36,7 +36,9 @@ def command(
     glare: Annotated[
         float,
         typer.Option(
-            "--glare", help="Share of light that the lens may scatter without its profile saying so (no unit)."
+            "--glare",
+            metavar="SHARE",
+            help="Share of light that the lens may scatter without its profile saying so (no unit).",
         ),
     ] = 1e-3,
     masking: Masking = "smith",
@@ -49,13 +51,17 @@ def command(
         typer.Option(
             "--output",
             "-o",
+            metavar="FILE",
             help="MERL file to write (.nc, .json, .html go beside it), or a run's folder. Default: FILE-corrected.binary.",
         ),
     ] = None,
     workers: Annotated[
         int | None,
         typer.Option(
-            "--workers", help="Number of a run's processes, one core each. Default: one for each core.", min=1
+            "--workers",
+            metavar="N",
+            help="Number of a run's processes, one core each. Default: one for each core.",
+            min=1,
         ),
     ] = None,
     cluster: Annotated[
@@ -77,8 +83,20 @@ def command(
         ),
     ] = False,
     time_limit: Annotated[
-        float, typer.Option("--time-limit", help="Time for one material of a run, s; what takes longer has failed.")
+        float,
+        typer.Option(
+            "--time-limit", metavar="SECONDS", help="Time for one material of a run, s; what takes longer has failed."
+        ),
     ] = 3600.0,
+    layers: Annotated[
+        Path | None,
+        typer.Option(
+            "--layers",
+            metavar="FILE",
+            help="OpenEXR file to write with layers recorded, corrected, std, supported: the slice at phi_d 90°, "
+            "half angle to the right, difference angle down.",
+        ),
+    ] = None,
     anyway: Anyway = False,
     force: Force = False,
     json: AsJson = False,
@@ -101,6 +119,8 @@ def command(
         raise ArgumentError(
             "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
         )
+    if layers and (not alone or layers.suffix.lower() != ".exr"):
+        raise ArgumentError(f"--layers is for one table, and its name must end in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
     from matcam.core.jax import use_compilation_cache
@@ -122,11 +142,14 @@ def command(
 
         target = output or Path(f"{paths[0].stem}-corrected.binary")
         job = Job(paths[0], target, Recipe(rig, Options(**how), sampling, pages), force=force)
-        for path in job.files:
+        for path in [*job.files, *([layers] if layers else [])]:
             check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
         with show.working(f"{paths[0]}: correcting"):
             document = write_corrected(job, workspace)
-        _print_table({**document, "files": [str(path) for path in job.files]}, paths[0].name, json)
+            if layers:
+                _write_layers(paths[0], target, layers, sampling, force)
+        files = [*job.files, *([layers] if layers else [])]
+        _print_table({**document, "files": [str(path) for path in files]}, paths[0].name, json)
         return
     from matcam.batch.run import correct_all
 
@@ -144,6 +167,25 @@ def command(
     _print_run(run, json)
     if run.failures:
         raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)
+
+
+def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force: bool) -> None:
+    """Write the slice that people look at, before and after, as layers of one picture."""
+    import numpy as np
+
+    from matcam.core.io import where_written
+    from matcam.exchange.contents import read_table
+    from matcam.files.datasets import read_netcdf
+    from matcam.files.float_pictures import write_exr_layers
+
+    corrected = read_netcdf(where_written(target.with_suffix(".nc")))
+    pictures = {"recorded": read_table(recorded, sampling=sampling), "corrected": corrected["brdf"]}
+    pictures |= {"std": corrected["brdf_std"], "supported": corrected["supported"].all("channel")}
+    shown = {}
+    for name, table in pictures.items():
+        one = table.isel(phi_d=90).transpose("theta_d", "theta_h", ...)
+        shown[name] = np.asarray(one.values, float)
+    write_exr_layers(path, shown, force=force)
 
 
 def _print_table(document: dict[str, Any], name: str, json: bool) -> None:

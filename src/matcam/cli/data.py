@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Command, Force
+from matcam.cli.common import with_common
+from matcam.cli.options import AsJson, Command, Force, Group
 
-app = typer.Typer(no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True, cls=Group)
 
 
 @app.callback()
@@ -18,16 +19,18 @@ def _group() -> None:
     pass
 
 
-@app.command("merl", cls=Command)
 def merl(
     materials: Annotated[
         list[str] | None, typer.Argument(metavar="NAME...", help="Materials to fetch, such as chrome.")
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to. Default: this one.")] = Path(),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to. Default: this one.")
+    ] = Path(),
     source: Annotated[
         str | None,
         typer.Option(
             "--source",
+            metavar="SOURCE",
             envvar="MATCAM_MERL_SOURCE",
             help="Address of an archive (.zip) or folder on another server. Default: the official archive.",
         ),
@@ -46,7 +49,7 @@ def merl(
 
     known = merl_checksums()
     if listing:
-        show.as_json(sorted(known)) if json else show.say("\n".join(sorted(known)))
+        show.as_json({"materials": sorted(known)}) if json else show.say("\n".join(sorted(known)))
         return 0
     if not materials:
         raise ArgumentError("name at least one material, or use --list")
@@ -69,3 +72,6 @@ def merl(
     if not failed:
         return 0
     return 1 if len(failed) < len(materials) else 2
+
+
+app.command("merl", cls=Command)(with_common("data merl", merl))

@@ -15,7 +15,9 @@ from matcam.cli.options import AsJson, Force
 
 
 def command(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("demo"),
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to.")] = Path(
+        "demo"
+    ),
     force: Force = False,
     json: AsJson = False,
 ) -> None:

@@ -18,7 +18,9 @@ def command(
     roi: Annotated[
         tuple[int, int, int, int] | None,
         typer.Option(
-            "--roi", metavar="X Y WIDTH HEIGHT", help="Region that holds one edge, px. Default: the whole picture."
+            "--roi",
+            metavar="X Y WIDTH HEIGHT",
+            help="Region that holds one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole picture.",
         ),
     ] = None,
     model: EdgeLens = "gaussian",
@@ -27,7 +29,10 @@ def command(
         typer.Option("--wavelength", metavar="NM", help="Wavelength of the light for diffraction and defocus, nm."),
     ] = None,
     pitch: Annotated[
-        float | None, typer.Option("--pitch", metavar="UM", help="Pixel pitch for diffraction and defocus, um.")
+        float | None,
+        typer.Option(
+            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm besides."
+        ),
     ] = None,
     half_width: Annotated[
         float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
@@ -47,9 +52,22 @@ def command(
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture all the same.")
     ] = False,
+    sfr: Annotated[
+        Path | None,
+        typer.Option(
+            "--sfr",
+            metavar="FILE",
+            help="CSV file of the MTF to write, as sfrmat and Imatest write it: frequency, SFR.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Picture to write (.png, .pdf, .svg). Default: PICTURE-edge.png here."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Picture to write (.png, .pdf, .svg). Default: PICTURE-edge.png here.",
+        ),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -58,12 +76,17 @@ def command(
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
+    from matcam.core import checks
     from matcam.core.io import check_output
     from matcam.figures.style import check_picture
 
     output = output or Path(f"{picture.stem}-edge.png")
     check_picture(output, force=force, inputs=[picture])
     check_output(output.with_suffix(".csv"), force=force, inputs=[picture])
+    if pitch is not None:
+        checks.positive("--pitch", pitch, "um")
+    if sfr:
+        check_output(sfr, force=force, inputs=[picture])
     with show.working(f"{picture}: measuring the edge"):
         from matcam.core.jax import use_compilation_cache
 
@@ -85,10 +108,35 @@ def command(
             accept_sharpened=accept_sharpened,
         )
         _write(result, photograph.values, roi, picture.name, output, force)
+        if sfr:
+            _write_sfr(result, sfr, pitch, force)
+    files = [output, output.with_suffix(".csv"), *([sfr] if sfr else [])]
     if json:
-        show.as_json(result.to_dict() | {"files": [str(output), str(output.with_suffix(".csv"))]})
+        document = result.to_dict()
+        if pitch:
+            document["mtf50_lp_per_mm"] = _lp_per_mm(result.mtf50, pitch)
+        show.as_json(document | {"files": [str(path) for path in files]})
     else:
-        _print(result, output)
+        _print(result, output, pitch)
+
+
+def _lp_per_mm(frequency: Any, pitch: float) -> Any:
+    """Convert cycles/px to line pairs per mm, by the pitch in um."""
+    return frequency * 1000 / pitch
+
+
+def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> None:
+    """Write the MTF's columns; those below Nyquist's double, which other programs plot."""
+    from matcam.core.io import replacing
+
+    head = ["frequency_cy_per_px", *(["frequency_lp_per_mm"] if pitch else []), "SFR"]
+    lines = [",".join(head)]
+    for frequency, value in zip(result.frequency, result.mtf, strict=True):
+        if frequency <= 1:
+            cells = [frequency, *([_lp_per_mm(frequency, pitch)] if pitch else []), value]
+            lines.append(",".join(f"{float(cell):.8g}" for cell in cells))
+    with replacing(path, force=force) as temporary:
+        Path(temporary).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:
@@ -100,15 +148,20 @@ def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bo
     save(edge_figure(result, image, roi, name), output, force=force)
 
 
-def _print(result: Any, output: Path) -> None:
+def _print(result: Any, output: Path, pitch: float | None) -> None:
     import numpy as np
 
     fit = result.parametric
-    rows = [["free of a model", f"{result.mtf50:.4f} ± {result.mtf50_std:.4f}"]]
+
+    def row(name: str, value: float, std: float) -> list[str]:
+        shown = [name, f"{value:.4f} ± {std:.4f}"]
+        return [*shown, f"{_lp_per_mm(value, pitch):.2f} ± {_lp_per_mm(std, pitch):.2f}"] if pitch else shown
+
+    rows = [row("free of a model", result.mtf50, result.mtf50_std)]
     if result.glare_found:
-        rows.append(["without its glare", f"{result.core_mtf50:.4f} ± {result.core_mtf50_std:.4f}"])
-    rows.append([f"{fit.model} lens", f"{fit.mtf50:.4f} ± {fit.mtf50_std:.4f}"])
-    show.table(["MTF50, lens and pixel", "cycles/px"], rows)
+        rows.append(row("without its glare", result.core_mtf50, result.core_mtf50_std))
+    rows.append(row(f"{fit.model} lens", fit.mtf50, fit.mtf50_std))
+    show.table(["MTF50, lens and pixel", "cycles/px", *(["lp/mm"] if pitch else [])], rows)
     std = np.sqrt(np.diag(fit.covariance))
     for name, value, error in zip(fit.names, fit.values, std, strict=True):
         show.say(f"{name}: {value:.4g} ± {error:.2g}")

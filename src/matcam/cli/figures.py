@@ -18,7 +18,9 @@ def command(
     measured: Annotated[
         list[Path] | None, typer.Argument(help="MERL files to read for Figure 6. Default: a simulated chromium sphere.")
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("figures"),
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to.")] = Path(
+        "figures"
+    ),
     vector: Annotated[Literal["pdf", "svg"], typer.Option("--vector", help="Vector format beside PNG.")] = "pdf",
     force: Force = False,
     json: AsJson = False,

@@ -39,7 +39,9 @@ def command(
     bend: Annotated[
         float,
         typer.Option(
-            "--bend", help="How far the lobe may leave its family, 0 to 10 (no unit); 1 makes it non-parametric."
+            "--bend",
+            metavar="STRENGTH",
+            help="How far the lobe may leave its family, 0 to 10 (no unit); 1 makes it non-parametric.",
         ),
     ] = 0.0,
     rival: Annotated[
@@ -48,13 +50,15 @@ def command(
             "--rival", help="Compare with free shadowing: does it explain the data better than the camera does?"
         ),
     ] = False,
-    every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.")] = 1,
+    every: Annotated[int, typer.Option("--every", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",
     camera: CameraProfile = None,
     radius: Radius = None,
     lamp: LampRadius = 0.0,
     sampling: Sampling = "centre",
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="JSON file of the result to write.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file of the result to write.")
+    ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:

@@ -31,6 +31,7 @@ def command(
         str | None,
         typer.Option(
             "--metal",
+            metavar="SYMBOL",
             help="Metal (Cr, Fe, ...) whose n and k to compare with. Default: the nearest of all, dielectrics too.",
         ),
     ] = None,
@@ -47,12 +48,15 @@ def command(
         ),
     ] = (10.0, 45.0),
     channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
-    every: Annotated[int, typer.Option("--every", help="Use every n-th slice of theta_d.", min=1, max=30)] = 1,
+    every: Annotated[
+        int, typer.Option("--every", metavar="N", help="Use every n-th slice of theta_d.", min=1, max=30)
+    ] = 1,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
+            metavar="FILE",
             help="Picture to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
         ),
     ] = None,

@@ -16,10 +16,11 @@ def command(
         typer.Argument(help="Roughnesses (alpha, a slope) to judge. Default: ten from 0.0003 to 0.2."),
     ] = None,
     relative: Annotated[
-        float, typer.Option("--noise", help="Noise of a pixel, as a share of its value (no unit).")
+        float, typer.Option("--noise", metavar="SHARE", help="Noise of a pixel, as a share of its value (no unit).")
     ] = 0.01,
     floor: Annotated[
-        float, typer.Option("--floor", help="Noise of a pixel, as a share of its slice's peak (no unit).")
+        float,
+        typer.Option("--floor", metavar="SHARE", help="Noise of a pixel, as a share of its slice's peak (no unit)."),
     ] = 1e-4,
     camera: CameraProfile = None,
     radius: Radius = None,

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
+from matcam.cli import help_page
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.io import all_or_nothing
 from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
@@ -127,15 +128,22 @@ Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]
 
 Distance = Annotated[
-    float | None, typer.Option("--distance", help="Distance of the camera, in radii of the sample. Default: infinite.")
+    float | None,
+    typer.Option(
+        "--distance", metavar="RADII", help="Distance of the camera, in radii of the sample. Default: infinite."
+    ),
 ]
 Glare = Annotated[
     float,
     typer.Option(
-        "--glare", help="Share of the light that the lens scatters into a halo, added to its profile (no unit)."
+        "--glare",
+        metavar="SHARE",
+        help="Share of the light that the lens scatters into a halo, added to its profile (no unit).",
     ),
 ]
-GlareRadius = Annotated[float, typer.Option("--glare-radius", help="Standard deviation of the halo of --glare, px.")]
+GlareRadius = Annotated[
+    float, typer.Option("--glare-radius", metavar="PX", help="Standard deviation of the halo of --glare, px.")
+]
 
 
 def rig_of(
@@ -186,8 +194,34 @@ def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | N
     return NearLamp(distance, math.tan(angular_radius) * distance if distance > 1 else 0.0)
 
 
+class Group(TyperGroup):
+    """Several commands, whose help lists them by what people want to do."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        formatter.write(help_page.page(self, ctx))
+
+
 class Command(TyperCommand):
     """Run a command; errors speak of its options."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        formatter.write(help_page.page(self, ctx))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments; several numbers of one option may be separated by commas."""
+        several = {name for p in self.params if p.param_type_name == "option" and p.nargs > 1 for name in p.opts}
+        split: list[str] = []
+        for word in args:
+            name, equals, value = word.partition("=")
+            if equals and name in several:
+                split += [name, *value.split(",")]
+            elif split and split[-1] in several and "," in word:
+                split += word.split(",")
+            else:
+                split.append(word)
+        return super().parse_args(ctx, split)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, whose files appear together at its end; translate the message of its error."""

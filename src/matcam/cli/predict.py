@@ -36,13 +36,17 @@ def command(
     ] = None,
     ndf: Family = "ggx",
     power: Annotated[
-        float | None, typer.Option("--power", help="Power p of an epd or sgd lobe, which needs it (no unit).")
+        float | None,
+        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, which needs it (no unit)."),
     ] = None,
     sample: Annotated[
         Literal["sphere", "cylinder", "flat"], typer.Option("--sample", help="Shape of the sample.")
     ] = "sphere",
     dims: Annotated[
-        int, typer.Option("--dims", help="Dimensions: 2 for a real sample, 1 for the paper's one-dimensional model.")
+        int,
+        typer.Option(
+            "--dims", metavar="N", help="Dimensions: 2 for a real sample, 1 for the paper's one-dimensional model."
+        ),
     ] = 2,
     exact: Annotated[
         bool,
@@ -62,11 +66,16 @@ def command(
     map_: Annotated[
         Path | None,
         typer.Option(
-            "--map", help="Picture of the whole plane of roughness and angle to write; a .csv goes beside it."
+            "--map",
+            metavar="FILE",
+            help="Picture of the whole plane of roughness and angle to write; a .csv goes beside it.",
         ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Picture to write (.png, .pdf, .svg); a .csv goes beside it.")
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Picture to write (.png, .pdf, .svg); a .csv goes beside it."
+        ),
     ] = None,
     force: Force = False,
     json: AsJson = False,

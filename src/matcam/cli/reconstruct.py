@@ -25,6 +25,7 @@ def command(
         typer.Option(
             "--output",
             "-o",
+            metavar="FILE",
             help="MERL file to write; -pinhole.binary, .nc, .json and .html go beside it. Default: DIR-reconstructed.binary.",
         ),
     ] = None,

@@ -21,10 +21,13 @@ def command(
         typer.Option(
             "--output",
             "-o",
+            metavar="FILE",
             help="Figure (.png, .pdf, .svg) or linear radiance of one file (.exr) to write. Default: FILE-render.png here.",
         ),
     ] = None,
-    lamp_angle: Annotated[float, typer.Option("--lamp-angle", help="Angle between lamp and camera, degrees.")] = 40.0,
+    lamp_angle: Annotated[
+        float, typer.Option("--lamp-angle", metavar="DEGREES", help="Angle between lamp and camera, degrees.")
+    ] = 40.0,
     environment: Annotated[
         Path | None,
         typer.Option(
@@ -32,10 +35,15 @@ def command(
         ),
     ] = None,
     exposure: Annotated[
-        float, typer.Option("--exposure", help="Factor by which radiance is multiplied before display (no unit).")
+        float,
+        typer.Option(
+            "--exposure", metavar="FACTOR", help="Factor by which radiance is multiplied before display (no unit)."
+        ),
     ] = 0.8,
-    size: Annotated[int, typer.Option("--size", help="Height and width of the picture of a sphere, px.")] = 256,
-    samples: Annotated[int, typer.Option("--samples", help="Number of rays for each pixel.")] = 64,
+    size: Annotated[
+        int, typer.Option("--size", metavar="PX", help="Height and width of the picture of a sphere, px.")
+    ] = 256,
+    samples: Annotated[int, typer.Option("--samples", metavar="N", help="Number of rays for each pixel.")] = 64,
     sampling: Sampling = "centre",
     force: Force = False,
     json: AsJson = False,

@@ -23,16 +23,46 @@ _SECONDS = 30.0
 _broken: list[OSError] = []
 """What standard output answered when it could not be written."""
 
+_manner: list[tuple[bool, str]] = [(False, "")]
+"""How the running commands speak, the innermost last: quiet or not, and the name of their JSON's schema."""
 
-def as_json(result: Any) -> None:
-    """Print a result as one JSON document; NaN and infinity become null."""
-    text = json.dumps(plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+
+@contextlib.contextmanager
+def speaking(*, quiet: bool, schema: str) -> Iterator[None]:
+    """Print no results but JSON, if quiet; name the schema of JSON documents."""
+    _manner.append((quiet or _manner[-1][0], schema))
+    try:
+        yield
+    finally:
+        _manner.pop()
+
+
+def as_json(result: dict[str, Any]) -> None:
+    """Print a result as one JSON document, its schema's name first; NaN and infinity become null."""
+    named = {"schema": _manner[-1][1], **result} if _manner[-1][1] else result
+    text = _laid_out(plain(named))
     # JSON has no other controls than those between its lines; what a terminal obeys is an escape of JSON, too
     _print("\n".join(re.sub(UNPRINTABLE, lambda found: f"\\u{ord(found[0]):04x}", line) for line in text.split("\n")))
 
 
+def _laid_out(value: Any, indent: str = "") -> str:
+    """Write JSON: an entry a line, and an array of numbers or texts on one line."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        entries = [f"{json.dumps(str(key), ensure_ascii=False)}: {_laid_out(one, inner)}" for key, one in value.items()]
+    elif isinstance(value, list) and any(isinstance(one, dict | list) for one in value):
+        entries = [_laid_out(one, inner) for one in value]
+    else:
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    opening, closing = "{}" if isinstance(value, dict) else "[]"
+    lines = ",\n".join(inner + one for one in entries)
+    return f"{opening}\n{lines}\n{indent}{closing}"
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
     """Print a table, its first column aligned left, the others right."""
+    if _manner[-1][0]:
+        return
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -51,7 +81,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
 
 def say(text: str, *, quiet: bool = False) -> None:
     """Print a line of the result, unless standard output belongs to JSON."""
-    if not quiet:
+    if not (quiet or _manner[-1][0]):
         _print("\n".join(map(printable, text.split("\n"))))
 
 

@@ -33,7 +33,10 @@ def command(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", help="Table (.binary, .nc) or picture (.exr, .tif; a .json goes beside it) to write."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Table (.binary, .nc) or picture (.exr, .tif; a .json goes beside it) to write.",
         ),
     ],
     table: Annotated[
@@ -41,24 +44,39 @@ def command(
         typer.Argument(help="Table of the material (.binary, .nc, .csv). Default: the lobe that the options describe."),
     ] = None,
     roughness: Annotated[
-        float, typer.Option("--roughness", help="Width of the lobe: alpha or beta (slopes), rad for gaussian.")
+        float,
+        typer.Option(
+            "--roughness", metavar="ALPHA", help="Width of the lobe: alpha or beta (slopes), rad for gaussian."
+        ),
     ] = 0.01,
     ndf: Family = "ggx",
     power: Annotated[
-        float | None, typer.Option("--power", help="Power p of an epd or sgd lobe, which needs it (no unit).")
+        float | None,
+        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, which needs it (no unit)."),
     ] = None,
-    metal: Annotated[str, typer.Option("--metal", help="Metal whose n and k make the Fresnel term.")] = "Cr",
+    metal: Annotated[
+        str, typer.Option("--metal", metavar="SYMBOL", help="Metal whose n and k make the Fresnel term.")
+    ] = "Cr",
     source: Annotated[
         str | None,
-        typer.Option("--source", help="Which published table of n and k to use. Default: the metal's first."),
+        typer.Option(
+            "--source", metavar="SOURCE", help="Which published table of n and k to use. Default: the metal's first."
+        ),
     ] = None,
-    diffuse: Annotated[float, typer.Option("--diffuse", help="Albedo of a Lambertian part, 0 to 1 (no unit).")] = 0.0,
+    diffuse: Annotated[
+        float, typer.Option("--diffuse", metavar="ALBEDO", help="Albedo of a Lambertian part, 0 to 1 (no unit).")
+    ] = 0.0,
     lamp_angle: Annotated[
-        float, typer.Option("--lamp-angle", help="Angle between lamp and camera in a picture, degrees.")
+        float,
+        typer.Option("--lamp-angle", metavar="DEGREES", help="Angle between lamp and camera in a picture, degrees."),
     ] = 60.0,
     azimuth: Annotated[
         float,
-        typer.Option("--azimuth", help="Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up."),
+        typer.Option(
+            "--azimuth",
+            metavar="DEGREES",
+            help="Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up.",
+        ),
     ] = 0.0,
     sample: Annotated[
         Literal["sphere", "cylinder", "flat"],
@@ -69,23 +87,31 @@ def command(
     ] = "centre",
     size: Annotated[
         tuple[int, int] | None,
-        typer.Option("--size", help="Height and width of the picture, px. Default: the sample's."),
+        typer.Option(
+            "--size", metavar="HEIGHT WIDTH", help="Height and width of the picture, px. Default: the sample's."
+        ),
     ] = None,
     crop: Annotated[
         tuple[int, int] | None,
-        typer.Option("--crop", help="Height and width of the part of the sensor that is used, px, about its middle."),
+        typer.Option(
+            "--crop",
+            metavar="HEIGHT WIDTH",
+            help="Height and width of the part of the sensor that is used, px, about its middle.",
+        ),
     ] = None,
     exposure: Annotated[
         float | None,
         typer.Option(
             "--exposure",
+            metavar="ELECTRONS",
             help="Electrons per unit of radiance: take a raw picture with the profile's sensor and its noise.",
         ),
     ] = None,
     preview: Annotated[
-        Path | None, typer.Option("--preview", help="Figure of the picture to write (.png, .pdf, .svg).")
+        Path | None,
+        typer.Option("--preview", metavar="FILE", help="Figure of the picture to write (.png, .pdf, .svg)."),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the noise of --exposure.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the noise of --exposure.")] = 0,
     camera: CameraProfile = None,
     radius: Radius = None,
     distance: Distance = None,

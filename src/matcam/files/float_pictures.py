@@ -21,6 +21,7 @@ decoded apart (picture_decoders.py).
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -155,12 +156,33 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
         ...     matcam.io.read_exr(Path(folder) / "a.exr").shape
         (2, 3, 3)
     """
-    import OpenEXR
-
     stored = as_float32(picture)
     planes = stored[..., None] if stored.ndim == 2 else stored
     names = _names(None if stored.ndim == 2 else stored.shape[2])
-    channels = {name: np.ascontiguousarray(planes[..., i]) for i, name in enumerate(names)}
+    _write_channels(path, {name: planes[..., i] for i, name in enumerate(names)}, force)
+
+
+def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force: bool = False) -> None:
+    """Write several pictures as layers of one OpenEXR file, which viewers show as groups: `corrected.R` and so on.
+
+    Args:
+        path: file to write (.exr).
+        layers: pictures of one size by name, (H, W) or (H, W, 3), row 0 on top; NaN where missing.
+        force: replace an existing file (no unit). Default: False.
+    """
+    channels = {}
+    for layer, picture in layers.items():
+        stored = as_float32(picture)
+        planes = stored[..., None] if stored.ndim == 2 else stored
+        names = _names(None if stored.ndim == 2 else stored.shape[2])
+        channels |= {f"{layer}.{name}": planes[..., i] for i, name in enumerate(names)}
+    _write_channels(path, channels, force)
+
+
+def _write_channels(path: str | Path, planes: Mapping[str, np.ndarray], force: bool) -> None:
+    import OpenEXR
+
+    channels = {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with replacing(path, force=force) as temporary:
         try:

@@ -1,0 +1,187 @@
+"""Pages of the reference: the public names by task, each with its signature, all parameters and its example.
+
+`reference/api.toml` says what stands where. Docstrings are read by the same functions as in tests/test_docstrings.py.
+"""
+
+import inspect
+import re
+import tomllib
+import types
+from pathlib import Path
+
+from docs_names import inherited_description, members, public_things, sections, signature
+
+_HERE = Path(__file__).parent.parent / "reference" / "api.toml"
+_SOLE = ("rigs.Rig",)  # shown under its first name
+_CITED = re.compile(r"docs/([a-z-]+)\.md(?:,? sections? ([\d, and]+)|,? (\d+))?")
+
+
+class UndocumentedError(Exception):
+    """A public name that stands on no page, or a page that names what does not exist."""
+
+
+def pages(names=None):
+    """Return the pages of `api.toml`: [(file, title, intro, {section: [names]})], every public name on one of them."""
+    things = dict(public_things())
+    names = (
+        {n for n, thing in things.items() if not isinstance(thing, types.ModuleType)} if names is None else set(names)
+    )
+    left = names - set(_SOLE)
+    plan = tomllib.loads(_HERE.read_text(encoding="utf-8"))["page"]
+    explicit = [n for page in plan for listed in page["sections"].values() for n in listed if not n.endswith("*")]
+    if wrong := sorted(set(explicit) - names) + sorted({n for n in explicit if explicit.count(n) > 1}):
+        raise UndocumentedError(f"reference/api.toml: no public names, or named twice: {', '.join(wrong)}")
+    left -= set(explicit)
+    found = []
+    for page in plan:
+        filled = {}
+        for section, listed in page["sections"].items():
+            filled[section] = []
+            for one in listed:
+                taken = sorted(n for n in left if n.startswith(one[:-1])) if one.endswith("*") else [one]
+                left -= set(taken)
+                filled[section] += taken
+        found.append((page["file"], page["title"], page["intro"], {s: n for s, n in filled.items() if n}))
+    if left:
+        raise UndocumentedError(f"reference/api.toml: on no page: {', '.join(sorted(left))}")
+    return found
+
+
+def write(folder):
+    """Write all pages and their index into a folder."""
+    things = dict(public_things())
+    folder.mkdir(parents=True, exist_ok=True)
+    listed = []
+    for file, title, intro, filled in pages():
+        lines = [f"# {title}", "", intro, ""]
+        for section, names in filled.items():
+            lines += [f"## {section}", ""]
+            for name in names:
+                lines += [*entry(name, things[name]), ""]
+        _update(folder / f"{file}.md", "\n".join(lines))
+        listed.append(file)
+    return listed
+
+
+def _update(path, text):
+    """Write a file whose text has changed; Sphinx reads again what is newer."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def entry(name, thing):
+    """Return the lines of one name's entry."""
+    text = inspect.getdoc(thing) or ""
+    if inspect.isclass(thing):
+        lines = [f":::::{{py:class}} matcam.{name}{_arguments(thing)}", *described_lines(thing, text)]
+        for member_name, member in members(thing):
+            lines += ["", *_member(thing, member_name, member)]
+        return [*lines, ":::::"]
+    return [f":::::{{py:function}} matcam.{name}{_arguments(thing)}", *described_lines(thing, text), ":::::"]
+
+
+def _member(cls, name, member):
+    text = inspect.getdoc(member) or ""
+    if isinstance(member, property):
+        return [f"::::{{py:property}} {name}", *described_lines(None, text), "::::"]
+    kind = "method"
+    static = inspect.getattr_static(cls, name)
+    options = [":classmethod:"] if isinstance(static, classmethod) else []
+    options += [":staticmethod:"] if isinstance(static, staticmethod) else []
+    body = described_lines(member, text, inherited_description(cls, name))
+    return [f"::::{{py:{kind}}} {name}{_arguments(member)}", *options, *body, "::::"]
+
+
+def _arguments(thing):
+    """Write a signature: names and defaults; types stand in the list of parameters."""
+    words, keyword_only = [], False
+    for name, parameter in signature(thing).items():
+        if parameter.kind is parameter.KEYWORD_ONLY and not keyword_only:
+            keyword_only = True
+            words.append("*")
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            keyword_only = True
+            words.append(f"*{name}")
+        elif parameter.kind is parameter.VAR_KEYWORD:
+            words.append(f"**{name}")
+        else:
+            words.append(name + default_of(parameter))
+    return f"({', '.join(words)})"
+
+
+def default_of(parameter):
+    """Write a parameter's default, in short."""
+    if parameter.default is inspect.Parameter.empty:
+        return ""
+    shown = repr(parameter.default)
+    if not isinstance(parameter.default, str | int | float | bool | tuple | None) or len(shown) > 40:
+        shown = "..."
+    return f"={shown}"
+
+
+def described_lines(thing, text, texts=None):
+    """Return a docstring as Markdown: summary, parameters with types, the other sections, the example."""
+    parts = sections(text)
+    lines = ["", *prose(parts.pop("", []))]
+    types_of = {} if thing is None else signature(thing)
+    described = dict(texts or {})
+    for heading in ("Args", "Attributes"):
+        for name, words in _described_in(parts.pop(heading, [])):
+            described[name] = words
+    own = {name: words for name, words in described.items() if name in types_of}
+    others = {name: words for name, words in described.items() if name not in types_of}
+    for title, which in (("Parameters", own), ("Attributes", others if inspect.isclass(thing) else {})):
+        if which:
+            lines += ["", f"**{title}**", ""]
+            lines += [_listed(name, which[name], types_of.get(name)) for name in which]
+    for heading, body in parts.items():
+        if heading in ("Example", "Examples"):
+            lines += ["", "**Example**", "", "```pycon", *body, "```"]
+        elif body:
+            lines += ["", f"**{heading}**", "", *prose(body)]
+    return lines
+
+
+def _described_in(body):
+    """Return [(name, text)] of a section of parameters, paragraphs and lists within joined."""
+    found = []
+    for line in body:
+        start = re.match(r"^\*{0,2}(\w+)(?: \([^)]*\))?:\s*(.*)$", line)
+        if start:
+            found.append([start[1], start[2]])
+        elif found and line.strip():
+            found[-1][1] += " " + line.strip()
+    return [(name, words) for name, words in found]
+
+
+def _listed(name, words, parameter):
+    annotation = "" if parameter is None else parameter.annotation
+    shown = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
+    kind = f" (`{shown}`)" if shown and shown != "_empty" else ""
+    return f"- **{name}**{kind}: {inline(words)}"
+
+
+def prose(lines):
+    """Return lines of a docstring as Markdown: links to pages, and errors of a section as a list."""
+    text = "\n".join(lines).strip("\n")
+    text = re.sub(r"(?m)^(\w+(?:Error)?): ", r"- `\1`: ", text) if re.match(r"\w+Error: ", text) else text
+    return inline(text).split("\n")
+
+
+def inline(text):
+    """Return text with links to the pages that it cites, and without what Markdown would take for markup."""
+    text = re.sub(r"``([^`]+)``", r"`\1`", text)
+    parts = re.split(r"(`[^`]*`|\n)", text)
+    for i in range(0, len(parts), 2):
+        plain = re.sub(r"([<*$])", r"\\\1", parts[i])
+        plain = re.sub(r"(?<!\w)_|_(?!\w)", r"\\_", plain)
+        parts[i] = _CITED.sub(_link, plain)
+    return "".join(parts)
+
+
+def _link(found):
+    section = found[2] or found[3]
+    words = found[1].replace("-", " ") + (f", section {section}" if section else "")
+    if "schema" in found[0]:
+        return found[0]
+    return f"[{words}](/{found[1]}.md)"

@@ -1,0 +1,50 @@
+"""What the site adds to Sphinx: pages generated from the code, MathJax of an installed package, and a last check of all links."""
+
+from importlib import metadata
+from pathlib import Path
+
+from sphinx.errors import ExtensionError
+from sphinx.util.fileutil import copy_asset
+
+import docs_api
+import docs_check
+import docs_claims
+import docs_commands
+import docs_messages
+
+
+def generate(app):
+    """Write the generated pages before Sphinx looks for sources."""
+    source = Path(app.srcdir)
+    try:
+        docs_api.write(source / "reference" / "api")
+    except docs_api.UndocumentedError as error:
+        raise ExtensionError(str(error)) from error
+    docs_commands.write(source / "reference" / "commands.md")
+    docs_messages.write(source / "howto" / "troubleshooting.md")
+    docs_claims.write(source / "explanation" / "how-good.md")
+
+
+def mathjax():
+    """Return the file of MathJax that needs no other, from the package sphinx-mathjax-offline."""
+    for file in metadata.files("sphinx-mathjax-offline") or ():
+        if file.name == "tex-svg.js":
+            return Path(str(file.locate()))
+    raise ExtensionError("sphinx-mathjax-offline has no tex-svg.js: install matcam[docs]")
+
+
+def finish(app, error):
+    """Copy MathJax, then check the whole site."""
+    if error is None and app.builder.name == "html":
+        copy_asset(str(mathjax()), str(Path(app.outdir) / "_static"))
+        for schema in Path(app.srcdir).glob("*.schema.json"):
+            copy_asset(str(schema), app.outdir)
+        if faults := docs_check.faults(Path(app.outdir)):
+            raise ExtensionError("the site has bad links:\n" + "\n".join(faults))
+
+
+def setup(app):
+    """Connect."""
+    app.connect("builder-inited", generate, priority=100)  # before the gallery
+    app.connect("build-finished", finish)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

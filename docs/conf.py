@@ -1,0 +1,94 @@
+"""The site: `make docs`. Nothing of it is loaded from the network, neither while it is built nor when it is read."""
+
+import os
+import sys
+import warnings
+from importlib import metadata
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "examples")]
+
+# Programs of one site are compiled once, in a folder of the build; most of them run once, and compile faster without fusion
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+os.environ.setdefault("XDG_CACHE_HOME", str(HERE.parent / "build" / "docs-cache"))
+
+from matcam.core.jax import use_compilation_cache  # noqa: E402
+
+use_compilation_cache()
+
+# A run's jobs are done in this process: a worker would compile once more what is compiled here. Their files are the same
+from matcam.batch.executors.local import ProcessExecutor  # noqa: E402
+from matcam.batch.job import attempt  # noqa: E402
+
+ProcessExecutor.outcomes = lambda self, jobs: (attempt(job) for job in jobs)
+
+project = "matcam"
+author = "The matcam authors"
+copyright = "the matcam authors"  # noqa: A001
+release = version = metadata.version("matcam")
+
+extensions = [
+    "sphinx.ext.mathjax",
+    "myst_parser",
+    "sphinx_design",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+    "docs_site",
+]
+exclude_patterns = ["_ext", "_build", "reference/api.toml", "**/GALLERY_HEADER.rst"]
+source_suffix = {".rst": "restructuredtext", ".md": "markdown"}
+myst_enable_extensions = ["colon_fence", "dollarmath", "deflist", "attrs_inline"]
+myst_heading_anchors = 3
+default_role = "code"
+smartquotes = False  # two dashes begin an option
+nitpicky = True
+suppress_warnings = ["config.cache"]  # sphinx-gallery's order is a function
+python_maximum_signature_line_length = 88
+toc_object_entries_show_parents = "hide"
+add_module_names = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "matcam"
+html_static_path = ["_static"]
+html_css_files = ["matcam.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "logo": {"text": "matcam"},
+    "navbar_end": ["theme-switcher"],
+    "navbar_align": "left",
+    "secondary_sidebar_items": ["page-toc"],
+    "show_prev_next": True,
+    "navigation_depth": 3,
+    "show_nav_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "pygments_light_style": "a11y-high-contrast-light",
+    "pygments_dark_style": "a11y-high-contrast-dark",
+}
+html_sidebars = {"changelog": []}
+mathjax_path = "tex-svg.js"  # one file with all its glyphs, copied from the installed package by docs_site
+mathjax3_config = {"svg": {"fontCache": "global"}, "options": {"enableMenu": False}}
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": ["../examples/tutorials", "../examples/gallery"],
+    "gallery_dirs": ["tutorials", "gallery"],
+    "filename_pattern": r"\.py$",
+    "ignore_pattern": r"/_",
+    "within_subsection_order": "FileNameSortKey",
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "show_signature": False,
+    "show_memory": False,
+    "min_reported_time": 2,
+    "write_computation_times": False,
+    "abort_on_example_error": True,
+    "image_scrapers": ("matplotlib", "docs_figures.scrape"),
+    "thumbnail_size": (400, 280),
+    "nested_sections": False,
+}
+warnings.filterwarnings("ignore", category=UserWarning, message="FigureCanvasAgg is non-interactive")

@@ -1,0 +1,22 @@
+"""
+Camera, or shadows of the surface itself?
+=========================================
+
+A lobe that darkens towards grazing angles may have been blurred, or its surface may shadow itself in a way that no
+formula knows. Both are fitted to the same data, and Akaike's criterion says which explains them better.
+"""
+
+import matplotlib.pyplot as plt
+
+import matcam
+from shared_table import recorded
+
+found = matcam.rivals(recorded(), matcam.rigs.merl(), every=18)
+print(found.verdict)
+
+figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")
+noise = {"the camera": found.camera.fit.noise.relative, "free shadowing": found.shadowing.fit.noise.relative}
+axes.barh(list(noise), [100 * share for share in noise.values()])
+axes.axvline(1, color="k", lw=1)
+axes.set(xlabel="noise of a pixel that the explanation needs, % (line: what there was)")
+plt.show()

@@ -1,0 +1,15 @@
+"""
+What is the Fresnel term of this metal?
+=======================================
+
+Everybody divides the peaks by each other: the raw curve, which falls where chromium rises. The same data, its lobe
+fitted through the camera, follow the published tables.
+"""
+
+import matcam
+from matcam.figures.curves import fresnel_figure
+from shared_table import EVERY, recorded
+
+result = matcam.fresnel(recorded(), matcam.rigs.merl(), ndf="ggx", every=EVERY)
+tables = matcam.inverse.tabulated_fresnel(result, "Cr")
+drawn = fresnel_figure(result, tables, "chromium, simulated")  # drawn.savefig("fresnel.png")

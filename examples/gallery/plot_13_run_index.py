@@ -1,0 +1,41 @@
+"""
+What does a whole run tell?
+===========================
+
+A run leaves a record beside each table, and a page, `index.html`, that sorts them by any column. The records are JSON:
+here is how to read and plot them. If the run of the tutorial *Correct a database* is there it is taken up, and nothing
+is done twice.
+"""
+
+import json
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+import matcam
+from shared_table import recorded
+
+folder = Path(tempfile.gettempdir()) / "matcam-examples"
+inputs, outputs = folder / "brdfs", folder / "corrected"
+if not (inputs / "chromium.binary").exists():
+    inputs.mkdir(parents=True, exist_ok=True)
+    matcam.write_merl(inputs / "chromium.binary", recorded().clip(min=0))
+
+if __name__ == "__main__":
+    matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1, pages=False)
+
+records = {path.stem: json.loads(path.read_text()) for path in outputs.glob("*.json")}
+records = {name: record for name, record in records.items() if "verdict" in record}
+figure, axes = plt.subplots(figsize=(7, 3.4), layout="constrained")
+for name, record in records.items():
+    lost = {float(angle): share for angle, share in record["peak_lost"].items() if share is not None}
+    axes.plot(lost.keys(), [100 * share for share in lost.values()], "o-", label=f"{name}: {record['verdict']}")
+axes.set(xlabel="difference angle, degrees", ylabel="peak lost, %", xlim=(0, 90), ylim=(0, 100))
+axes.legend()
+plt.show()
+
+index = (outputs / "index.html").read_text()
+print(
+    f"index.html: {len(index) / 1000:.0f} kB, nothing loaded from the network: {'http' not in index.split('<body')[1]}"
+)

@@ -1,0 +1,70 @@
+"""What all commands have in common: `--quiet`, `--rig`, the name of their JSON, and the command that is useful next."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from matcam.cli import show, suggestions
+from matcam.cli.rig_file import read_rig_file
+
+
+def _defaults_of_rig(context: Any, path: Path | None) -> Path | None:
+    """Make a rig file's values the defaults of the command's options."""
+    if path is not None and not context.resilient_parsing:
+        known = {param.name for param in context.command.params}
+        if "glare_radius" not in known:  # the --glare of `correct` is a doubt, not the rig's halo
+            known.discard("glare")
+        values = read_rig_file(path, known, context.info_name)
+        context.default_map = {**(context.default_map or {}), **values}
+    return path
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors, and --json.")]
+RigFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig",
+        metavar="FILE",
+        is_eager=True,
+        callback=_defaults_of_rig,
+        help="Rig to read (TOML): camera, sample, distances, lamp. Options given beside it win.",
+    ),
+]
+
+
+def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a command with the options that all have, as typer reads it.
+
+    Args:
+        name: the command's words, such as "data merl".
+        command: what it does.
+    """
+    kinds = get_type_hints(command, include_extras=True)
+    result_kind = kinds.pop("return", None)
+    old = inspect.signature(command).parameters
+    added: dict[str, Any] = {"quiet": (Quiet, False)}
+    if {"camera", "radius"} <= set(old):
+        added["rig_file"] = (RigFile, None)
+
+    @functools.wraps(command)
+    def run(*, quiet: bool, rig_file: Path | None = None, **values: Any) -> Any:
+        with show.speaking(quiet=quiet, schema=f"matcam-{name.replace(' ', '-')}-1"):
+            result = command(**values)
+            if not result and not values.get("json") and (following := suggestions.after(name, values)):
+                show.say(f"next: {following}")
+        return result
+
+    by_name = inspect.Parameter.KEYWORD_ONLY
+    parameters = [p.replace(kind=by_name, annotation=kinds[p.name]) for p in old.values()]
+    parameters += [
+        inspect.Parameter(one, by_name, annotation=kind, default=value) for one, (kind, value) in added.items()
+    ]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {**kinds, **{one: kind for one, (kind, _) in added.items()}, "return": result_kind}
+    return run

@@ -1,0 +1,106 @@
+"""The rig in a file, `--rig rig.toml`: what it says are the defaults of a command's own options.
+
+    schema = "matcam-rig-1"
+    camera = "camera.json"      # a profile beside the file: a name without folders
+
+    [sample]
+    shape = "sphere"            # sphere, cylinder or flat
+    radius_px = 400             # of the limb in the picture
+    radius_mm = 25              # lengths of the lamp are in mm then
+
+    [lens]
+    distance = 30               # of the camera, in radii of the sample
+    glare = 0.001               # share of the light in a halo
+    glare_radius_px = 30
+
+    [lamp]
+    radius_deg = 0.25           # angular, of its disc
+    distance = 700              # in radii of the sample, or in mm
+
+All but `schema` may be left out. An option of the command line wins over the file. What a command cannot take into account is
+refused, not ignored.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from matcam.core.errors import ArgumentError, FileFormatError
+
+SCHEMA = "matcam-rig-1"
+
+_KEYS = {
+    ("camera",): "camera",
+    ("sample", "shape"): "sample",
+    ("sample", "radius_px"): "radius",
+    ("sample", "radius_mm"): "sample_mm",
+    ("lens", "distance"): "distance",
+    ("lens", "glare"): "glare",
+    ("lens", "glare_radius_px"): "glare_radius",
+    ("lamp", "radius_deg"): "lamp",
+    ("lamp", "distance"): "lamp_distance",
+}
+"""Entries of the file, and the parameters of commands that they set."""
+
+_MEANINGLESS = {("sample", "shape"): "sphere"}
+"""Values that every command takes for granted, whether or not it has an option for them."""
+
+
+def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
+    """Return the values that a rig file gives to a command's parameters.
+
+    Args:
+        path: the file (TOML).
+        known: parameters of the command.
+        command: its name, for messages.
+    """
+    entries = _entries(path)
+    values = {}
+    for keys, value in entries.items():
+        where = ".".join(keys)
+        if keys not in _KEYS:
+            raise FileFormatError(f"{path}: unknown entry {where}; it has {', '.join('.'.join(k) for k in _KEYS)}")
+        if keys in _MEANINGLESS and value == _MEANINGLESS[keys] and _KEYS[keys] not in known:
+            continue
+        if _KEYS[keys] not in known:
+            raise ArgumentError(f"{path}: matcam {command} cannot take {where} into account: leave it out of the file")
+        values[_KEYS[keys]] = _value(path, keys, value)
+    return values
+
+
+def _entries(path: Path) -> dict[tuple[str, ...], Any]:
+    import tomllib
+
+    try:
+        with path.open("rb") as file:
+            document = tomllib.loads(file.read(65_536).decode("utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"{path}: no TOML: {' '.join(str(error).split())}") from error
+    if document.pop("schema", None) != SCHEMA:
+        raise FileFormatError(f'{path}: does not begin with schema = "{SCHEMA}"')
+    found: dict[tuple[str, ...], Any] = {}
+    for key, value in document.items():
+        if isinstance(value, dict):
+            found |= {(key, inner): one for inner, one in value.items()}
+        else:
+            found[(key,)] = value
+    return found
+
+
+def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
+    """Return an entry as its option takes it: numbers, a shape's name, or the profile beside the file."""
+    where = ".".join(keys)
+    if keys in (("camera",), ("sample", "shape")):
+        if not isinstance(value, str):
+            raise FileFormatError(f"{path}: {where} must be text, got {value!r}")
+        if keys == ("sample", "shape"):
+            return value
+        if Path(value).name != value or (path.parent / value).is_symlink():
+            raise FileFormatError(f"{path}: camera must be the plain name of a profile beside it, got {value!r}")
+        return path.parent / value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FileFormatError(f"{path}: {where} must be a number, got {value!r}")
+    return float(value)

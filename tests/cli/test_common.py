@@ -1,0 +1,166 @@
+"""What all commands share: help, rig files, quiet, JSON with a name, the next command, numbers with commas, completion."""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from matcam import BoxPixel, Camera, GaussianOptics
+from matcam.cli import show, suggestions
+from matcam.cli.help_page import EXIT_CODES, GROUPS
+from matcam.cli.rig_file import read_rig_file
+
+RIG = """schema = "matcam-rig-1"
+camera = "camera.json"
+
+[sample]
+radius_px = 100
+"""
+
+
+@pytest.fixture
+def rig_file(tmp_path):
+    Camera(GaussianOptics(1.5), BoxPixel(0.4)).save(tmp_path / "camera.json")
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG)
+    return path
+
+
+def test_help_groups_commands_and_tells_exit_codes(matcam):
+    text = matcam("-h").stdout
+    places = [text.index(f"\n{title}:") for title in GROUPS]
+    assert places == sorted(places)
+    assert "Other:" not in text
+    assert all(f"{code} {words}" in " ".join(text.split()) for code, words in EXIT_CODES.items())
+    assert text == matcam("--help").stdout
+
+
+def test_a_rig_file_stands_for_options(matcam, rig_file):
+    by_file = json.loads(matcam("predict", 0.01, "--rig", rig_file, "--json").stdout)
+    by_options = json.loads(
+        matcam("predict", 0.01, "--camera", rig_file.parent / "camera.json", "--radius", 100, "--json").stdout
+    )
+    merl = json.loads(matcam("predict", 0.01, "--json").stdout)
+    assert by_file == by_options
+    assert by_file["response"] != merl["response"]
+    wins = json.loads(matcam("predict", 0.01, "--radius", 256, "--rig", rig_file, "--json").stdout)
+    assert wins["response"] != by_file["response"]
+
+
+@pytest.mark.parametrize(
+    ("text", "command", "words"),
+    [
+        ("x = [", "predict", "no TOML"),
+        ('schema = "other"', "predict", 'does not begin with schema = "matcam-rig-1"'),
+        (RIG + "[lamp]\ncolour = 3\n", "predict", "unknown entry lamp.colour; it has camera, sample.shape"),
+        (RIG.replace("100", '"wide"'), "predict", "sample.radius_px must be a number, got 'wide'"),
+        (RIG.replace("camera.json", "../camera.json"), "predict", "must be the plain name of a profile beside it"),
+        (RIG + "[lens]\ndistance = 30\n", "limits", "matcam limits cannot take lens.distance into account"),
+        (RIG + "[lens]\nglare = 0.01\n", "correct", "matcam correct cannot take lens.glare into account"),
+        (RIG.replace("100", "-1"), "predict", "--radius must lie in"),
+    ],
+)
+def test_wrong_rig_files_are_one_line(matcam, rig_file, text, command, words):
+    rig_file.write_text(text)
+    arguments = ["nothing.binary"] if command == "correct" else []
+    said = matcam(command, *arguments, "--rig", rig_file, code=2).stderr
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_a_camera_that_is_a_link_is_refused(matcam, rig_file):
+    rig_file.with_name("camera.json").rename(rig_file.with_name("other.json"))
+    rig_file.with_name("camera.json").symlink_to("other.json")
+    assert "plain name" in matcam("predict", "--rig", rig_file, code=2).stderr
+
+
+def test_every_entry_of_a_rig_file_is_an_option(tmp_path):
+    known = {"camera", "sample", "radius", "sample_mm", "distance", "glare", "glare_radius", "lamp", "lamp_distance"}
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "schemas.md").read_text()
+    path = tmp_path / "rig.toml"
+    path.write_text(page.split("```toml\n")[1].split("```")[0])
+    assert set(read_rig_file(path, known, "predict")) == known
+
+
+def test_quiet_prints_nothing_but_errors_and_json(matcam):
+    assert matcam("predict", 0.01, "--quiet").stdout == ""
+    assert json.loads(matcam("predict", 0.01, "-q", "--json").stdout)["ndf"] == "ggx"
+    assert "--radius" in matcam("predict", 0.01, "-q", "--radius", -1, code=2).stderr
+    assert matcam("predict", 0.01).stdout
+
+
+def test_json_has_a_name_and_arrays_on_one_line(matcam):
+    text = matcam("predict", 0.01, 0.02, "--json").stdout
+    document = json.loads(text)
+    assert next(iter(document.items())) == ("schema", "matcam-predict-1")
+    assert '  "roughness": [0.01, 0.02],' in text.splitlines()
+    assert json.loads(matcam("data", "merl", "--list", "--json").stdout)["schema"] == "matcam-data-merl-1"
+
+
+def test_layout_is_json():
+    value = {"a": [1, 2.5, None], "b": {"c": [[1, 2], [3]], "d": {}}, "e": [], "f": [{"g": "h"}], "ä": True}
+    assert json.loads(show._laid_out(value)) == value
+
+
+def test_the_next_command_is_one_that_runs(matcam, tmp_path):
+    """What is suggested is understood by the command line; JSON is left alone."""
+    *_, last = matcam("predict", 0.01, "--radius", 300).stdout.strip().splitlines()
+    assert last == "next: matcam limits 0.01 --radius 300.0"
+    matcam("limits", "--help")
+    assert "next" not in json.loads(matcam("predict", 0.01, "--json").stdout)
+    *_, last = matcam("chart", "squares", "-o", "my chart.svg").stdout.strip().splitlines()
+    assert shlex.split(last) == [
+        "next:",
+        "matcam",
+        "calibrate",
+        "PHOTOGRAPHS",
+        "--chart",
+        "my chart.json",
+        "-o",
+        "camera.json",
+    ]
+
+
+def test_suggestions_are_for_commands_that_exist():
+    from docs_commands import commands
+
+    assert set(suggestions._NEXT) <= set(commands())
+
+
+def test_completion_knows_commands(environment_of_completion):
+    done = subprocess.run(
+        [sys.executable, "-m", "matcam"], env=environment_of_completion, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["predict"]
+
+
+@pytest.fixture
+def environment_of_completion():
+    return {**os.environ, "_MATCAM_COMPLETE": "complete_bash", "COMP_WORDS": "matcam pre", "COMP_CWORD": "1"}
+
+
+def test_help_is_quick():
+    """At most 0.3 s of processor time; the best of three, because others use the machine."""
+    seconds = []
+    for _ in range(3):
+        before = os.times()
+        subprocess.run([sys.executable, "-m", "matcam", "--help"], stdout=subprocess.DEVNULL, check=True)
+        after = os.times()
+        seconds.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    assert min(seconds) <= 0.3, seconds
+
+
+def test_layers_of_a_correction(tmp_path):
+    from matcam.files.float_pictures import write_exr_layers
+
+    OpenEXR = pytest.importorskip("OpenEXR")
+    supported = np.eye(3)
+    write_exr_layers(tmp_path / "a.exr", {"corrected": np.full((3, 3, 3), 2.0), "supported": supported})
+    channels = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).channels()
+    assert sorted(channels) == ["corrected.B", "corrected.G", "corrected.R", "supported.Y"]
+    np.testing.assert_array_equal(channels["supported.Y"].pixels, supported)

@@ -1,0 +1,128 @@
+"""Generated pages: each public name with its parameters, each command with its options, each claim by its test."""
+
+import ast
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import docs_api
+import docs_check
+import docs_claims
+import docs_commands
+import docs_messages
+from docs_names import public_things, signature
+from matcam.cli import BAD_INPUT, FAULT, INTERRUPTED
+
+ROOT = Path(__file__).parents[2]
+THINGS = {name: thing for name, thing in public_things() if not inspect.ismodule(thing)}
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """The generated pages of names, by name of their file."""
+    folder = tmp_path_factory.mktemp("api")
+    docs_api.write(folder)
+    return {path.stem: path.read_text() for path in folder.glob("*.md")}
+
+
+@pytest.fixture(scope="module")
+def commands(tmp_path_factory):
+    """The generated page of commands."""
+    path = tmp_path_factory.mktemp("commands") / "commands.md"
+    docs_commands.write(path)
+    return path.read_text()
+
+
+def test_every_public_name_is_on_one_page_with_all_parameters(pages):
+    whole = "\n".join(pages.values())
+    listed = re.split(r"(?m)^:::::\{py:(?:class|function)\} matcam\.", whole)[1:]
+    entries = {re.match(r"[\w.]+", text)[0]: text for text in listed}
+    assert len(entries) == len(listed)
+    assert set(entries) == set(THINGS) - {"rigs.Rig"}
+    missing = [
+        f"{name}: {parameter}"
+        for name, text in entries.items()
+        for parameter in signature(THINGS[name])
+        if f"- **{parameter}**" not in text
+    ]
+    assert missing == []
+
+
+def test_a_public_name_on_no_page_is_named():
+    with pytest.raises(docs_api.UndocumentedError, match="on no page: measure_everything"):
+        docs_api.pages({*THINGS, "measure_everything"})
+    with pytest.raises(docs_api.UndocumentedError, match="measure"):
+        docs_api.pages(set(THINGS) - {"measure"})
+
+
+def test_every_command_stands_there_with_all_options(commands):
+    sections = re.split(r"(?m)^### matcam ", commands)[1:]
+    by_name = {text.split("\n")[0]: text for text in sections}
+    found = docs_commands.commands()
+    assert set(by_name) == set(found)
+    missing = [
+        f"{words} {option}"
+        for words, (command, _) in found.items()
+        for param in command.params
+        if param.param_type_name == "option"
+        for option in (*param.opts, *param.secondary_opts)
+        if f"`{option}" not in by_name[words]
+        and f" {option}`" not in by_name[words]
+        and f" {option}," not in by_name[words]
+    ]
+    assert missing == []
+    assert [words for words, text in by_name.items() if f"```sh\nmatcam {words}" not in text] == []
+    assert [code for code in (0, 1, BAD_INPUT, FAULT, INTERRUPTED) if f"| {code} |" not in commands] == []
+
+
+def test_values_of_options_are_units_or_choices():
+    """No type of Python stands for a unit, and a flag has no value."""
+    from matcam.cli import help_page
+
+    kinds = re.compile(r"<|\b(bool|int|float|str|path|text|list)\b")
+    wrong = [
+        f"{words} {entry.names} {entry.value}"
+        for words, (command, context) in docs_commands.commands().items()
+        for entry in help_page.entries(command, context)[1]
+        if kinds.search(entry.value)
+    ]
+    assert wrong == []
+
+
+def test_every_message_is_on_the_page_of_troubleshooting(tmp_path):
+    path = tmp_path / "troubleshooting.md"
+    docs_messages.write(path)
+    text = path.read_text()
+    own = [m for m in docs_messages.collected() if re.search("[a-z]", m.text.replace("{}", ""))]
+    assert len(own) > 350
+    assert [str(m) for m in own if docs_messages._as_text(m.text) not in text] == []
+
+
+@pytest.mark.parametrize("name", docs_claims.claims())
+def test_a_claim_names_a_test_that_reads_it(name):
+    claim = docs_claims.claims()[name]
+    if "benchmark" in claim:
+        assert claim["benchmark"] in (ROOT / "benchmarks" / "RESULTS.md").read_text()
+        return
+    path, _, test = claim["test"].partition("::")
+    tree = ast.parse((ROOT / path).read_text())
+    assert test in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    assert f'limit("{name}")' in (ROOT / path).read_text()
+
+
+def test_readme_prints_the_claims():
+    assert "\n".join(docs_claims.table(docs_claims.shown_in_readme)) in (ROOT / "README.md").read_text()
+
+
+def test_bad_links_and_outside_loads_are_found(tmp_path):
+    (tmp_path / "a.html").write_text(
+        '<p id="here"><a href="b.html">gone</a><a href="#there">gone</a><a href="#here">good</a>'
+        '<script src="https://cdn.example/x.js"></script><img src="c.png"><a href="https://example.org">good</a>'
+    )
+    (tmp_path / "s.css").write_text("@font-face { src: url(https://fonts.example/a.woff2) }")
+    found = docs_check.faults(tmp_path)
+    assert len(found) == 5
+    for words in ("b.html leads nowhere", "#there", "loads https://cdn", "c.png leads nowhere", "s.css: loads"):
+        assert any(words in line for line in found), words
