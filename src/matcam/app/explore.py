@@ -44,7 +44,7 @@ class ExploreView:
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
         self._downloads, self._complain, self._files = downloads, complain, files
-        self._fast, self._slow = Newest(document, complain), Newest(document, complain)
+        self._fast, self._slow = Newest(document, self._failed), Newest(document, self._failed)
         self._entries: list[Entry] = []
         self._read: dict[int, OpenedTable] = {}
         self._shown: dict[str, Any] = {}
@@ -78,6 +78,10 @@ class ExploreView:
         self._slow.close()
         self._upload.close()
 
+    def _failed(self, line: str) -> None:
+        self._status.text = ""
+        self._complain(line)
+
     def refresh(self) -> None:
         """Show what the controls say of the tables that have been read."""
         tables = [self._read.get(self._index(select)) for select in self._chosen]
@@ -100,7 +104,7 @@ class ExploreView:
 
     def _plots(self) -> Any:
         self._slice = curve_figure(
-            "Slice across the plane of light and view", "half angle θ_h [degrees]", "BRDF [1/sr]", height=330,
+            "Slice across the plane of light and view", "half angle θ_h [degrees]", "BRDF [1/sr]", height=310,
             x_axis_type="log", y_axis_type="log",
         )  # fmt: skip
         names = ("theta_h", "recorded", "corrected", "low", "high", "supported", "unsupported")
@@ -136,8 +140,8 @@ class ExploreView:
             self._slice, lines, [("θ_h", "@theta_h°"), ("recorded", "@recorded 1/sr"), ("corrected", "@corrected 1/sr")]
         )
         self._fresnel = curve_figure(
-            "Peak × cos²θ_d against a metal's Fresnel term", "difference angle θ_d [degrees]", "over its mean, 10 to 45° [-]",
-            height=270, x_range=(0, 90), y_range=(0, 2),
+            "Peak × cos²θ_d, and F of a metal", "difference angle θ_d [degrees]", "over its mean, 10 to 45° [-]",
+            height=292, x_range=(0, 90), y_range=(0, 2),
         )  # fmt: skip
         self._terms = ColumnDataSource(
             {name: [] for name in ("theta_d", "recorded", "corrected", "low", "high", "metal")}, name="fresnel"
@@ -295,10 +299,8 @@ class _SpherePlot:
 
     def show(self, light: np.ndarray | None, name: str, exposure: float) -> None:
         """Show a radiance; None: nothing."""
-        self.plot.visible = light is not None
-        if light is not None:
-            self._source.data = {"image": [on_screen(light, exposure)]}
-            self.plot.title.text = name if len(name) < 30 else f"{name[:27]}..."
+        self._source.data = {"image": [np.zeros((2, 2), np.uint32) if light is None else on_screen(light, exposure)]}
+        self.plot.title.text = name if len(name) < 30 else f"{name[:27]}..."
 
 
 def _chosen_table(table: OpenedTable, which: int) -> Any:
@@ -324,5 +326,5 @@ def _shown(tables: list[Any], angles: dict[str, float], channel: int, which: int
     for one in tables:
         data = None if one is None else _chosen_table(one, which)
         found["light"].append(None if data is None else sphere_of(data, lamp, azimuth))
-        found["names"].append("" if one is None else f"{one.name}: radiance, sRGB")
+        found["names"].append("beside it: none" if one is None else f"{one.name}: radiance, sRGB")
     return found

@@ -11,6 +11,7 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import Div, RadioButtonGroup
 
+from matcam.app.calibrate_view import CalibrateView, is_picture
 from matcam.app.downloads import Downloads
 from matcam.app.explore import ExploreView
 from matcam.app.plan import PlanView
@@ -31,9 +32,12 @@ class Page:
         )
         self._views: dict[str, Any] = {
             "Plan": PlanView(document, downloads, self.complain),
-            "Explore": ExploreView(document, downloads, self.complain, files),
+            "Calibrate": CalibrateView(document, downloads, self.complain, files),
+            "Explore": ExploreView(
+                document, downloads, self.complain, [path for path in files if not is_picture(path)]
+            ),
         }
-        start = "Explore" if files else "Plan"
+        start = "Plan" if not files else "Calibrate" if is_picture(files[0]) else "Explore"
         self._chosen = RadioButtonGroup(
             labels=list(self._views), active=list(self._views).index(start), name="views", width=300
         )

@@ -10,6 +10,8 @@ import typer
 from matcam.cli import show
 from matcam.core.errors import ArgumentError
 
+_INTERRUPTED = 130
+
 
 def command(
     files: Annotated[
@@ -64,12 +66,10 @@ def _leave() -> None:
     import os
     import sys
 
-    from matcam.cli import INTERRUPTED
-
     show.remark("interrupted; nothing half-written was left")
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-    os._exit(INTERRUPTED)
+    os._exit(_INTERRUPTED)
 
 
 def _open(address: str) -> None:
