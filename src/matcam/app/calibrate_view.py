@@ -11,17 +11,8 @@ import numpy as np
 from bokeh.document import Document
 from bokeh.events import SelectionGeometry
 from bokeh.layouts import column, row
-from bokeh.models import (
-    BoxSelectTool,
-    Button,
-    ColorBar,
-    ColumnDataSource,
-    Div,
-    LinearColorMapper,
-    NumericInput,
-    Range1d,
-    Select,
-)
+from bokeh.models import BoxSelectTool, ColorBar, ColumnDataSource, LinearColorMapper, Range1d
+from bokeh.models.widgets import Button, Div, NumericInput, Select
 from bokeh.palettes import Viridis256
 from bokeh.plotting import figure
 
@@ -34,7 +25,7 @@ from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
 from matcam.files.photographs import PICTURES
 
-_SIDE = 460  # px of the screen
+_SIDE = 430  # px of the screen
 _REGION = ("x", "y", "width", "height")
 _TONES = {"auto": "auto: 8 bits are sRGB, others linear", "linear": "linear", "srgb": "sRGB"}
 
@@ -118,7 +109,8 @@ class CalibrateView:
         )
         self._box = ColumnDataSource({"x": [], "y": [], "width": [], "height": []}, name="region")
         self._plot = figure(
-            title="picture", x_axis_label="x [px]", y_axis_label="y [px]", frame_width=_SIDE, frame_height=_SIDE,
+            title="picture", toolbar_location="above",
+            x_axis_label="x [px]", y_axis_label="y [px]", frame_width=_SIDE, frame_height=_SIDE,
             match_aspect=True,
             x_range=Range1d(-0.5, 1), y_range=Range1d(1, -0.5),
             tools="pan,wheel_zoom,box_zoom,reset", active_scroll="wheel_zoom",
@@ -190,7 +182,7 @@ class CalibrateView:
         return column(
             self._status,
             row(
-                self._plot,
+                column(self._plot, width=_SIDE + 150),
                 column(self._curve, self._about, self._result, sizing_mode="stretch_width"),
                 sizing_mode="stretch_width",
             ),

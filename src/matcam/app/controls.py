@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bokeh.layouts import column, row
-from bokeh.models import Div, NumericInput, Slider
 from bokeh.models.layouts import LayoutDOM
+from bokeh.models.widgets import Div, NumericInput, Slider
 
 WIDTH = 300
 """Width of a column of controls, px of the screen."""

@@ -10,12 +10,24 @@ from typing import Any
 import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import Button, ColumnDataSource, Div, RadioButtonGroup, Select
+from bokeh.models import ColumnDataSource
+from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 from bokeh.plotting import figure
 
 from matcam.app.controls import WIDTH, NumberControl, Setting
 from matcam.app.downloads import Downloads
-from matcam.app.explored import SIDE, as_bsdf, as_csv, as_exr, as_pbrt, fresnel_of, on_screen, slice_of, sphere_of
+from matcam.app.explored import (
+    SIDE,
+    as_bsdf,
+    as_csv,
+    as_exr,
+    as_pbrt,
+    fresnel_of,
+    on_screen,
+    range_of,
+    slice_of,
+    sphere_of,
+)
 from matcam.app.opened import Entry, OpenedTable, entries_of
 from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, plain
 from matcam.app.upload import Upload
@@ -105,7 +117,7 @@ class ExploreView:
     def _plots(self) -> Any:
         self._slice = curve_figure(
             "Slice across the plane of light and view", "half angle θ_h [degrees]", "BRDF [1/sr]", height=310,
-            x_axis_type="log", y_axis_type="log",
+            x_axis_type="log", y_axis_type="log", y_range=(1e-3, 1e3),
         )  # fmt: skip
         names = ("theta_h", "recorded", "corrected", "low", "high", "supported", "unsupported")
         self._curves = ColumnDataSource({name: [] for name in names}, name="slice")
@@ -164,7 +176,11 @@ class ExploreView:
         return column(
             self._status,
             self._slice,
-            row(self._fresnel, *(sphere.plot for sphere in self._spheres), sizing_mode="stretch_width"),
+            row(
+                self._fresnel,
+                *(column(sphere.plot, width=SIDE + 70) for sphere in self._spheres),
+                sizing_mode="stretch_width",
+            ),
             sizing_mode="stretch_width",
         )
 
@@ -245,6 +261,7 @@ class ExploreView:
         self._shown = found
         if "slice" in found:
             self._curves.data = found["slice"]
+            self._slice.y_range.update(start=found["range"][0], end=found["range"][1])
         self._besides.data = found.get("beside") or {name: [] for name in self._besides.data}
         self._terms.data = found["fresnel"]
         top = np.nanmax([np.nanquantile(found["fresnel"][name], 0.97) if np.isfinite(found["fresnel"][name]).any() else 1.0
@@ -317,6 +334,7 @@ def _shown(tables: list[Any], angles: dict[str, float], channel: int, which: int
     found: dict[str, Any] = {"exposure": angles["exposure"]}
     if table.best is not None:
         found["slice"] = slice_of(table, theta_d, channel)
+        found["range"] = range_of(found["slice"])
     if beside is not None and beside.best is not None:
         found["beside"] = slice_of(beside, theta_d, channel)
     term = fresnel_of(table, channel)

@@ -55,6 +55,16 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
     }
 
 
+def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
+    """Return the range of BRDF values, 1/sr, that shows a slice: at most seven decades below its peak."""
+    values = np.concatenate([curves["recorded"], curves["corrected"]])
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return 1e-3, 1e3
+    top = float(known.max())
+    return max(top * 1e-7, float(known.min()) / 2), top * 2
+
+
 def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE) -> np.ndarray:
     """Return the radiance of a sphere of this table, (size, size, channel), 1/sr; angles in rad."""
     from matcam.figures.spheres import table_sphere

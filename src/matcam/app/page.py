@@ -9,7 +9,7 @@ from typing import Any
 
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import Div, RadioButtonGroup
+from bokeh.models.widgets import Div, RadioButtonGroup
 
 from matcam.app.calibrate_view import CalibrateView, is_picture
 from matcam.app.downloads import Downloads

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import Button, ColumnDataSource, Div, RadioButtonGroup, Select, Span
+from bokeh.models import ColumnDataSource, Span
+from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
 from matcam.app.controls import WIDTH, NumberControl
 from matcam.app.downloads import Downloads

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bokeh.models import FileInput
+from bokeh.models.widgets import FileInput
 
 from matcam.app.controls import WIDTH
 
