@@ -249,15 +249,15 @@ class CalibrateView:
             self._complain("nothing is open: drop a picture first")
             return
         given = [field.value for field in self._region]
-        region = None if all(value is None for value in given) else tuple(int(value or 0) for value in given)
+        x, y, width, height = (int(value or 0) for value in given)
+        region = None if all(value is None for value in given) else (x, y, width, height)
         if region:
-            x, y, width, height = region
             self._box.data = {"x": [x + width / 2], "y": [y + height / 2], "width": [width], "height": [height]}
         tone, half = self._tone.value, float(self._half.value or 0.5)
         self._begin("measuring the edge ... (slow once after an installation)")
         self._work.ask(
             lambda: measured_edge(picture, region, tone, half), lambda result: self._show_edge(picture, result)
-        )  # type: ignore[arg-type]
+        )
 
     def _show_edge(self, picture: OpenedPicture, result: Any) -> None:
         self._status.text = ""

@@ -163,7 +163,7 @@ def as_pbrt(table: OpenedTable) -> bytes:
         raise ArgumentError(
             "pbrt takes a GGX lobe with n and k: this material has no such fit; save the .bsdf for Mitsuba"
         )
-    return pbrt_material(Microfacet(GGX(params["alpha"]), Conductor(n, k))).encode()
+    return pbrt_material(Microfacet(GGX(params["alpha"]), Conductor(np.array(n), np.array(k)))).encode()
 
 
 def _written(write: Any, suffix: str) -> bytes:

@@ -17,6 +17,7 @@ import xarray as xr
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import check_within, read_json
 
+_WIDTHS = ("alpha", "beta", "width")
 _LARGEST_RECORD = 4 << 20
 """Largest record of a material that is read, bytes."""
 
@@ -148,14 +149,11 @@ def _label(name: str, record: dict[str, Any]) -> str:
     """Return a material's name, and in a few words what its run found."""
     fit = record.get("fit")
     params = fit.get("params") if isinstance(fit, dict) else None
-    width = next((f"{key} {params[key]:.3g}" for key in ("alpha", "beta", "width") if _is_number(params, key)), "")
+    numbers = params if isinstance(params, dict) else {}
+    width = next((f"{key} {numbers[key]:.3g}" for key in _WIDTHS if isinstance(numbers.get(key), int | float)), "")
     share = record.get("supported_share")
     supported = f"{share:.0%} supported" if isinstance(share, float) and np.isfinite(share) else ""
     return " · ".join(part for part in (name, width, supported) if part)
-
-
-def _is_number(params: Any, key: str) -> bool:
-    return isinstance(params, dict) and isinstance(params.get(key), int | float)
 
 
 def _rows(store: Path) -> list[Entry]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -178,10 +179,10 @@ class PlanView:
         parts: dict[str, Any] = {}
         for count, (name, part) in enumerate(_PARTS.items()):
             words = f"preparing: {count + 1} of {len(_PARTS)}, {name} (slow once after an installation)"
-            self._fast.show(lambda words=words: self._say(words))
+            self._fast.show(partial(self._say, words))
             parts |= part(planned)
             so_far = dict(parts)
-            self._fast.show(lambda so_far=so_far: self._show(so_far))
+            self._fast.show(partial(self._show, so_far))
         return list(metals())
 
     def _started(self, names: list[str]) -> None:
@@ -261,7 +262,7 @@ class PlanView:
         """Compute the exact values when nothing has moved for a while; stop when something does."""
         while (left := self._moved + _REST - time.monotonic()) > 0:
             time.sleep(min(left, 0.05))
-            if self._exact.newer:
+            if self._exact.overtaken():
                 return
         from matcam.forward.prediction import predict
 
@@ -269,11 +270,11 @@ class PlanView:
         found = {"planned": planned, "curves": predict(rig, planned.lobes())}
         copies = self._copies(planned)
         self._exact.show(lambda: self._if_still(planned, found, copies))
-        if self._exact.newer:
+        if self._exact.overtaken():
             return
         bounds = _limits(planned)
         self._exact.show(lambda: self._show_limits(planned, bounds))
-        if self._exact.newer:
+        if self._exact.overtaken():
             return
         from matcam.forward.image import picture
 

@@ -46,8 +46,8 @@ class AppServer:
 
     def __init__(self, files: Sequence[Path] = (), host: str = "127.0.0.1", port: int = 0):
         _quiet()
-        settings.resources = "server"  # type: ignore[assignment]  # whatever the environment says
-        settings.log_level = "error"  # type: ignore[assignment]
+        settings.resources = "server"  # whatever the environment says
+        settings.log_level = "error"
         try:
             sockets = bind_sockets(port, host)
         except (OSError, UnicodeError) as error:

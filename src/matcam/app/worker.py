@@ -47,8 +47,7 @@ class Newest:
                 self._thread.start()
             self._wake.notify()
 
-    @property
-    def newer(self) -> bool:
+    def overtaken(self) -> bool:
         """Tell whether another job waits: a long one may stop."""
         return self._ended or self._job is not None
 

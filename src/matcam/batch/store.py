@@ -97,8 +97,9 @@ def read_row(store: Path, row: int) -> xr.Dataset:
             raise FileFormatError(f"{store}: row {row} is not whole: the run has not finished it")
         grid = merl_grid(group.attrs["sampling"])._asdict()
         coordinates = {name: (name, values, {"units": "rad"}) for name, values in grid.items()}
+        said = {"brdf": {"sampling": group.attrs["sampling"]}}
         data = {
-            name: (DIMS if name != "response" else DIMS[:3], group[name][row], attributes)
+            name: (DIMS if name != "response" else DIMS[:3], group[name][row], attributes | said.get(name, {}))
             for name, (_, attributes) in _VALUES.items()
         }
         return xr.Dataset(data, coords={**coordinates, "channel": list(CHANNELS)}, attrs=dict(group.attrs))

@@ -25,7 +25,7 @@ from matcam.forward.integral.blur import blur_of
 from matcam.forward.integral.integrals import Scene, highlight_x
 from matcam.lamp.lamps import NearLamp
 from matcam.material.microfacet import Microfacet
-from matcam.material.ndf.distribution import MixtureNDF
+from matcam.material.ndf.distribution import NDF, MixtureNDF
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
@@ -39,7 +39,7 @@ _FAR = 1e8
 """Distance that stands for an infinite one, radii: near and far share a program."""
 
 
-def response_preview(rig: Rig, ndf: MixtureNDF, theta: ArrayLike) -> jax.Array:
+def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
     """Return the response at the peak, fast enough for a slider.
 
     It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians: within 1e-6 for a Gaussian lens and its
@@ -65,7 +65,9 @@ def response_preview(rig: Rig, ndf: MixtureNDF, theta: ArrayLike) -> jax.Array:
         >>> bool(np.allclose(fast, matcam.peak_response(rig, matcam.GGX(0.01), np.array([0.0, 1.0])), rtol=1e-6))
         True
     """
-    return _responses(_checked_rig(rig, ndf), ndf, jnp.reshape(checks.viewing_angle("theta", theta), -1))
+    rig = _checked_rig(rig, ndf)
+    assert isinstance(ndf, MixtureNDF)
+    return _responses(rig, ndf, jnp.reshape(checks.viewing_angle("theta", theta), -1))
 
 
 def highlight_preview(
@@ -101,12 +103,12 @@ def highlight_preview(
     """
     rig, angle = _checked(material, rig, theta_d)
     if half_side is None:
-        half_side = 4 * float(_recorded_width(rig, material.ndf, angle))
+        half_side = 4 * float(_recorded_width(rig, _mixture(material), angle))
     checks.positive("half_side", half_side, "px")
     offsets = np.linspace(-1, 1, _count("points", points, 3)) * float(half_side)
     true, recorded = (
         np.asarray(part) * float(_peak(material, rig, angle))
-        for part in _lobes(rig, material.ndf, angle, offsets, offsets)
+        for part in _lobes(rig, _mixture(material), angle, jnp.asarray(offsets), jnp.asarray(offsets))
     )
     return _dataset(true, recorded, offsets, offsets, theta_d=float(theta_d))
 
@@ -177,6 +179,12 @@ def _checked(material: Microfacet, rig: Rig, theta_d: float) -> tuple[Rig, jax.A
             f"material must be a Microfacet such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
         )
     return _checked_rig(rig, material.ndf), jnp.asarray(float(checks.within("theta_d", theta_d, 0, _STEEPEST, "rad")))
+
+
+def _mixture(material: Microfacet) -> MixtureNDF:
+    ndf = material.ndf
+    assert isinstance(ndf, MixtureNDF)
+    return ndf
 
 
 def _dataset(true: np.ndarray, recorded: np.ndarray, x: np.ndarray, y: np.ndarray, **attributes: float) -> xr.Dataset:
@@ -254,7 +262,6 @@ def _recorded_width(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 @eqx.filter_jit
 def _lobes(rig: Rig, ndf: MixtureNDF, theta: jax.Array, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the lobe as it is and as recorded relative to its peak, (y, x) each."""
-    x, y = jnp.asarray(x), jnp.asarray(y)
     lobe = _sum_of_gaussians(rig, ndf, theta)
     true = _product(lobe.weights, _lines(lobe.std[1], y), _lines(lobe.std[0], x))
     return true, _recorded(rig, lobe, x, y)
@@ -302,7 +309,7 @@ def _sphere(material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, blo
     lit = visible & (scene.seen(element).cos_i > 0)
     points = jnp.where(lit, _middle(scene.sent(element)), 0.0)
     peak = _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
-    lobe = _sum_of_gaussians(rig, material.ndf, theta)
+    lobe = _sum_of_gaussians(rig, _mixture(material), theta)
     inside = jnp.arange(block) - (block - 1) / 2
     down, across = (at, at - place)
     centre = _product(lobe.weights, _lines(lobe.std[1], down), _lines(lobe.std[0], across))
