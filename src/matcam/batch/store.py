@@ -80,6 +80,42 @@ def whole_rows(store: Path) -> np.ndarray:
     return np.asarray(_zarr().open_group(store, mode="r", zarr_format=3, use_consolidated=False)[_DONE][:])
 
 
+def row_names(store: Path) -> list[str]:
+    """Return the materials of a run's Zarr, by row; tables are not read."""
+    return [str(name) for name in _readable(store)[_ROW][:]]
+
+
+def read_row(store: Path, row: int) -> xr.Dataset:
+    """Read one material's corrected table from a run's Zarr.
+
+    Raises:
+        FileFormatError: the row is not whole, or the store is damaged.
+    """
+    group = _readable(store)
+    try:
+        if not bool(group[_DONE][row]):
+            raise FileFormatError(f"{store}: row {row} is not whole: the run has not finished it")
+        grid = merl_grid(group.attrs["sampling"])._asdict()
+        coordinates = {name: (name, values, {"units": "rad"}) for name, values in grid.items()}
+        said = {"brdf": {"sampling": group.attrs["sampling"]}}
+        data = {
+            name: (DIMS if name != "response" else DIMS[:3], group[name][row], attributes | said.get(name, {}))
+            for name, (_, attributes) in _VALUES.items()
+        }
+        return xr.Dataset(data, coords={**coordinates, "channel": list(CHANNELS)}, attrs=dict(group.attrs))
+    except (OSError, KeyError, ValueError, IndexError) as error:
+        raise FileFormatError(f"{store}: row {row} cannot be read: {error}") from None
+
+
+def _readable(store: Path) -> Any:
+    """Open a store, when its arrays have been found to be a run's."""
+    try:
+        _check_store(store)
+        return _zarr().open_group(store, mode="r", zarr_format=3, use_consolidated=False)
+    except (OSError, KeyError, ValueError, OutputError) as error:
+        raise FileFormatError(f"{store}: not the Zarr of a run: {error}") from None
+
+
 def _check_store(store: Path) -> None:
     """Check the arrays of a store before anything of it is decoded. OutputError for what no run has written."""
     for described in sorted(store.glob(f"*/{DESCRIPTION}")):

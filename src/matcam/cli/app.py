@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from matcam.cli import (
+    browser,
     calibrate,
     chart,
     convert,
@@ -75,6 +76,7 @@ for _name, _module in {
     "inspect": inspect,
     "convert": convert,
     "render": render,
+    "app": browser,
     "figures": figures,
     "demo": demo,
 }.items():

@@ -19,17 +19,22 @@ LAMP = np.radians(50.0)
 """Angle between lamp and camera."""
 
 
-def table_sphere(values: np.ndarray, size: int, zoom: float = 1.0) -> np.ndarray:
-    """Return the radiance of a sphere under a lamp 50 degrees from the camera, (size, size, channel).
+def table_sphere(
+    values: np.ndarray, size: int, zoom: float = 1.0, lamp: float = LAMP, azimuth: float = 0.0
+) -> np.ndarray:
+    """Return the radiance of a sphere under a distant lamp, (size, size, channel).
 
     Args:
         values: a table's values (theta_h, theta_d, phi_d, channel); the nearest entry is taken, and missing is dark.
         size: height and width, px.
         zoom: magnification about the highlight (no unit). Default: 1, the whole sphere.
+        lamp: angle between lamp and camera, rad. Default: 50 degrees.
+        azimuth: of the lamp about the optical axis, from right towards up, rad. Default: 0.
     """
     t = ((np.arange(size) + 0.5) / size * 2 - 1) / zoom
-    half = LAMP / 2
+    half = lamp / 2
     x, y = np.meshgrid(t + (np.sin(half) if zoom > 1 else 0), -t)
+    x, y = x * np.cos(azimuth) + y * np.sin(azimuth), y * np.cos(azimuth) - x * np.sin(azimuth)
     inside = x**2 + y**2 < 1
     z = np.sqrt(np.where(inside, 1 - x**2 - y**2, 1))
     along, up = x * np.cos(half) - z * np.sin(half), x * np.sin(half) + z * np.cos(half)

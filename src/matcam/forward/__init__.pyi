@@ -1,12 +1,16 @@
 from .image import picture_values
 from .measurement import table_values, true_table, with_pixel_noise
+from .previews import highlight_preview, response_preview, sphere_preview
 from .stamps import Highlights, highlight_stamps
 from .texture import texture_contrast, textured_picture
 
 __all__ = [
     "Highlights",
+    "highlight_preview",
     "highlight_stamps",
     "picture_values",
+    "response_preview",
+    "sphere_preview",
     "table_values",
     "texture_contrast",
     "textured_picture",

@@ -339,6 +339,28 @@ def _corrected_table(
     )
 
 
+def recorded_table(table: xr.Dataset) -> xr.DataArray:
+    """Return the table as it was recorded, from its correction.
+
+    The standard deviations say it: `correction_std` is the camera's share of `brdf_std` over what was recorded. Where that
+    share has no digits, an entry is taken as corrected times the response.
+
+    Args:
+        table: from `correct`.
+
+    Returns:
+        The recorded table, 1/sr, NaN where it was missing.
+    """
+    corrected, share = table["brdf"].values, table["correction_std"].values
+    camera = np.sqrt(np.maximum(table["brdf_std"].values ** 2 - table["noise_std"].values ** 2, 0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        recorded = camera / share
+    # beside a much larger noise the difference of squares has lost its digits
+    lost = ~(camera > 1e-6 * table["noise_std"].values) | ~np.isfinite(recorded)
+    recorded = np.where(lost, corrected * table["response"].values[..., None], recorded)
+    return table["brdf"].copy(data=recorded)
+
+
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     """Return a corrected table for a format that cannot say what is supported: what is not stays as it was recorded.
 

@@ -1,0 +1,329 @@
+"""The view that measures a camera: pictures with their edges and MTF50, one region by hand, the profile to save."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.events import SelectionGeometry
+from bokeh.layouts import column, row
+from bokeh.models import BoxSelectTool, ColorBar, ColumnDataSource, LinearColorMapper, Range1d
+from bokeh.models.widgets import Button, Div, NumericInput, Select
+from bokeh.palettes import Viridis256
+from bokeh.plotting import figure
+
+from matcam.app.calibrated import OpenedPicture, calibrated, edges_in, measured_edge, opened_or_why, profiles
+from matcam.app.controls import WIDTH
+from matcam.app.downloads import Downloads
+from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, plain
+from matcam.app.upload import Upload
+from matcam.app.worker import Newest
+from matcam.core.errors import MatcamError
+from matcam.files.photographs import PICTURES
+
+_SIDE = 430  # px of the screen
+_REGION = ("x", "y", "width", "height")
+_TONES = {"auto": "auto: 8 bits are sRGB, others linear", "linear": "linear", "srgb": "sRGB"}
+
+
+class CalibrateView:
+    """Measure photographs of edges and charts.
+
+    Args:
+        document: the page's document.
+        downloads: where files to save are offered.
+        complain: shows one line.
+        files: what the user opened on the command line.
+    """
+
+    def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
+        self._downloads, self._complain = downloads, complain
+        self._files = [path for path in files if is_picture(path)]
+        self._work = Newest(document, self._failed)
+        self._pictures: list[OpenedPicture] = []
+        self._found: Any = None
+        self._upload = Upload("open: drop a picture here", self._dropped, complain, name="upload-picture")
+        self._picture = Select(
+            title="picture", options=[], value="", width=WIDTH - 16, margin=(2, 8, 2, 8), name="picture"
+        )
+        self._tone = Select(
+            title="tone curve", options=list(_TONES.items()), value="auto", width=WIDTH - 16, margin=(2, 8, 2, 8)
+        )
+        self._model = Select(
+            title="lens", options=["gaussian", "halo", "measured"], value="gaussian", width=138, margin=(2, 8, 2, 8)
+        )
+        self._half = NumericInput(
+            title="pixel half width [px]", value=0.5, low=0.05, high=0.5, mode="float", width=138, margin=(2, 4, 2, 4)
+        )
+        self._region = [
+            NumericInput(
+                title=f"{name} [px]", value=None, mode="int", width=64, margin=(2, 2, 2, 6), name=f"region-{name}"
+            )
+            for name in _REGION
+        ]
+        self._edge = Button(
+            label="measure the region's edge", width=WIDTH - 16, height=30, margin=(2, 8, 2, 8), name="measure"
+        )
+        self._all = Button(
+            label="find and measure all edges", width=WIDTH - 16, height=30, margin=(2, 8, 2, 8), name="calibrate"
+        )
+        self._edge.on_click(self._measure)
+        self._all.on_click(self._calibrate)
+        self._picture.on_change("value", lambda attr, old, new: self._draw())
+        self._status = Div(
+            text="Nothing is open: drop photographs of slanted edges or a chart.",
+            name="calibrate-status",
+            height=18,
+            sizing_mode="stretch_width",
+        )
+        self._about = Div(text="", name="about", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self._result = Div(text="", name="result", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self._saved = Div(text="", name="profiles", width=WIDTH - 16)
+        self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="calibrate-view")
+
+    def start(self) -> None:
+        """Open the pictures of the command line."""
+        for path in self._files:
+            self._dropped(path)
+
+    def close(self) -> None:
+        """Stop computing and remove what was uploaded."""
+        self._work.close()
+        self._upload.close()
+
+    def _knobs(self) -> Any:
+        return column(
+            self._upload.layout, self._picture, self._tone, row(self._model, self._half),
+            Div(text="one region: draw it, or", margin=(4, 8, 0, 8)), row(*self._region), self._edge,
+            Div(text="all pictures:", margin=(4, 8, 0, 8)), self._all, self._saved, width=WIDTH,
+        )  # fmt: skip
+
+    def _plots(self) -> Any:
+        self._image = ColumnDataSource({"image": [], "dw": [], "dh": []}, name="photograph")
+        self._edges = ColumnDataSource(
+            {name: [] for name in ("x", "y", "x0", "y0", "x1", "y1", "mtf50", "mtf50_std")}, name="edges"
+        )
+        self._box = ColumnDataSource({"x": [], "y": [], "width": [], "height": []}, name="region")
+        self._plot = figure(
+            title="picture", toolbar_location="above",
+            x_axis_label="x [px]", y_axis_label="y [px]", frame_width=_SIDE, frame_height=_SIDE,
+            match_aspect=True,
+            x_range=Range1d(-0.5, 1), y_range=Range1d(1, -0.5),
+            tools="pan,wheel_zoom,box_zoom,reset", active_scroll="wheel_zoom",
+        )  # fmt: skip
+        plain(self._plot)
+        self._plot.grid.visible = False
+        self._plot.image(
+            "image",
+            x=-0.5,
+            y=-0.5,
+            dw="dw",
+            dh="dh",
+            source=self._image,
+            color_mapper=LinearColorMapper(palette=[f"#{v:02x}{v:02x}{v:02x}" for v in range(256)], low=0, high=1),
+        )
+        self._colours = LinearColorMapper(palette=Viridis256, low=0, high=0.5)
+        colour = {"field": "mtf50", "transform": self._colours}
+        self._plot.segment("x0", "y0", "x1", "y1", source=self._edges, line_color=colour, line_width=4)
+        dots = self._plot.scatter("x", "y", source=self._edges, fill_color=colour, line_color="white", size=8)
+        hover(
+            self._plot,
+            [dots],
+            [("MTF50", "@mtf50{0.0000} ± @mtf50_std{0.0000} cycles/px"), ("x, y", "@x{0}, @y{0} px")],
+        )
+        self._plot.rect(
+            "x",
+            "y",
+            "width",
+            "height",
+            source=self._box,
+            fill_alpha=0.1,
+            fill_color=VERMILION,
+            line_color=VERMILION,
+            line_width=2,
+        )
+        self._plot.add_layout(
+            ColorBar(color_mapper=self._colours, width=10, title="MTF50 [cycles/px]", title_text_font_size="10px"),
+            "right",
+        )
+        self._plot.add_tools(BoxSelectTool(renderers=[dots], description="draw a region"))
+        self._plot.on_event(SelectionGeometry, self._drawn)
+        self._curve = curve_figure(
+            "MTF of lens and pixel",
+            "spatial frequency [cycles/px]",
+            "MTF [-]",
+            height=380,
+            x_range=(0, 1.0),
+            y_range=(-0.1, 1.1),
+        )
+        self._mtf = ColumnDataSource({name: [] for name in ("frequency", "mtf", "low", "high", "lens")}, name="mtf")
+        self._curve.varea(
+            "frequency", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._mtf, legend_label="± 1 std"
+        )
+        lines = self._curve.line(
+            "frequency", "mtf", color=BLUE, line_width=2, source=self._mtf, legend_label="free of a model"
+        )
+        self._curve.line(
+            "frequency",
+            "lens",
+            color=VERMILION,
+            line_width=2,
+            line_dash="dashed",
+            source=self._mtf,
+            legend_label="lens model",
+        )
+        self._curve.line([0.5, 0.5], [-0.1, 1.1], color=GREY, line_width=1, legend_label="Nyquist")
+        hover(self._curve, [lines], [("frequency", "@frequency{0.000} cycles/px"), ("MTF", "@mtf{0.0000}")])
+        self._curve.legend.label_text_font_size = "10px"
+        return column(
+            self._status,
+            row(
+                column(self._plot, width=_SIDE + 150),
+                column(self._curve, self._about, self._result, sizing_mode="stretch_width"),
+                sizing_mode="stretch_width",
+            ),
+            sizing_mode="stretch_width",
+        )
+
+    def _dropped(self, path: Path) -> None:
+        self._status.text = f"reading {escape(path.name)} ..."
+        waiting = [path, *(one for one in self._files if one not in {picture.path for picture in self._pictures})]
+        todo = list(dict.fromkeys(waiting))
+        self._work.ask(lambda: [opened_or_why(one) for one in todo], self._add)
+
+    def _add(self, opened: list[OpenedPicture | MatcamError]) -> None:
+        self._status.text = ""
+        for one in opened:
+            if isinstance(one, MatcamError):
+                self._complain(str(one))
+            else:
+                self._pictures.append(one)
+        self._files = []
+        self._picture.options = [(str(index), one.path.name) for index, one in enumerate(self._pictures)]
+        if self._pictures:
+            self._picture.value = str(len(self._pictures) - 1)
+            self._draw()
+
+    @property
+    def _current(self) -> OpenedPicture | None:
+        return self._pictures[int(self._picture.value)] if self._picture.value.isdigit() else None
+
+    def _draw(self) -> None:
+        picture = self._current
+        if picture is None:
+            return
+        height, width = picture.size
+        self._image.data = {"image": [picture.shown], "dw": [width], "dh": [height]}
+        self._plot.title.text = picture.path.name
+        side = max(height, width)
+        self._plot.x_range.update(start=-0.5, end=side - 0.5, reset_start=-0.5, reset_end=side - 0.5)
+        self._plot.y_range.update(start=side - 0.5, end=-0.5, reset_start=side - 0.5, reset_end=-0.5)
+        self._say_about(picture, ())
+        self._overlay()
+
+    def _say_about(self, picture: OpenedPicture, remarks: Sequence[Any]) -> None:
+        lines = [
+            picture.about,
+            f"tone curve: {_TONES[self._tone.value]}",
+            *(str(getattr(one, "text", one)) for one in remarks),
+        ]
+        self._about.text = "<br>".join(escape(line) for line in lines)
+
+    def _drawn(self, event: Any) -> None:
+        geometry = event.geometry
+        if event.final and geometry.get("type") == "rect" and self._current is not None:
+            height, width = self._current.size
+            x0, x1 = (int(np.clip(round(v), 0, width)) for v in sorted((geometry["x0"], geometry["x1"])))
+            y0, y1 = (int(np.clip(round(v), 0, height)) for v in sorted((geometry["y0"], geometry["y1"])))
+            for field, value in zip(self._region, (x0, y0, x1 - x0, y1 - y0), strict=True):
+                field.value = value
+            self._measure()
+
+    def _measure(self) -> None:
+        picture = self._current
+        if picture is None:
+            self._complain("nothing is open: drop a picture first")
+            return
+        given = [field.value for field in self._region]
+        x, y, width, height = (int(value or 0) for value in given)
+        region = None if all(value is None for value in given) else (x, y, width, height)
+        if region:
+            self._box.data = {"x": [x + width / 2], "y": [y + height / 2], "width": [width], "height": [height]}
+        tone, half = self._tone.value, float(self._half.value or 0.5)
+        self._begin("measuring the edge ... (slow once after an installation)")
+        self._work.ask(
+            lambda: measured_edge(picture, region, tone, half), lambda result: self._show_edge(picture, result)
+        )
+
+    def _show_edge(self, picture: OpenedPicture, result: Any) -> None:
+        self._status.text = ""
+        self._curves(result.frequency, result.mtf, result.mtf_std, result.parametric.mtf)
+        fit = result.parametric
+        self._result.text = (
+            f"<b>MTF50 {result.mtf50:.4f} ± {result.mtf50_std:.4f} cycles/px</b>, free of a model<br>"
+            f"{escape(fit.model)} lens {fit.mtf50:.4f} ± {fit.mtf50_std:.4f} cycles/px: "
+            f"{'explains the edge' if fit.consistent else 'does NOT explain the edge'}"
+        )
+        self._say_about(picture, result.remarks)
+
+    def _calibrate(self) -> None:
+        if not self._pictures:
+            self._complain("nothing is open: drop a picture first")
+            return
+        paths = [picture.path for picture in self._pictures]
+        model, tone, half = self._model.value, self._tone.value, float(self._half.value or 0.5)
+        self._begin(f"finding and measuring all edges of {len(paths)} picture(s) ...")
+        self._work.ask(lambda: calibrated(paths, model, tone, half), self._show_camera)
+
+    def _begin(self, words: str) -> None:
+        self._complain("")
+        self._status.text = escape(words)
+
+    def _failed(self, line: str) -> None:
+        self._status.text = ""
+        self._complain(line)
+
+    def _show_camera(self, found: Any) -> None:
+        self._status.text = ""
+        self._found = found
+        fit = found.channels[found.channel]
+        curve = fit.curve
+        self._curves(curve.frequency, curve.mtf, curve.mtf_std, curve.camera_mtf)
+        lines = []
+        for name, one in found.channels.items():
+            numbers = ", ".join(
+                f"{label} = {value:.4g} ± {std:.2g}"
+                for label, value, std in zip(one.names, one.values, one.std, strict=True)
+            )
+            lines.append(
+                f"{name}: {numbers} ({0 if one.edges is None else one.edges.x.size} edges), "
+                f"{'explains the edges' if one.consistent else 'does NOT explain the edges'}"
+            )
+        lines += [f"left out: {name}: {why}" for name, why in found.failed.items()]
+        self._result.text = "<br>".join(escape(line) for line in lines)
+        links = " · ".join(self._downloads.offer(name, content) for name, content in profiles(found).items())
+        self._saved.text = f"save the profile: {links}"
+        if self._current is not None:
+            self._say_about(self._current, found.remarks)
+        self._overlay()
+
+    def _overlay(self) -> None:
+        if self._found is not None and self._current is not None:
+            columns = edges_in(self._found, self._current)
+            self._edges.data = columns
+            if len(columns["x"]):
+                self._colours.update(low=float(np.nanmin(columns["mtf50"])), high=float(np.nanmax(columns["mtf50"])))
+
+    def _curves(self, frequency: Any, mtf: Any, std: Any, lens: Any) -> None:
+        self._mtf.data = {"frequency": frequency, "mtf": mtf, "low": mtf - std, "high": mtf + std, "lens": lens}
+
+
+def is_picture(path: Path) -> bool:
+    """Tell whether a file's name is that of a photograph."""
+    from matcam.files.formats import suffixes_for
+
+    return path.is_file() and path.suffix.lower() in {*PICTURES, *suffixes_for("picture")}

@@ -1,0 +1,122 @@
+"""Controls: a slider with a number field beside it, for one number that a user may choose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bokeh.layouts import column, row
+from bokeh.models.layouts import LayoutDOM
+from bokeh.models.widgets import Div, NumericInput, Slider
+
+WIDTH = 300
+"""Width of a column of controls, px of the screen."""
+_STEPS = 200
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One number that a user may choose.
+
+    Attributes:
+        name: its name in the program.
+        title: what it is, with its unit.
+        low: least value.
+        high: largest value.
+        value: value at the start.
+        log: True where the slider moves by factors.
+        infinite: True where the largest value stands for an infinite one.
+    """
+
+    name: str
+    title: str
+    low: float
+    high: float
+    value: float
+    log: bool = False
+    infinite: bool = False
+
+    def to_slider(self, value: float) -> float:
+        """Return the slider's place of a value."""
+        return math.log10(value) if self.log else value
+
+    def from_slider(self, place: float) -> float:
+        """Return the value at a slider's place, to the digits that the number field shows."""
+        return float(f"{min(max(10**place if self.log else place, self.low), self.high):.3g}")
+
+
+class NumberControl:
+    """A slider and a number field that show one number.
+
+    Args:
+        setting: the number.
+        changed: called when the user has changed it.
+        released: called when the user has let go of the slider, or left the number field.
+    """
+
+    def __init__(self, setting: Setting, changed: Callable[[], None], released: Callable[[], None]):
+        self.setting = setting
+        self._changed, self._released, self._own = changed, released, False
+        start, end = setting.to_slider(setting.low), setting.to_slider(setting.high)
+        self.slider = Slider(
+            start=start,
+            end=end,
+            step=(end - start) / _STEPS,
+            value=setting.to_slider(setting.value),
+            show_value=False,
+            title=None,
+            name=f"slider-{setting.name}",
+            width=WIDTH - 100,
+            height=18,
+            margin=(0, 8, 4, 8),
+        )
+        self.field = NumericInput(
+            value=setting.value,
+            low=setting.low,
+            high=setting.high,
+            mode="float",
+            name=f"field-{setting.name}",
+            width=76,
+            height=26,
+            margin=(0, 0, 0, 0),
+        )
+        far = f", {setting.high:g} = ∞" if setting.infinite else ""
+        self.label = Div(text=f"{setting.title}{far}", width=WIDTH - 100, height=16, margin=(0, 8, 0, 8))
+        self.slider.on_change("value", self._slid)
+        self.slider.on_change("value_throttled", lambda attr, old, new: self._end())
+        self.field.on_change("value", self._typed)
+        self.layout: LayoutDOM = row(column(self.label, self.slider), self.field, margin=(0, 0, 2, 0))
+
+    @property
+    def value(self) -> float:
+        """Return the number; infinite at the right end of a slider that says so."""
+        value = self.setting.value if self.field.value is None else float(self.field.value)
+        return math.inf if self.setting.infinite and value >= self.setting.high else value
+
+    def set(self, value: float) -> None:
+        """Show a number, without a word to those who listen."""
+        value = min(value, self.setting.high)
+        self._own = True
+        self.field.value = value
+        self.slider.value = self.setting.to_slider(value)
+        self._own = False
+
+    def _slid(self, attribute: str, old: float, new: float) -> None:
+        if not self._own:
+            self._own = True
+            self.field.value = self.setting.from_slider(new)
+            self._own = False
+            self._changed()
+
+    def _typed(self, attribute: str, old: float, new: float | None) -> None:
+        if not self._own and new is not None:
+            self._own = True
+            self.slider.value = self.setting.to_slider(new)
+            self._own = False
+            self._changed()
+            self._released()
+
+    def _end(self) -> None:
+        if not self._own:
+            self._released()

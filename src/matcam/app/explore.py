@@ -1,0 +1,348 @@
+"""The view that looks at a material: slices, a sphere under a lamp, its Fresnel term, and another material beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import ColumnDataSource
+from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
+from bokeh.plotting import figure
+
+from matcam.app.controls import WIDTH, NumberControl, Setting
+from matcam.app.downloads import Downloads
+from matcam.app.explored import (
+    SIDE,
+    as_bsdf,
+    as_csv,
+    as_exr,
+    as_pbrt,
+    fresnel_of,
+    on_screen,
+    range_of,
+    slice_of,
+    sphere_of,
+)
+from matcam.app.opened import Entry, OpenedTable, entries_of
+from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, plain
+from matcam.app.upload import Upload
+from matcam.app.worker import Newest
+from matcam.core.errors import ArgumentError, MatcamError
+
+SETTINGS = (
+    Setting("theta_d", "slice: θ_d [degrees]", 0.5, 89, 30),
+    Setting("lamp", "lamp from camera [degrees]", 0, 170, 50),
+    Setting("azimuth", "lamp azimuth [degrees]", 0, 360, 0),
+    Setting("exposure", "exposure [stops]", -4, 8, 0),
+)
+_NONE = "(none)"
+_KEPT = 8  # tables in memory
+
+
+class ExploreView:
+    """Show what was opened.
+
+    Args:
+        document: the page's document.
+        downloads: where files to save are offered.
+        complain: shows one line.
+        files: what the user opened on the command line.
+    """
+
+    def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
+        self._downloads, self._complain, self._files = downloads, complain, files
+        self._fast, self._slow = Newest(document, self._failed), Newest(document, self._failed)
+        self._entries: list[Entry] = []
+        self._read: dict[int, OpenedTable] = {}
+        self._shown: dict[str, Any] = {}
+        self._controls = {one.name: NumberControl(one, self.refresh, lambda: None) for one in SETTINGS}
+        self._chosen = [
+            Select(title=title, value="", options=[], width=WIDTH - 16, margin=(2, 8, 2, 8), name=name)
+            for title, name in (("material", "material"), ("beside it", "beside"))
+        ]
+        for select in self._chosen:
+            select.on_change("value", lambda attr, old, new: self._look())
+        self._which = RadioButtonGroup(labels=["recorded", "corrected"], active=1, name="which", width=WIDTH - 16)
+        self._channel = RadioButtonGroup(labels=["R", "G", "B"], active=1, name="channel", width=WIDTH - 16)
+        self._metal = Select(
+            title="metal, tabulated n and k", value="Cr", options=["Cr"], width=WIDTH - 16, margin=(2, 8, 2, 8)
+        )
+        for buttons in (self._which, self._channel):
+            buttons.on_change("active", lambda attr, old, new: self.refresh())
+        self._metal.on_change("value", lambda attr, old, new: self.refresh())
+        self._upload = Upload("open: drop a table here", self._dropped, complain)
+        self._status = Div(text="", name="explore-status", height=18, sizing_mode="stretch_width")
+        self._saved = Div(text="", name="explore-saved", width=WIDTH - 16)
+        self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="explore")
+
+    def start(self) -> None:
+        """List what was opened, and show the first of it."""
+        self._slow.ask(self._listed, self._offer)
+
+    def close(self) -> None:
+        """Stop computing and remove what was uploaded."""
+        self._fast.close()
+        self._slow.close()
+        self._upload.close()
+
+    def _failed(self, line: str) -> None:
+        self._status.text = ""
+        self._complain(line)
+
+    def refresh(self) -> None:
+        """Show what the controls say of the tables that have been read."""
+        tables = [self._read.get(self._index(select)) for select in self._chosen]
+        if tables[0] is not None:
+            angles = {name: control.value for name, control in self._controls.items()}
+            channel, which, metal = self._channel.active, self._which.active, self._metal.value
+            self._fast.ask(lambda: _shown(tables, angles, channel, which, metal), self._show)
+
+    def _knobs(self) -> Any:
+        exports = []
+        for name, words in (("csv", "CSV"), ("exr", "EXR"), ("bsdf", "Mitsuba"), ("pbrt", "pbrt")):
+            button = Button(label=words, width=64, height=30, margin=(2, 4, 2, 4), name=f"save-{name}")
+            button.on_click(lambda name=name: self._save(name))
+            exports.append(button)
+        return column(
+            self._upload.layout, *self._chosen, self._which, self._channel,
+            *(control.layout for control in self._controls.values()), self._metal,
+            Div(text="save what is shown:", margin=(4, 8, 0, 8)), row(*exports), self._saved, width=WIDTH,
+        )  # fmt: skip
+
+    def _plots(self) -> Any:
+        self._slice = curve_figure(
+            "Slice across the plane of light and view", "half angle θ_h [degrees]", "BRDF [1/sr]", height=310,
+            x_axis_type="log", y_axis_type="log", y_range=(1e-3, 1e3),
+        )  # fmt: skip
+        names = ("theta_h", "recorded", "corrected", "low", "high", "supported", "unsupported")
+        self._curves = ColumnDataSource({name: [] for name in names}, name="slice")
+        self._besides = ColumnDataSource({name: [] for name in names}, name="slice-beside")
+        self._slice.varea(
+            "theta_h", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._curves, legend_label="± 1 std"
+        )
+        lines = [
+            self._slice.line(
+                "theta_h", "recorded", color=VERMILION, line_width=2, source=self._curves, legend_label="recorded"
+            )
+        ]
+        lines.append(
+            self._slice.line(
+                "theta_h", "corrected", color=BLUE, line_width=2, source=self._curves, legend_label="corrected"
+            )
+        )
+        self._slice.scatter(
+            "theta_h", "unsupported", color="#AAAAAA", size=6, source=self._curves, legend_label="not supported"
+        )
+        for name, dash in (("recorded", "dotted"), ("corrected", "dashed")):
+            self._slice.line(
+                "theta_h",
+                name,
+                color=ORANGE,
+                line_width=2,
+                line_dash=dash,
+                source=self._besides,
+                legend_label=f"beside: {name}",
+            )
+        hover(
+            self._slice, lines, [("θ_h", "@theta_h°"), ("recorded", "@recorded 1/sr"), ("corrected", "@corrected 1/sr")]
+        )
+        self._fresnel = curve_figure(
+            "Peak × cos²θ_d, and F of a metal", "difference angle θ_d [degrees]", "over its mean, 10 to 45° [-]",
+            height=292, x_range=(0, 90), y_range=(0, 2),
+        )  # fmt: skip
+        self._terms = ColumnDataSource(
+            {name: [] for name in ("theta_d", "recorded", "corrected", "low", "high", "metal")}, name="fresnel"
+        )
+        self._fresnel.varea("theta_d", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._terms)
+        for name, colour, dash in (
+            ("recorded", VERMILION, "solid"),
+            ("corrected", BLUE, "solid"),
+            ("metal", GREY, "dashed"),
+        ):
+            self._fresnel.line(
+                "theta_d", name, color=colour, line_width=2, line_dash=dash, source=self._terms, legend_label=name
+            )
+        for plot in (self._slice, self._fresnel):
+            plot.legend.label_text_font_size = "10px"
+            plot.legend.location = "bottom_left"
+            plot.legend.padding = plot.legend.spacing = 2
+            plot.legend.background_fill_alpha = 0.7
+        self._spheres = [_SpherePlot(name) for name in ("material", "beside it")]
+        return column(
+            self._status,
+            self._slice,
+            row(
+                self._fresnel,
+                *(column(sphere.plot, width=SIDE + 70) for sphere in self._spheres),
+                sizing_mode="stretch_width",
+            ),
+            sizing_mode="stretch_width",
+        )
+
+    def _listed(self) -> tuple[list[Entry], list[str], list[str]]:
+        from matcam.material.optical_constants import metals
+
+        entries, failures = [], []
+        for path in self._files:
+            try:
+                entries += entries_of(path)
+            except MatcamError as error:
+                failures.append(str(error))
+        return entries, failures, list(metals())
+
+    def _offer(self, listed: tuple[list[Entry], list[str], list[str]]) -> None:
+        entries, failures, metals = listed
+        self._metal.options = metals
+        self._add(entries)
+        for line in failures:
+            self._complain(line)
+        if not self._entries:
+            self._status.text = (
+                "Nothing is open: drop a table (MERL, NetCDF, CSV, RGL .bsdf), or start <code>matcam app FILE</code>."
+            )
+
+    def _add(self, entries: list[Entry]) -> None:
+        first = len(self._entries)
+        self._entries += entries
+        options = [(str(index), entry.label) for index, entry in enumerate(self._entries)]
+        self._chosen[0].options = list(options)
+        self._chosen[1].options = [(_NONE, _NONE), *options]
+        if not self._chosen[1].value:
+            self._chosen[1].value = _NONE
+        if entries:
+            self._chosen[0].value = str(first)
+
+    def _dropped(self, path: Path) -> None:
+        self._slow.ask(lambda: entries_of(path), self._add)
+
+    def _index(self, select: Select) -> int:
+        return int(select.value) if select.value.isdigit() else -1
+
+    def _look(self) -> None:
+        """Read what was chosen, if it has not been, and show it."""
+        wanted = [index for index in (self._index(select) for select in self._chosen) if index >= 0]
+        missing = [index for index in wanted if index not in self._read]
+        if not missing:
+            self.refresh()
+            return
+        self._status.text = f"reading {escape(self._entries[missing[0]].label)} ..."
+        entries = {index: self._entries[index] for index in missing}
+
+        def read() -> dict[int, OpenedTable | MatcamError]:
+            found: dict[int, OpenedTable | MatcamError] = {}
+            for index, entry in entries.items():
+                try:
+                    found[index] = entry.read()
+                except MatcamError as error:
+                    found[index] = error
+            return found
+
+        self._slow.ask(read, self._have_read)
+
+    def _have_read(self, found: dict[int, OpenedTable | MatcamError]) -> None:
+        self._status.text = ""
+        self._complain("")
+        for index, table in found.items():
+            if isinstance(table, MatcamError):
+                self._complain(str(table))
+            else:
+                self._read[index] = table
+        shown = {self._index(select) for select in self._chosen}
+        for index in [one for one in self._read if one not in shown][: max(0, len(self._read) - _KEPT)]:
+            del self._read[index]
+        self.refresh()
+
+    def _show(self, found: dict[str, Any]) -> None:
+        self._shown = found
+        if "slice" in found:
+            self._curves.data = found["slice"]
+            self._slice.y_range.update(start=found["range"][0], end=found["range"][1])
+        self._besides.data = found.get("beside") or {name: [] for name in self._besides.data}
+        self._terms.data = found["fresnel"]
+        top = np.nanmax([np.nanquantile(found["fresnel"][name], 0.97) if np.isfinite(found["fresnel"][name]).any() else 1.0
+                         for name in ("recorded", "corrected", "metal")])  # fmt: skip
+        self._fresnel.y_range.end = float(1.2 * top)
+        for sphere, light, name in zip(self._spheres, found["light"], found["names"], strict=True):
+            sphere.show(light, name, found["exposure"])
+
+    def _save(self, kind: str) -> None:
+        table = self._read.get(self._index(self._chosen[0]))
+        if table is None or not self._shown:
+            self._complain("nothing is shown yet: open a table first")
+            return
+        name, shown, which = Path(table.name).stem, self._shown, self._which.active
+        self._saved.text = "writing ..."
+
+        def write() -> str:
+            if kind == "csv":
+                if "slice" not in shown:
+                    return self._downloads.offer(f"{name}-fresnel.csv", as_csv(shown["fresnel"], "theta_d"))
+                return self._downloads.offer(f"{name}-slice.csv", as_csv(shown["slice"], "theta_h"))
+            data = _chosen_table(table, which)
+            if kind == "pbrt":
+                return self._downloads.offer(f"{name}.pbrt", as_pbrt(table))
+            if data is None or shown["light"][0] is None:
+                raise ArgumentError(f"{table.name}: holds a Fresnel term alone: only its CSV can be saved")
+            if kind == "exr":
+                return self._downloads.offer(f"{name}-sphere.exr", as_exr(shown["light"][0]))
+            return self._downloads.offer(f"{name}.bsdf", as_bsdf(data))
+
+        def done(link: str) -> None:
+            self._saved.text = f"save {link}"
+
+        self._saved.text = ""
+        self._slow.ask(write, done)
+
+
+class _SpherePlot:
+    """A sphere on the screen."""
+
+    def __init__(self, title: str):
+        self._title = title
+        self._source = ColumnDataSource({"image": [np.zeros((2, 2), np.uint32)]}, name=f"sphere {title}")
+        self.plot = figure(
+            title=title, frame_width=SIDE, frame_height=SIDE, x_range=(-1, 1), y_range=(-1, 1),
+            x_axis_label="x [radii]", y_axis_label="y [radii]", tools="", toolbar_location=None,
+        )  # fmt: skip
+        plain(self.plot)
+        self.plot.grid.visible = False
+        self.plot.background_fill_color = "#000000"
+        self.plot.image_rgba("image", x=-1, y=-1, dw=2, dh=2, source=self._source)
+
+    def show(self, light: np.ndarray | None, name: str, exposure: float) -> None:
+        """Show a radiance; None: nothing."""
+        self._source.data = {"image": [np.zeros((2, 2), np.uint32) if light is None else on_screen(light, exposure)]}
+        self.plot.title.text = name if len(name) < 30 else f"{name[:27]}..."
+
+
+def _chosen_table(table: OpenedTable, which: int) -> Any:
+    """Return the table to show as a sphere: recorded (0) or corrected (1), where there is one."""
+    return table.best if which or table.recorded is None else table.recorded
+
+
+def _shown(tables: list[Any], angles: dict[str, float], channel: int, which: int, metal: str) -> dict[str, Any]:
+    """Return all that is to be shown."""
+    from matcam.inverse.peak_curve import metal_curve
+
+    table, beside = tables
+    theta_d = float(np.radians(angles["theta_d"]))
+    found: dict[str, Any] = {"exposure": angles["exposure"]}
+    if table.best is not None:
+        found["slice"] = slice_of(table, theta_d, channel)
+        found["range"] = range_of(found["slice"])
+    if beside is not None and beside.best is not None:
+        found["beside"] = slice_of(beside, theta_d, channel)
+    term = fresnel_of(table, channel)
+    found["fresnel"] = {**term, "metal": metal_curve(metal, np.radians(term["theta_d"]))[:, channel]}
+    lamp, azimuth = float(np.radians(angles["lamp"])), float(np.radians(angles["azimuth"]))
+    found["light"], found["names"] = [], []
+    for one in tables:
+        data = None if one is None else _chosen_table(one, which)
+        found["light"].append(None if data is None else sphere_of(data, lamp, azimuth))
+        found["names"].append("beside it: none" if one is None else f"{one.name}: radiance, sRGB")
+    return found

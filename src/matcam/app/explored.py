@@ -1,0 +1,173 @@
+"""What the explore view shows of a table, and the files that it exports."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from matcam.app.opened import OpenedTable
+from matcam.core.errors import ArgumentError
+
+SIDE = 200
+"""Height and width of a sphere, px of the screen."""
+
+
+def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.ndarray]:
+    """Return the curves of a slice over theta_h, across the plane of light and view (phi_d = 90 degrees).
+
+    Args:
+        table: what is shown.
+        theta_d: rad.
+        channel: index.
+
+    Returns:
+        `theta_h` in degrees; `recorded`, `corrected`, `low`, `high` (corrected less and plus its std), 1/sr; `supported`, the
+        corrected values that are, and `unsupported`, those that are not. NaN where there is nothing.
+    """
+    from matcam.core.grid import merl_grid, sampling_of
+
+    best = table.best
+    if best is None:
+        raise ArgumentError(f"{table.name}: holds a Fresnel term alone: its slices cannot be shown")
+    at = (*merl_grid(sampling_of(best)).index(theta_d=theta_d, phi_d=np.pi / 2), channel)
+    count = best.sizes["theta_h"]
+
+    def curve(data: xr.DataArray | None) -> np.ndarray:
+        if data is None:
+            return np.full(count, np.nan)
+        values = np.asarray(data.values[at], dtype=float)
+        return np.where(values > 0, values, np.nan)  # the axis is logarithmic
+
+    corrected, std = curve(table.corrected), curve(table.std)
+    supported = np.zeros(count, bool) if table.supported is None else np.asarray(table.supported.values[at], bool)
+    return {
+        "theta_h": np.degrees(best["theta_h"].values),
+        "recorded": curve(table.recorded),
+        "corrected": corrected,
+        "low": np.maximum(corrected - std, 0.01 * corrected),
+        "high": corrected + std,
+        "supported": np.where(supported, corrected, np.nan),
+        "unsupported": np.where(supported, np.nan, corrected),
+    }
+
+
+def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
+    """Return the range of BRDF values, 1/sr, that shows a slice: at most seven decades below its peak."""
+    values = np.concatenate([curves["recorded"], curves["corrected"]])
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return 1e-3, 1e3
+    top = float(known.max())
+    return max(top * 1e-7, float(known.min()) / 2), top * 2
+
+
+def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE) -> np.ndarray:
+    """Return the radiance of a sphere of this table, (size, size, channel), 1/sr; angles in rad."""
+    from matcam.figures.spheres import table_sphere
+
+    return table_sphere(data.values, size, lamp=lamp, azimuth=azimuth)
+
+
+def on_screen(light: np.ndarray, exposure: float) -> np.ndarray:
+    """Return a radiance as a screen shows it, packed RGBA (size, size), bottom row first.
+
+    Args:
+        light: radiance, 1/sr, (size, size, channel).
+        exposure: factor in stops; 0 shows the 99th percentile of the lit sphere as white.
+    """
+    from matcam.figures.spheres import body_white, encoded_for_screen
+
+    shown = encoded_for_screen(light * 2.0**exposure, body_white(light))
+    if shown.shape[-1] != 3:
+        shown = np.repeat(shown[..., :1], 3, axis=-1)
+    packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
+    packed[..., :3] = np.rint(shown * 255)
+    return np.ascontiguousarray(packed[::-1]).view(np.uint32)[..., 0]
+
+
+def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
+    """Return the curves of the Fresnel term over theta_d, each of mean 1 over 10 to 45 degrees.
+
+    Returns:
+        `theta_d` in degrees, `recorded`, `corrected`, `low` and `high` (of a Fresnel term of `matcam fresnel`, its std).
+    """
+    from matcam.inverse.peak_curve import peak_curve
+
+    if table.curve is not None:
+        one = table.curve.isel(channel=min(channel, table.curve.sizes["channel"] - 1))
+        corrected = one["corrected"].values
+        std = one["corrected_std"].values if "corrected_std" in one else np.full_like(corrected, np.nan)
+        return {
+            "theta_d": np.degrees(one["theta_d"].values), "recorded": one["raw"].values, "corrected": corrected,
+            "low": corrected - std, "high": corrected + std,
+        }  # fmt: skip
+    assert table.best is not None
+    missing = np.full(table.best.sizes["theta_d"], np.nan)
+
+    def curve(data: xr.DataArray | None) -> np.ndarray:
+        return missing if data is None else peak_curve(data).values[:, channel]
+
+    return {
+        "theta_d": np.degrees(table.best["theta_d"].values), "recorded": curve(table.recorded),
+        "corrected": curve(table.corrected), "low": missing, "high": missing,
+    }  # fmt: skip
+
+
+def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
+    """Return columns as CSV, as `matcam` writes it; `first` is the coordinate."""
+    from matcam.core.io import write_columns
+
+    data = xr.Dataset(
+        {name: (first, values) for name, values in columns.items() if name != first}, {first: columns[first]}
+    )
+    return _written(lambda path: write_columns(path, data), ".csv")
+
+
+def as_exr(light: np.ndarray) -> bytes:
+    """Return a radiance as OpenEXR."""
+    from matcam.files.float_pictures import write_exr
+
+    return _written(lambda path: write_exr(path, light), ".exr")
+
+
+def as_bsdf(data: xr.DataArray) -> bytes:
+    """Return a table in RGL's format, which Mitsuba 3 opens (plugin `measured`)."""
+    from matcam.exchange.conversion import convert
+    from matcam.files.merl import write_merl
+
+    with tempfile.TemporaryDirectory(prefix="matcam-app-") as folder:
+        write_merl(Path(folder) / "a.binary", data)
+        convert(Path(folder) / "a.binary", Path(folder) / "a.bsdf")
+        return (Path(folder) / "a.bsdf").read_bytes()
+
+
+def as_pbrt(table: OpenedTable) -> bytes:
+    """Return the material that a run fitted to this table as text for pbrt-v4.
+
+    Raises:
+        ArgumentError: there is no fit, or pbrt's conductor is no such material.
+    """
+    from matcam.exchange.renderers import pbrt_material
+    from matcam.material.microfacet import Microfacet
+    from matcam.material.ndf.ggx import GGX
+    from matcam.material.reflectance import Conductor
+
+    fit: Any = table.record.get("fit") or {}
+    params = fit.get("params", {})
+    n, k = ([params.get(f"{name}_{channel}") for channel in "RGB"] for name in "nk")
+    if fit.get("ndf") != "ggx" or None in (*n, *k):
+        raise ArgumentError(
+            "pbrt takes a GGX lobe with n and k: this material has no such fit; save the .bsdf for Mitsuba"
+        )
+    return pbrt_material(Microfacet(GGX(params["alpha"]), Conductor(np.array(n), np.array(k)))).encode()
+
+
+def _written(write: Any, suffix: str) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="matcam-app-") as folder:
+        path = Path(folder) / f"a{suffix}"
+        write(path)
+        return path.read_bytes()

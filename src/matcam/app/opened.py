@@ -1,0 +1,171 @@
+"""What the user opened: tables, results, and the materials of a run, each read when it is first looked at.
+
+Only paths that the user named are read, and what lies in a run's folder beside its records. No file leads to another.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import check_within, read_json
+
+_WIDTHS = ("alpha", "beta", "width")
+_LARGEST_RECORD = 4 << 20
+"""Largest record of a material that is read, bytes."""
+
+
+@dataclass(frozen=True)
+class OpenedTable:
+    """A material as a table, as recorded and as corrected.
+
+    Attributes:
+        name: to show.
+        recorded: table (theta_h, theta_d, phi_d, channel), 1/sr; None: there is none.
+        corrected: the same as corrected; None: there is none.
+        std: standard deviation of corrected, 1/sr; None: there is none.
+        supported: which entries of corrected the data support; None: it is not said.
+        record: what a run found of it; {}: it is of no run.
+        curve: a Fresnel term from `matcam fresnel` over theta_d; None: there is none.
+    """
+
+    name: str
+    recorded: xr.DataArray | None = None
+    corrected: xr.DataArray | None = None
+    std: xr.DataArray | None = None
+    supported: xr.DataArray | None = None
+    record: dict[str, Any] = field(default_factory=dict)
+    curve: xr.Dataset | None = None
+
+    @property
+    def best(self) -> xr.DataArray | None:
+        """Return the corrected table, or the recorded one where there is no other."""
+        return self.recorded if self.corrected is None else self.corrected
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A material that can be looked at.
+
+    Attributes:
+        label: to show in a list.
+        read: reads it.
+    """
+
+    label: str
+    read: Callable[[], OpenedTable]
+
+
+def entries_of(path: Path) -> list[Entry]:
+    """Return the materials of a file, of a run's folder or of its Zarr; nothing but records is read.
+
+    Raises:
+        FileFormatError: a folder holds no records of a run.
+    """
+    if not path.is_dir():
+        return [Entry(path.name, lambda: read_opened(path))]
+    if (path / "zarr.json").is_file():
+        return _rows(path)
+    found = []
+    for record in sorted(path.glob("*.json")):
+        table = record.with_suffix(".nc")
+        if table.is_file():
+            check_within(record, path)
+            check_within(table, path)
+            found.append(_of_run(table, record))
+    if not found:
+        if (path / "run.zarr").is_dir():
+            return _rows(path / "run.zarr")
+        raise FileFormatError(
+            f"{path}: holds no record of a run (NAME.json with NAME.nc): open a file, or a run's folder"
+        )
+    return found
+
+
+def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable:
+    """Read a file that holds a material.
+
+    Raises:
+        ArgumentError: it holds something else.
+        FileFormatError: it is damaged, or of no format that is read.
+    """
+    from matcam.exchange.contents import material_of, read_contents
+    from matcam.forward.measurement import true_table
+
+    contents = read_contents(path)
+    name = path.name
+    if contents.table is not None:
+        return OpenedTable(name, recorded=contents.table)
+    if contents.fields is not None:
+        return OpenedTable(name, recorded=true_table(material_of(contents), "centre"))
+    result = contents.result
+    if result is not None and "brdf" in result and result["brdf"].ndim == 4:
+        return _of_correction(name, result, record or {})
+    if result is not None and {"raw", "corrected", "theta_d"} <= set(result.variables):
+        return OpenedTable(name, curve=result)
+    raise ArgumentError(f"{name}: holds {contents.kind}: tables, corrections, RGL files and Fresnel terms can be shown")
+
+
+def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> OpenedTable:
+    from matcam.core.grid import checked_table
+    from matcam.inverse.correction.correction import TABLE_ATTRIBUTES, recorded_table
+
+    try:
+        corrected = checked_table(data["brdf"])
+        parts = {key: data[key] for key in ("brdf_std", "supported") if key in data}
+        if any(part.shape != corrected.shape for part in parts.values()):
+            raise ArgumentError("brdf_std and supported must have the shape of brdf")
+        if not parts:
+            return OpenedTable(name, recorded=corrected, record=record)
+        recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
+    except (ArgumentError, ValueError) as error:  # shapes that contradict each other
+        raise FileFormatError(f"{name}: damaged: {error}") from None
+    return OpenedTable(name, recorded, corrected, parts.get("brdf_std"), parts.get("supported"), record)
+
+
+def _of_run(table: Path, record: Path) -> Entry:
+    about = _record(record)
+    return Entry(_label(record.stem, about), lambda: read_opened(table, _record(record)))
+
+
+def _record(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > _LARGEST_RECORD:
+        return {}
+    try:
+        document = read_json(path, "a material's record")
+    except FileFormatError:
+        return {}
+    return document if isinstance(document, dict) else {}
+
+
+def _label(name: str, record: dict[str, Any]) -> str:
+    """Return a material's name, and in a few words what its run found."""
+    fit = record.get("fit")
+    params = fit.get("params") if isinstance(fit, dict) else None
+    numbers = params if isinstance(params, dict) else {}
+    width = next((f"{key} {numbers[key]:.3g}" for key in _WIDTHS if isinstance(numbers.get(key), int | float)), "")
+    share = record.get("supported_share")
+    supported = f"{share:.0%} supported" if isinstance(share, float) and np.isfinite(share) else ""
+    return " · ".join(part for part in (name, width, supported) if part)
+
+
+def _rows(store: Path) -> list[Entry]:
+    from matcam.batch.store import read_row, row_names
+
+    def reader(row: int, name: str) -> Callable[[], OpenedTable]:
+        return lambda: _of_correction(name, read_row(store, row), {})
+
+    return [Entry(name, reader(row, name)) for row, name in enumerate(row_names(store))]
+
+
+def parameters(table: OpenedTable) -> str:
+    """Return a material's fit as JSON; "" where there is none."""
+    fit = table.record.get("fit")
+    return json.dumps(fit, indent=2) if isinstance(fit, dict) else ""

@@ -1,0 +1,75 @@
+"""The page: three views, one at a time, and one line for what went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models.widgets import Div, RadioButtonGroup
+
+from matcam.app.calibrate_view import CalibrateView, is_picture
+from matcam.app.downloads import Downloads
+from matcam.app.explore import ExploreView
+from matcam.app.plan import PlanView
+
+
+class Page:
+    """Show the views of one browser tab.
+
+    Args:
+        document: the tab's document.
+        files: files and folders that the user opened on the command line.
+        downloads: where files to save are offered.
+    """
+
+    def __init__(self, document: Document, files: Sequence[Path], downloads: Downloads):
+        self._message = Div(
+            text="", name="message", height=18, sizing_mode="stretch_width", styles={"color": "#B00000"}
+        )
+        self._views: dict[str, Any] = {
+            "Plan": PlanView(document, downloads, self.complain),
+            "Calibrate": CalibrateView(document, downloads, self.complain, files),
+            "Explore": ExploreView(
+                document, downloads, self.complain, [path for path in files if not is_picture(path)]
+            ),
+        }
+        start = "Plan" if not files else "Calibrate" if is_picture(files[0]) else "Explore"
+        self._chosen = RadioButtonGroup(
+            labels=list(self._views), active=list(self._views).index(start), name="views", width=300
+        )
+        self._chosen.on_change("active", lambda attr, old, new: self._choose())
+        head = row(self._chosen, self._message, sizing_mode="stretch_width", spacing=12)
+        document.title = "matcam"
+        document.add_root(
+            column(head, *(view.layout for view in self._views.values()), sizing_mode="stretch_width", name="page")
+        )
+        self._started: set[str] = set()
+        self._ready = False
+        self._choose()
+        document.on_event("document_ready", lambda event: self._begin())
+
+    def complain(self, line: str) -> None:
+        """Show one line about what went wrong; an empty one removes it."""
+        self._message.text = escape(" ".join(line.split()))
+
+    def close(self) -> None:
+        """End the work of all views."""
+        for view in self._views.values():
+            view.close()
+
+    def _begin(self) -> None:
+        """Start the view that is shown: what it computes must not delay the page itself."""
+        self._ready = True
+        self._choose()
+
+    def _choose(self) -> None:
+        chosen = self._chosen.labels[self._chosen.active]
+        for name, view in self._views.items():
+            view.layout.visible = name == chosen
+        if self._ready and chosen not in self._started:
+            self._started.add(chosen)
+            self._views[chosen].start()

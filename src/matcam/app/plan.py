@@ -1,0 +1,358 @@
+"""The view that plans a rig: its loss against angle and its pictures while the sliders move, and the exact values at rest."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+from html import escape
+from typing import Any
+
+import numpy as np
+from bokeh.document import Document
+from bokeh.layouts import column, row
+from bokeh.models import ColumnDataSource, Span
+from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
+
+from matcam.app.controls import WIDTH, NumberControl
+from matcam.app.downloads import Downloads
+from matcam.app.plan_settings import PRESETS, SETTINGS, Planned
+from matcam.app.plots import COLOURS, GREY, PictureFigure, curve_figure, hover
+from matcam.app.worker import Newest
+
+_REST = 0.5  # s without a change before the exact values are computed
+_PICTURE_ERROR = 0.01  # of the exact picture, of its peak
+_SIDE = 156  # px of the screen, of a picture's frame
+_SHOWN = ("log exposure", "difference", "row profile")
+
+
+class PlanView:
+    """Show what a rig of these numbers would record.
+
+    Args:
+        document: the page's document.
+        downloads: where files to save are offered.
+        complain: shows one line.
+    """
+
+    def __init__(self, document: Document, downloads: Downloads, complain: Any):
+        self._document, self._downloads = document, downloads
+        self._fast, self._exact = Newest(document, complain), Newest(document, complain)
+        self._warm = False
+        self._moved = 0.0
+        self._last: dict[str, Any] = {}
+        self._controls = {one.name: NumberControl(one, self.refresh, self._rest) for one in SETTINGS}
+        self._metal = Select(title="metal", value="Cr", options=["Cr"], width=130, margin=(2, 8, 2, 8))
+        self._family = Select(title="lobe", value="ggx", options=["ggx", "beckmann", "gaussian"], width=130, margin=2)
+        self._shown = RadioButtonGroup(labels=list(_SHOWN), active=0, name="shown")
+        for select in (self._metal, self._family):
+            select.on_change("value", lambda attr, old, new: self.refresh())
+        self._shown.on_change("active", lambda attr, old, new: self._choose())
+        self._status = Div(text="", name="plan-status", height=18, sizing_mode="stretch_width")
+        self._numbers = Div(text="", name="plan-numbers", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self._limits = Div(text="", name="plan-limits", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self._copy = Div(text="", name="plan-copy", sizing_mode="stretch_width", styles={"font-size": "12px"})
+        self.layout = row(self._knobs(), self._pictures(), sizing_mode="stretch_width", spacing=8, name="plan")
+
+    def start(self) -> None:
+        """Begin to compute: programs are compiled first, with a line that says so."""
+        self._fast.ask(self._warmed, self._started)
+
+    def close(self) -> None:
+        """Stop computing."""
+        self._fast.close()
+        self._exact.close()
+
+    @property
+    def planned(self) -> Planned:
+        """Return what the controls say."""
+        numbers = {name: control.value for name, control in self._controls.items()}
+        return Planned(**numbers, metal=self._metal.value, family=self._family.value)
+
+    def refresh(self) -> None:
+        """Show the fast values of what the controls say now."""
+        self._moved = time.monotonic()
+        planned = self.planned
+        if self._warm:
+            self._fast.ask(lambda: _fast(planned), self._show)
+            self._rest()
+
+    def _rest(self) -> None:
+        if self._warm:
+            planned = self.planned
+            self._exact.ask(lambda: self._when_still(planned), lambda _: None)
+
+    def _knobs(self) -> Any:
+        presets = []
+        for name in PRESETS:
+            button = Button(label=name, width=88, height=30, margin=(2, 4, 2, 4), name=f"preset-{name}")
+            button.on_click(lambda name=name: self._preset(name))
+            presets.append(button)
+        return column(
+            row(*presets),
+            *(control.layout for control in self._controls.values()),
+            row(self._metal, self._family),
+            width=WIDTH,
+        )
+
+    def _pictures(self) -> Any:
+        self._curves = curve_figure(
+            "Loss at the peak, relative to θ = 0",
+            "viewing angle θ [degrees]",
+            "recorded / true peak, relative [-]",
+            height=270,
+            x_range=(0, 90),
+            y_range=(0, 1.05),
+        )
+        self._curves.xaxis.ticker = list(range(0, 91, 15))
+        self._curve = ColumnDataSource({"theta": [], "relative": [], "roughness": [], "colour": []}, name="curve")
+        lines = self._curves.multi_line(
+            "theta", "relative", color="colour", line_width=2, legend_field="roughness", source=self._curve
+        )
+        hover(self._curves, [lines], [("roughness", "@roughness"), ("θ", "$x°"), ("relative", "$y")])
+        degrees = np.linspace(0, 90, 91)
+        self._cos = self._curves.line(
+            degrees, np.cos(np.radians(degrees)), color=GREY, line_dash="dashed", legend_label="cos θ: the most"
+        )
+        self._curves.add_layout(Span(location=0.95, dimension="width", line_color=GREY, line_width=1))
+        self._curves.legend.location = "bottom_left"
+        self._curves.legend.label_text_font_size = "10px"
+        self._curves.legend.background_fill_alpha = 0.7
+        self._curves.legend.padding = self._curves.legend.spacing = 2
+        self.true = PictureFigure("sphere as it is", _SIDE, decades=8, name="sphere-true")
+        self.recorded = PictureFigure("sphere as recorded", _SIDE, decades=8, bar=True, name="sphere-recorded")
+        self.close_true = PictureFigure("highlight as it is", _SIDE, name="close-true")
+        self.close_recorded = PictureFigure("highlight as recorded", _SIDE, bar=True, name="close-recorded")
+        self.difference = PictureFigure(
+            "sphere: recorded - true", _SIDE, difference=True, bar=True, name="sphere-difference"
+        )
+        self.close_difference = PictureFigure(
+            "highlight: recorded - true", _SIDE, difference=True, bar=True, name="close-difference"
+        )
+        self._profile = curve_figure(
+            "Row through the highlight", "x from the highlight [px]", "radiance [1/sr]", height=260, y_axis_type="log"
+        )
+        self._rows = ColumnDataSource({"x": [], "true": [], "recorded": []}, name="profile")
+        for name, colour, words in (("true", COLOURS[0], "as it is"), ("recorded", COLOURS[1], "as recorded")):
+            self._profile.line("x", name, color=colour, line_width=2, legend_label=words, source=self._rows)
+        self._profile.legend.label_text_font_size = "10px"
+        pictures = row(*(p.plot for p in (self.true, self.recorded, self.close_true, self.close_recorded)), spacing=2)
+        differences = row(self.difference.plot, self.close_difference.plot, spacing=12)
+        self._panels = (pictures, differences, column(self._profile, sizing_mode="stretch_width"))
+        self._choose()
+        about = column(self._numbers, self._limits, width=290)
+        return column(
+            self._status,
+            row(self._curves, about, sizing_mode="stretch_width", spacing=8),
+            row(
+                self._shown,
+                Div(text="green light; logarithmic colours, the same for both of a pair", styles={"font-size": "11px"}),
+            ),
+            *self._panels,
+            self._copy,
+            sizing_mode="stretch_width",
+        )
+
+    def _choose(self) -> None:
+        for index, panel in enumerate(self._panels):
+            panel.visible = index == self._shown.active
+        if self._last:
+            self._show(self._last)
+
+    def _preset(self, name: str) -> None:
+        for one, control in self._controls.items():
+            kept = one in ("roughness", "theta_d")
+            control.set(
+                PRESETS[name].get(
+                    one, control.value if kept else control.setting.high if control.setting.infinite else 0
+                )
+            )
+        self.refresh()
+
+    def _warmed(self) -> Any:
+        """Compile the previews, and show each as soon as it is there."""
+        from matcam.core.jax import use_compilation_cache
+        from matcam.material.optical_constants import metals
+
+        use_compilation_cache()
+        planned = self.planned
+        parts: dict[str, Any] = {}
+        for count, (name, part) in enumerate(_PARTS.items()):
+            words = f"preparing: {count + 1} of {len(_PARTS)}, {name} (slow once after an installation)"
+            self._fast.show(partial(self._say, words))
+            parts |= part(planned)
+            so_far = dict(parts)
+            self._fast.show(partial(self._show, so_far))
+        return list(metals())
+
+    def _started(self, names: list[str]) -> None:
+        self._metal.options = names
+        self._warm = True
+        self._say("")
+        self.refresh()
+
+    def _say(self, words: str) -> None:
+        self._status.text = escape(words)
+
+    def _show(self, found: dict[str, Any]) -> None:
+        """Show what is there of curves and pictures."""
+        self._last = found
+        if "curves" in found:
+            self._show_curves(found["planned"], found["curves"])
+        if "close" in found:
+            self._show_close(found["close"])
+        if "sphere" in found:
+            self._show_sphere(found["sphere"], found.get("exact"))
+
+    def _show_curves(self, planned: Planned, data: Any) -> None:
+        count = data.sizes["roughness"]
+        theta = np.degrees(data["theta"].values)
+        self._curve.data = {
+            "theta": [theta] * count,
+            "relative": list(data["relative_response"].values),
+            "roughness": [f"{r:g}" for r in data["roughness"].values],
+            "colour": list(COLOURS[:count]),
+        }
+        self._cos.visible = planned.loses_at_most_cos
+        exact = theta.size > 100
+        lines = "".join(
+            f"<tr><td>{r:g}</td><td>{response:.1%}</td><td>{_angle(angle)}</td></tr>"
+            for r, response, angle in zip(
+                data["roughness"].values, data["response"].values[:, 0], data["loss_angle"].values, strict=True
+            )
+        )
+        self._numbers.text = (
+            "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % gone at</th></tr>"
+            f"{lines}</table>{'as <code>matcam predict</code>' if exact else 'preview'}"
+        )
+        if not exact:
+            self._limits.text = ""
+
+    def _show_close(self, close: Any) -> None:
+        true, recorded = close["true"].values, close["recorded"].values
+        x, y = close["x"].values, close["y"].values
+        shown = self._shown.active
+        if shown == 0:
+            for picture, values in ((self.close_true, true), (self.close_recorded, recorded)):
+                picture.show(values, x, y)
+                picture.scale(close.attrs["largest"])
+        elif shown == 1:
+            self.close_difference.show(close["difference"].values, x, y)
+            self.close_difference.scale(close.attrs["largest_difference"])
+        else:
+            middle = len(y) // 2
+            self._rows.data = {"x": x, "true": true[middle], "recorded": recorded[middle]}
+
+    def _show_sphere(self, sphere: Any, exact: Any) -> None:
+        x, y = sphere["x"].values, sphere["y"].values
+        largest = sphere.attrs["largest"]
+        if self._shown.active == 0:
+            self.true.show(sphere["true"].values, x, y)
+            if exact is None:
+                self.recorded.show(sphere["recorded"].values, x, y)
+            else:
+                self.recorded.show(exact.values[::-1, :, 0], exact["x"].values, exact["y"].values[::-1])
+            for picture in (self.true, self.recorded):
+                picture.scale(largest)
+        elif self._shown.active == 1:
+            self.difference.show(sphere["difference"].values, x, y)
+            self.difference.scale(sphere.attrs["largest_difference"])
+
+    def _when_still(self, planned: Planned) -> None:
+        """Compute the exact values when nothing has moved for a while; stop when something does."""
+        while (left := self._moved + _REST - time.monotonic()) > 0:
+            time.sleep(min(left, 0.05))
+            if self._exact.overtaken():
+                return
+        from matcam.forward.prediction import predict
+
+        rig = planned.rig()
+        found = {"planned": planned, "curves": predict(rig, planned.lobes())}
+        copies = self._copies(planned)
+        self._exact.show(lambda: self._if_still(planned, found, copies))
+        if self._exact.overtaken():
+            return
+        bounds = _limits(planned)
+        self._exact.show(lambda: self._show_limits(planned, bounds))
+        if self._exact.overtaken():
+            return
+        from matcam.forward.image import picture
+
+        angle = float(rig.sample.lamp_angle(math.radians(planned.theta_d), rig.lamp.nearness))  # type: ignore[attr-defined]
+        exact = picture(planned.material(), rig, angle, error=_PICTURE_ERROR)
+        self._exact.show(lambda: self._show_exact(planned, exact))
+
+    def _if_still(self, planned: Planned, found: dict[str, Any], copies: str) -> None:
+        if planned == self.planned:
+            self._show_curves(planned, found["curves"])
+            self._copy.text = copies
+
+    def _show_limits(self, planned: Planned, text: str) -> None:
+        if planned == self.planned:
+            self._limits.text = text
+
+    def _show_exact(self, planned: Planned, exact: Any) -> None:
+        if planned == self.planned and self._last.get("planned") == planned:
+            self._last = {**self._last, "exact": exact}
+            self._show_sphere(self._last["sphere"], exact)
+            self.recorded.plot.title.text = "sphere as recorded, within 1 %"
+
+    def _copies(self, planned: Planned) -> str:
+        links = " · ".join(
+            self._downloads.offer(name, text.encode())
+            for name, text in (("camera.json", planned.camera_profile()), ("rig.json", planned.rig_file()))
+        )
+        return (
+            f"<b>The same</b>, to copy; files: {links}<br><code>{escape(planned.command())}</code>"
+            f"<pre style='margin:4px 0'>{escape(planned.python())}</pre>"
+        )
+
+
+def _angle(radians: float) -> str:
+    degrees = math.degrees(radians)
+    return f"{degrees:.1f}°" if degrees < 90 else "-"
+
+
+def _curves(planned: Planned) -> dict[str, Any]:
+    from matcam.forward.prediction import predict
+
+    return {"planned": planned, "curves": predict(planned.rig(), planned.lobes(), fast=True)}
+
+
+def _close(planned: Planned) -> dict[str, Any]:
+    from matcam.forward.previews import highlight_preview
+
+    return {"close": highlight_preview(planned.material(), planned.rig(), math.radians(planned.theta_d))}
+
+
+def _sphere(planned: Planned) -> dict[str, Any]:
+    from matcam.forward.previews import sphere_preview
+
+    return {"sphere": sphere_preview(planned.material(), planned.rig(), math.radians(planned.theta_d), side=160)}
+
+
+_PARTS = {"curves": _curves, "the highlight": _close, "the sphere": _sphere}
+
+
+def _fast(planned: Planned) -> dict[str, Any]:
+    """Return all fast values."""
+    found: dict[str, Any] = {}
+    for part in _PARTS.values():
+        found |= part(planned)
+    return found
+
+
+def _limits(planned: Planned) -> str:
+    """Return the bounds of what can be recovered, or why there are none."""
+    from matcam.core.errors import MatcamError
+    from matcam.core.workspace import Workspace
+    from matcam.inverse.recoverability import limits
+
+    try:
+        found = limits(planned.rig(), planned.family, roughness=[planned.roughness], workspace=Workspace.user())
+    except MatcamError as error:
+        return f"bounds: {escape(str(error))}"
+    one = found.isel(roughness=0)
+    rows = (("camera exact", one["width_std"]), ("lens free", one["width_std_free"]))
+    lines = "".join(f"<tr><td>{name}</td><td>{float(value):.2%}</td></tr>" for name, value in rows)
+    return f"<b>Bounds</b> of ln roughness (<code>matcam limits</code>), 1 % noise:<table>{lines}</table>"

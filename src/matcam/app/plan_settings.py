@@ -1,0 +1,177 @@
+"""What the plan view describes: a rig and a material, and the same as a command line, as Python and as a rig file."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from matcam.app.controls import Setting
+from matcam.core.registry import FAMILIES
+
+if TYPE_CHECKING:
+    from matcam.material.microfacet import Microfacet
+    from matcam.rigs import Rig
+
+SETTINGS = (
+    Setting("sigma", "lens blur, std [px]", 0.05, 5, 0.5, log=True),
+    Setting("half_width", "pixel half width [px]", 0.05, 0.5, 0.5),
+    Setting("radius", "sphere radius [px]", 20, 2000, 256, log=True),
+    Setting("distance", "camera distance [radii]", 2, 999, 999, log=True, infinite=True),
+    Setting("lamp_distance", "lamp distance [radii]", 2, 999, 999, log=True, infinite=True),
+    Setting("lamp_radius", "lamp radius [degrees]", 0, 5, 0),
+    Setting("roughness", "roughness [slope]", 0.0005, 0.3, 0.01, log=True),
+    Setting("glare", "glare, share of light", 0, 0.05, 0),
+    Setting("theta_d", "pictures: θ_d [degrees]", 5, 80, 45),
+)
+
+OTHERS = (0.001, 0.005, 0.02, 0.1)
+"""Roughnesses that are drawn beside the chosen one."""
+
+PRESETS = {
+    "MERL": {"sigma": 0.5, "half_width": 0.5, "radius": 256},
+    "phone": {
+        "sigma": 0.8,
+        "half_width": 0.5,
+        "radius": 600,
+        "distance": 12,
+        "lamp_distance": 20,
+        "lamp_radius": 0.5,
+        "glare": 0.01,
+    },
+    "machine vision": {
+        "sigma": 0.45,
+        "half_width": 0.45,
+        "radius": 400,
+        "distance": 30,
+        "lamp_distance": 30,
+        "lamp_radius": 0.2,
+        "glare": 0.002,
+    },
+}
+"""Rigs to start from; what a preset does not name is infinite or 0."""
+
+GLARE_RADIUS = 30.0
+"""Standard deviation of the halo, px: the default of `matcam predict --glare-radius`."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A rig and a material as numbers; lengths in px, distances in radii, angles in degrees.
+
+    Attributes:
+        sigma: standard deviation of the lens's blur, px.
+        half_width: of a pixel, px.
+        radius: of the sphere, px.
+        distance: of the camera, radii; infinite is allowed.
+        lamp_distance: of the lamp, radii; infinite is allowed.
+        lamp_radius: angular, degrees.
+        roughness: of the chosen lobe.
+        glare: share of the light in the halo.
+        theta_d: of the pictures, degrees.
+        metal: name of a metal.
+        family: of the lobe.
+    """
+
+    sigma: float
+    half_width: float
+    radius: float
+    distance: float
+    lamp_distance: float
+    lamp_radius: float
+    roughness: float
+    glare: float
+    theta_d: float
+    metal: str = "Cr"
+    family: str = "ggx"
+
+    @property
+    def roughnesses(self) -> list[float]:
+        """Return the roughnesses to draw, the chosen one first."""
+        return [self.roughness, *(r for r in OTHERS if r != self.roughness)]
+
+    @property
+    def loses_at_most_cos(self) -> bool:
+        """Tell whether cos theta bounds the loss: a point lamp, and all of it distant."""
+        return self.lamp_radius == 0 and math.isinf(self.distance) and math.isinf(self.lamp_distance)
+
+    def rig(self) -> Rig:
+        """Return the rig."""
+        from matcam.camera.camera import Camera
+        from matcam.camera.optics.gaussian import GaussianOptics
+        from matcam.camera.optics.halo import HaloOptics
+        from matcam.camera.pixel import BoxPixel
+        from matcam.lamp.lamps import DistantLamp, NearLamp
+        from matcam.rigs import Rig
+        from matcam.sample.curved import Sphere
+
+        lens: Any = GaussianOptics(self.sigma)
+        if self.glare:
+            lens = HaloOptics(lens, self.glare, GLARE_RADIUS)
+        angle = math.radians(self.lamp_radius)
+        lamp: Any = DistantLamp(angle)
+        if math.isfinite(self.lamp_distance):
+            lamp = NearLamp(self.lamp_distance, math.tan(angle) * self.lamp_distance)
+        return Rig(Camera(lens, BoxPixel(self.half_width)), Sphere(self.radius, self.distance), lamp)
+
+    def lobes(self) -> list[Any]:
+        """Return the lobes to draw."""
+        return [FAMILIES[self.family](r) for r in self.roughnesses]
+
+    def material(self) -> Microfacet:
+        """Return the chosen lobe on the metal, as green light sees it."""
+        from matcam.core.grid import CHANNEL_WAVELENGTHS
+        from matcam.material.microfacet import Microfacet
+        from matcam.material.optical_constants import metal
+        from matcam.material.reflectance import Conductor
+
+        n, k, _ = metal(self.metal, [CHANNEL_WAVELENGTHS[1]])
+        return Microfacet(FAMILIES[self.family](self.roughness), Conductor(n, k))
+
+    def camera_profile(self) -> str:
+        """Return the camera's profile, JSON, without the glare, which is an option of its own."""
+        from dataclasses import replace
+
+        return json.dumps(replace(self, glare=0.0).rig().camera.profile(), indent=2)
+
+    def rig_file(self) -> str:
+        """Return the rig as JSON, as a picture's sidecar holds it."""
+        return json.dumps(self.rig().description(), indent=2)
+
+    def command(self) -> str:
+        """Return the command line of the same prediction; camera.json is the profile."""
+        words = [
+            "matcam predict",
+            *(f"{r:g}" for r in self.roughnesses),
+            f"--ndf {self.family}",
+            "--camera camera.json",
+        ]
+        words.append(f"--radius {self.radius:g}")
+        if math.isfinite(self.distance):
+            words.append(f"--distance {self.distance:g}")
+        if self.lamp_radius:
+            words.append(f"--lamp {self.lamp_radius:g}")
+        if math.isfinite(self.lamp_distance):
+            words.append(f"--lamp-distance {self.lamp_distance:g}")
+        if self.glare:
+            words.append(f"--glare {self.glare:g} --glare-radius {GLARE_RADIUS:g}")
+        return " ".join(words)
+
+    def python(self) -> str:
+        """Return the same rig and its prediction as Python."""
+        lens = f"matcam.GaussianOptics({self.sigma:g})"
+        if self.glare:
+            lens = f"matcam.HaloOptics({lens}, {self.glare:g}, {GLARE_RADIUS:g})"
+        distance = f", {self.distance:g}" if math.isfinite(self.distance) else ""
+        lamp = f"matcam.DistantLamp(math.radians({self.lamp_radius:g}))"
+        if math.isfinite(self.lamp_distance):
+            far = f"{self.lamp_distance:g}"
+            lamp = f"matcam.NearLamp({far}, math.tan(math.radians({self.lamp_radius:g})) * {far})"
+        lobe = {"ggx": "GGX", "beckmann": "Beckmann", "gaussian": "GaussianNDF"}[self.family]
+        return (
+            "import math\nimport matcam\n"
+            f"camera = matcam.Camera({lens}, matcam.BoxPixel({self.half_width:g}))\n"
+            f"rig = matcam.Rig(camera, matcam.Sphere({self.radius:g}{distance}), {lamp})\n"
+            f"angle = matcam.loss_angle(rig, matcam.{lobe}({self.roughness:g}))  # rad\n"
+        )

@@ -1,0 +1,148 @@
+"""The server: one page on this machine, behind a guard. It reads what its user gave it, and asks nobody for anything."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from bokeh.application import Application
+from bokeh.application.handlers.function import FunctionHandler
+from bokeh.document import Document
+from bokeh.server.server import BaseServer
+from bokeh.server.tornado import BokehTornado
+from bokeh.settings import settings
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop
+from tornado.netutil import bind_sockets
+
+from matcam.app.downloads import Downloads
+from matcam.app.guard import Guard
+from matcam.app.page import Page
+from matcam.app.worker import THREAD
+from matcam.core.errors import ArgumentError
+
+LARGEST_MESSAGE = 64 << 20
+"""Largest message from a browser, bytes; larger files come in pieces."""
+
+
+class AppServer:
+    """Serve the app's page until it is stopped.
+
+    Args:
+        files: files and folders that the user opened.
+        host: address to listen on. Default: "127.0.0.1", this machine alone.
+        port: port to listen on. Default: 0, a free one.
+
+    Raises:
+        ArgumentError: the address cannot be listened on.
+    """
+
+    def __init__(self, files: Sequence[Path] = (), host: str = "127.0.0.1", port: int = 0):
+        _quiet()
+        settings.resources = "server"  # whatever the environment says
+        settings.log_level = "error"
+        try:
+            sockets = bind_sockets(port, host)
+        except (OSError, UnicodeError) as error:
+            raise ArgumentError(
+                f"host {host!r} and port {port} cannot be listened on: {getattr(error, 'strerror', None) or error}"
+            ) from None
+        self.port = int(sockets[0].getsockname()[1])
+        self.downloads = Downloads()
+        self.pages: set[Page] = set()
+        tornado = BokehTornado(
+            Application(FunctionHandler(self._page(tuple(files)))),
+            extra_websocket_origins=["*"],  # the guard has checked it
+            extra_patterns=[self.downloads.pattern()],
+            websocket_max_message_size_bytes=LARGEST_MESSAGE,
+            websocket_compression_level=None,
+            check_unused_sessions_milliseconds=2000,
+            unused_session_lifetime_milliseconds=4000,
+            keep_alive_milliseconds=20_000,
+            stats_log_frequency_milliseconds=10**9,
+        )
+        self.guard = Guard(tornado, host, self.port)
+        http = HTTPServer(self.guard)
+        http.add_sockets(sockets)
+        self._server = BaseServer(IOLoop.current(), tornado, http)
+        self._server.start()
+
+    @property
+    def address(self) -> str:
+        """Return the address to open, token included."""
+        return self.guard.address
+
+    @property
+    def busy(self) -> bool:
+        """Tell whether a computation has not ended, though nobody waits for it."""
+        return any(thread.name == THREAD for thread in threading.enumerate())
+
+    def run(self) -> None:
+        """Answer until the process is interrupted; then do what the process does when it is."""
+        loop = asyncio.get_event_loop()
+        interrupted: list[Callable[[], Any]] = []
+
+        def catch(number: int, handler: Callable[..., Any]) -> None:
+            # raised wherever the loop is, an interruption could be lost in a library's callback
+            def end() -> None:
+                interrupted.append(lambda: handler(number, None))
+                loop.stop()
+
+            with contextlib.suppress(NotImplementedError):  # Windows
+                loop.add_signal_handler(number, end)
+
+        caught = {}
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            handler = None if number is None else signal.getsignal(number)
+            if number is not None and callable(handler):
+                caught[number] = handler
+                catch(number, handler)
+        try:
+            IOLoop.current().start()
+        finally:
+            for number, handler in caught.items():
+                with contextlib.suppress(NotImplementedError):
+                    loop.remove_signal_handler(number)
+                signal.signal(number, handler)
+            self.stop()
+        for act in interrupted:
+            act()
+
+    def stop(self) -> None:
+        """End all work and close the port."""
+        for page in list(self.pages):
+            page.close()
+        self.downloads.close()
+        self._server.unlisten()
+        self._server.stop(wait=False)
+
+    def _page(self, files: tuple[Path, ...]) -> Callable[[Document], None]:
+        def make(document: Document) -> None:
+            try:
+                page = Page(document, files, self.downloads)
+            except Exception:
+                traceback.print_exc()
+                raise
+            self.pages.add(page)
+
+            def ended(context: Any) -> None:
+                self.pages.discard(page)
+                page.close()
+
+            document.on_session_destroyed(ended)
+
+        return make
+
+
+def _quiet() -> None:
+    """Keep the libraries from printing what a browser did; what fails in a page stands in the page."""
+    for name in ("bokeh", "tornado.access", "tornado.general", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)

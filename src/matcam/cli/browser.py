@@ -1,0 +1,81 @@
+"""`matcam app`: plan, look and decide in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from matcam.cli import show
+from matcam.core.errors import ArgumentError
+
+_INTERRUPTED = 130
+
+
+def command(
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Tables, pictures, or the folder or Zarr of a run to open. Default: none, to plan a rig."),
+    ] = None,
+    host: Annotated[
+        str,
+        typer.Option(
+            "--host",
+            help="Address to listen on. Any other than the default lets other machines in that know the token; nothing is "
+            "encrypted.",
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", help="Port to listen on. Default: 0, a free one.")] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+) -> None:
+    """Open a page on this machine to plan a rig, calibrate a camera and look at tables. Ctrl-C ends it.
+
+    Example: `matcam app chromium.binary`
+    """
+    try:
+        import bokeh  # noqa: F401
+    except ImportError:
+        raise ArgumentError("the app needs Bokeh: install matcam[app]") from None
+    for path in files or ():
+        if not path.exists():
+            raise ArgumentError(f"{path} does not exist: give a file or a folder")
+    if not 0 <= port < 2**16:
+        raise ArgumentError(f"--port must lie in [0, {2**16 - 1}], got {port}")
+    from matcam.app.server import AppServer
+
+    server = AppServer(files or (), host, port)
+    if host not in ("127.0.0.1", "localhost", "::1"):
+        show.remark(
+            f"--host {host}: every machine that reaches this one and knows the address below can use the app as you, "
+            "and all that passes can be read on the way"
+        )
+    show.say(server.address)
+    if browser:
+        _open(server.address)
+    try:
+        server.run()
+    except KeyboardInterrupt:
+        if server.busy:
+            _leave()
+        raise
+
+
+def _leave() -> None:
+    """End the process in the middle of a computation: compiled code cannot be asked to stop."""
+    import os
+    import sys
+
+    show.remark("interrupted; nothing half-written was left")
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(_INTERRUPTED)
+
+
+def _open(address: str) -> None:
+    """Open the page, if there is a browser to open it."""
+    import contextlib
+    import webbrowser
+
+    with contextlib.suppress(webbrowser.Error, OSError):
+        webbrowser.open(address)

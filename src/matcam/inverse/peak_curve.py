@@ -1,0 +1,55 @@
+"""The peaks of a table over theta_d as a Fresnel term for the eye, beside that of a metal. No fit, no camera."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam.core.grid import CHANNEL_WAVELENGTHS
+from matcam.inverse.fresnel_term import recorded_peak
+from matcam.material.optical_constants import metal
+from matcam.material.reflectance import fresnel_conductor
+
+NORMALISED_OVER = (np.radians(10.0), np.radians(45.0))
+"""Range of theta_d, rad, over which a curve has mean 1."""
+
+
+def peak_curve(table: xr.DataArray) -> xr.DataArray:
+    """Return the peak times cos^2 theta_d, of mean 1 over 10 to 45 degrees.
+
+    For a lobe of one shape that is the Fresnel term where nothing masks (docs/model.md 6).
+
+    Args:
+        table: BRDF on the MERL grid, 1/sr.
+
+    Returns:
+        Over (theta_d, channel), no unit; NaN where the peak is missing or not positive.
+    """
+    theta_d = table["theta_d"].values
+    values = (recorded_peak(table, theta_d) * np.cos(theta_d) ** 2).T
+    return xr.DataArray(
+        _normalised(values, theta_d),
+        dims=("theta_d", "channel"),
+        coords={"theta_d": table["theta_d"], "channel": table["channel"]},
+    )
+
+
+def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
+    """Return a metal's Fresnel term from tabulated n and k, normalised as `peak_curve` is, (theta_d, 3).
+
+    Args:
+        name: of the metal, such as "Cr".
+        theta_d: rad, (n,).
+    """
+    n, k, _ = metal(name, CHANNEL_WAVELENGTHS)
+    values = np.asarray(fresnel_conductor(np.asarray(theta_d)[:, None], n, k))
+    return _normalised(values, np.asarray(theta_d))
+
+
+def _normalised(values: np.ndarray, theta_d: np.ndarray) -> np.ndarray:
+    low, high = NORMALISED_OVER
+    used = values[(theta_d >= low) & (theta_d <= high)]
+    known = np.isfinite(used)
+    mean = np.where(known, used, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(mean > 0, values / mean, np.nan)

@@ -1,0 +1,199 @@
+"""The page in a real browser."""
+
+import contextlib
+import json
+import math
+import re
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tests.app.browsing import BOXES, EXACT, FOCUSED, PREPARED, READY, faults, latencies
+from tests.app.conftest import running
+
+SIZES = ((1280, 800), (1920, 1080))
+
+
+@contextlib.contextmanager
+def opened(chromium, app, size=SIZES[0]):
+    """A page of the app; afterwards nothing it asked for has left the machine."""
+    page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+    asked, errors = [], []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("websocket", lambda socket: asked.append(socket.url))
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    try:
+        page.goto(app.url)
+        page.wait_for_function(READY)
+        yield page
+        own = re.compile(rf"(http|ws)://127\.0\.0\.1:{app.port}/|data:|blob:")
+        assert asked
+        assert [url for url in asked if not own.match(url)] == []
+        assert errors == []
+    finally:
+        page.close()
+
+
+def view(page, name):
+    page.get_by_role("button", name=name, exact=True).click()
+    page.wait_for_timeout(400)
+
+
+def message(page):
+    return page.evaluate("Bokeh.documents[0].get_model_by_name('message').text")
+
+
+def test_views_fit_and_nothing_leaves_the_machine(chromium):
+    with running() as app, opened(chromium, app) as page:
+        assert page.url == f"http://127.0.0.1:{app.port}/"
+        for size in SIZES:
+            page.set_viewport_size({"width": size[0], "height": size[1]})
+            for name in ("Plan", "Calibrate", "Explore"):
+                view(page, name)
+                boxes = page.evaluate(BOXES)
+                assert len(boxes) > 10
+                assert faults(boxes, size[0]) == [], (name, size)
+        assert (
+            faults([*boxes, ["x", boxes[0][1], boxes[0][2], 9999, boxes[0][4], 0]], size[0]) != []
+        )  # the test can fail
+
+
+@pytest.mark.slow
+def test_shown_numbers_are_the_commands(chromium):
+    with running() as app, opened(chromium, app) as page:
+        page.wait_for_function(PREPARED, timeout=240_000)
+        page.get_by_role("button", name="machine vision").click()
+        page.wait_for_function(EXACT, timeout=240_000)
+        page.wait_for_function("Bokeh.documents[0].get_model_by_name('plan-copy').text.includes('lamp-distance')")
+        copies = page.evaluate("Bokeh.documents[0].get_model_by_name('plan-copy').text")
+        numbers = page.evaluate("Bokeh.documents[0].get_model_by_name('plan-numbers').text")
+        with page.expect_download() as download:
+            page.get_by_text("camera.json").first.click()
+        words = re.search(r"<code>(matcam predict[^<]*)</code>", copies)[1].split()
+        words = [str(download.value.path()) if word == "camera.json" else word for word in words[1:]]
+        said = json.loads(
+            subprocess.run([sys.executable, "-m", "matcam", *words, "--json"], capture_output=True, check=True).stdout
+        )
+        rows = re.findall(r"<tr><td>([^<]*)</td><td>([^<]*)</td><td>([^<]*)</td></tr>", numbers)
+        assert len(rows) == 5
+        for row, roughness, response, angle in zip(
+            rows, said["roughness"], said["response"], said["loss_angle_deg"], strict=True
+        ):
+            assert row == (f"{roughness:g}", f"{response[0]:.1%}", f"{angle:.1f}°" if angle < 90 else "-")
+
+
+@pytest.mark.slow
+def test_the_last_value_wins_and_nothing_queues(chromium):
+    with running() as app, opened(chromium, app) as page:
+        page.wait_for_function(PREPARED, timeout=240_000)
+        page.wait_for_function(EXACT, timeout=240_000)
+        box = page.locator("[role=slider]").nth(6).bounding_box()
+        track = page.evaluate("Bokeh.documents[0].get_model_by_name('slider-roughness').value")
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()
+        for step in range(120):  # far faster than anything can be computed
+            page.mouse.move(box["x"] + 60 * math.sin(step / 5), box["y"] + box["height"] / 2)
+        page.mouse.move(box["x"] + 40, box["y"] + box["height"] / 2)
+        page.mouse.up()
+        start = time.monotonic()
+        place = page.evaluate("Bokeh.documents[0].get_model_by_name('slider-roughness').value")
+        assert place != track
+        shown = "Bokeh.documents[0].get_model_by_name('curve').data.roughness[0]"
+        page.wait_for_function(f"Math.abs(Math.log10({shown}) - ({place})) < 0.003", timeout=20_000)
+        assert time.monotonic() - start < 2.0
+        page.wait_for_timeout(1500)
+        assert abs(math.log10(float(page.evaluate(shown))) - place) < 0.003
+
+
+@pytest.mark.slow
+def test_a_move_is_painted_soon(chromium):
+    with running() as app, opened(chromium, app) as page:
+        page.wait_for_function(PREPARED, timeout=240_000)
+        page.wait_for_function(EXACT, timeout=240_000)
+        times = latencies(page)
+        assert len(times) >= 50
+        assert np.median(times) < 100  # the 95th percentile needs a quiet machine: benchmarks/bench_app.py
+
+
+@pytest.mark.slow
+def test_the_keyboard_reaches_everything(chromium):
+    with running() as app, opened(chromium, app) as page:
+        for name, wanted in {
+            "Plan": {
+                "views",
+                "slider-sigma",
+                "field-sigma",
+                "slider-theta_d",
+                "field-theta_d",
+                "preset-phone",
+                "shown",
+            },
+            "Calibrate": {"views", "upload-picture", "photograph", "picture", "measure", "calibrate", "region-x"}
+            - {"photograph"},
+            "Explore": {
+                "views",
+                "upload",
+                "material",
+                "beside",
+                "which",
+                "channel",
+                "field-lamp",
+                "save-csv",
+                "save-pbrt",
+            },
+        }.items():
+            view(page, name)
+            page.evaluate("document.activeElement && document.activeElement.blur()")
+            reached = set()
+            for _ in range(60):
+                page.keyboard.press("Tab")
+                reached.add(page.evaluate(FOCUSED))
+            assert wanted <= reached, (name, wanted - reached)
+        view(page, "Plan")
+        page.locator("[role=slider]").first.focus()
+        before = page.evaluate("Bokeh.documents[0].get_model_by_name('field-sigma').value")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('field-sigma').value > {before}")
+
+
+def bombs():
+    """Names, bytes, of files that are none, are damaged, or claim too much."""
+    import imagecodecs
+
+    large = imagecodecs.png_encode(np.zeros((10_000, 20_000), np.uint8), level=1)
+    claims = bytearray(imagecodecs.png_encode(np.zeros((4, 4), np.uint8)))
+    claims[16:24] = (60_000).to_bytes(4, "big") * 2
+    yield "Explore", "rubbish.binary", b"no table at all" * 50
+    yield "Explore", "head.binary", np.array([90, 90, 180], "<i4").tobytes() + b"\0" * 100
+    yield "Explore", "rubbish.nc", b"\x89HDF\r\n\x1a\n" + b"\xff" * 500
+    yield "Explore", "empty.bsdf", b"tensor_file\0" + b"\xff" * 90
+    yield "Calibrate", "large.png", large
+    yield "Calibrate", "claims.png", bytes(claims)
+    yield "Calibrate", "rubbish.tif", b"II*\0" + b"\xff" * 400
+    yield "Calibrate", "<b>x</b>.exr", b"v/1\x01" + b"\xff" * 400
+
+
+@pytest.mark.slow
+def test_bad_files_are_one_line_and_the_server_lives(chromium):
+    with running() as app:
+        with opened(chromium, app) as page:
+            page.wait_for_function(PREPARED, timeout=240_000)
+            for name, file, content in bombs():
+                view(page, name)
+                field = page.locator("input[type=file]").nth(0 if name == "Calibrate" else 1)
+                page.evaluate("Bokeh.documents[0].get_model_by_name('message').text = ''")
+                field.set_input_files({"name": file, "mimeType": "application/octet-stream", "buffer": content})
+                page.wait_for_function("Bokeh.documents[0].get_model_by_name('message').text !== ''", timeout=60_000)
+                said = message(page)
+                assert "fault of matcam" not in said, (file, said)
+                assert "\n" not in said
+                assert "<b>" not in said
+        with opened(chromium, app) as page:
+            assert message(page) == ""
+            page.reload()
+            page.wait_for_function(READY)
+        assert app.end() == 130
+        assert "".join(app.errors) == "matcam: interrupted; nothing half-written was left\n"

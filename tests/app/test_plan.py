@@ -1,0 +1,70 @@
+"""What the plan view says is what the command line says."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from matcam.app.plan_settings import OTHERS, PRESETS, SETTINGS, Planned
+from matcam.cli.app import app
+
+DEFAULTS = Planned(0.5, 0.5, 256.0, float("inf"), float("inf"), 0.0, 0.01, 0.0, 45.0)
+
+
+def said_by_the_command(planned, folder):
+    (folder / "camera.json").write_text(planned.camera_profile())
+    words = planned.command().replace("camera.json", str(folder / "camera.json")).split()
+    assert words[0] == "matcam"
+    result = CliRunner().invoke(app, [*words[1:], "--json"])
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+@pytest.mark.parametrize(
+    "planned",
+    [
+        replace(DEFAULTS, lamp_radius=0.3, distance=40.0, sigma=0.7),
+        replace(DEFAULTS, lamp_distance=20.0, half_width=0.4),
+    ],
+)
+def test_the_command_line_says_the_same(planned, tmp_path):
+    import numpy as np
+
+    from matcam.forward.prediction import predict
+
+    said = said_by_the_command(planned, tmp_path)
+    shown = predict(planned.rig(), planned.lobes())
+    assert said["roughness"] == [0.01, *OTHERS]
+    np.testing.assert_allclose(np.degrees(shown["loss_angle"]), said["loss_angle_deg"], rtol=1e-12)
+    np.testing.assert_allclose(shown["response"], said["response"], rtol=1e-12)
+
+
+def test_the_python_says_the_same(tmp_path):
+    import math
+
+    planned = replace(DEFAULTS, glare=0.01, distance=30.0, lamp_distance=25.0, lamp_radius=0.2)
+    names = {}
+    exec(planned.python(), names)
+    assert repr(names["rig"]) == repr(planned.rig())
+    assert 0 < names["angle"] < math.pi / 2
+    assert json.loads(planned.rig_file()) == json.loads(json.dumps(names["rig"].description()))
+
+
+def test_presets_lie_in_the_sliders():
+    by_name = {one.name: one for one in SETTINGS}
+    for preset in PRESETS.values():
+        assert {"sigma", "half_width", "radius"} <= set(preset) <= set(by_name)
+        assert all(by_name[name].low <= value <= by_name[name].high for name, value in preset.items())
+
+
+def test_a_slider_shows_what_it_sets():
+    for one in SETTINGS:
+        assert one.from_slider(one.to_slider(one.value)) == pytest.approx(one.value, rel=5e-3)
+        assert one.low <= one.from_slider(one.to_slider(one.high) + 1) <= one.high
+
+
+def test_cos_bounds_the_loss_of_a_point_lamp_only():
+    assert DEFAULTS.loses_at_most_cos
+    assert not replace(DEFAULTS, lamp_radius=0.1).loses_at_most_cos
+    assert not replace(DEFAULTS, distance=20.0).loses_at_most_cos
