@@ -68,7 +68,7 @@ def command(
         show.as_json(document)
     else:
         _print(result, document)
-    if document["left_out"] or any(one["code"].startswith("frame") for one in document["remarks"]):
+    if not result.complete:
         raise typer.Exit(_SOME_FAILED)
 
 

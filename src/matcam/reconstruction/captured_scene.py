@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +34,10 @@ _MARGIN = 0.12
 _SHIFT = 0.3
 """px; how far the sphere may move between pictures where its limb does not say."""
 _FEWEST = 3
+_PATCH_DEPTH = 0.5
+"""Radii by which a diffuse reference may stand before or behind the sphere's centre."""
+INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight")
+"""Codes of the remarks on what could not be used."""
 
 
 class CapturedScene(NamedTuple):
@@ -100,7 +103,12 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
-        outline = find_outline(stacked(pictures), sighting=sighting)
+        try:
+            outline = find_outline(stacked(pictures), sighting=sighting)
+        except FitError as error:
+            raise FitError(
+                f"{error}; a frame of the sphere before a bright field, in outline/, shows its limb"
+            ) from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)
@@ -120,7 +128,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     centres = np.tile([outline.column, outline.row], (len(seen), 1)) if centres is None else centres[seen]
     stated, stds = _stated_lamps(capture, [one.name for one in pictures], lamps, remarks)
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    gain, gain_std = _gains(capture, radiometry, [one.name for one in pictures])
+    gain, gain_std = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, far)
     lamp_radius = _lamp_radius(capture)
     scene = Scene(
         camera=camera,
@@ -164,11 +172,11 @@ def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None
         try:
             codes = reader.read(frame, region).astype(np.float64) - _dark(reader, capture, frame, region)
         except MatcamError as error:
-            remarks.append(Remark("frame-left-out", str(error)))
+            remarks.append(Remark("bad-frame", str(error)))
             continue
         if total is not None and total.shape != codes.shape:
             remarks.append(
-                Remark("frame-left-out", f"{capture.folder / frame.file}: is not of the other outline frames' size")
+                Remark("bad-frame", f"{capture.folder / frame.file}: is not of the other outline frames' size")
             )
             continue
         total = codes if total is None else total + codes
@@ -241,7 +249,9 @@ def _stated_lamps(
     return stated, stds
 
 
-def _gains(capture: Capture, radiometry: Radiometry, names: Sequence[str]) -> tuple[np.ndarray | None, np.ndarray]:
+def _gains(
+    capture: Capture, radiometry: Radiometry, names: Sequence[str], lamps: np.ndarray, ball: MirrorBall, far: float
+) -> tuple[np.ndarray | None, np.ndarray]:
     """Return each picture's light by the reference and its relative standard deviation; where there is none, what is stated."""
     drift = float(capture.settings["lamp"]["gain_std"])
     output = [radiometry.lamp_output.get(name) for name in names]
@@ -252,24 +262,14 @@ def _gains(capture: Capture, radiometry: Radiometry, names: Sequence[str]) -> tu
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    return gain, np.maximum(std, 1e-5)
-
-
-def without_pictures(found: CapturedScene, names: Sequence[str]) -> CapturedScene:
-    """Return the same without some pictures."""
-    keep = [k for k, one in enumerate(found.pictures) if one.name not in names]
-    scene = found.scene
-    fewer = replace(
-        scene,
-        centres=scene.centres[keep],
-        lamps=scene.lamps[keep],
-        lamp_std=np.broadcast_to(scene.lamp_std, len(found.pictures))[keep],
-        gain_std=np.broadcast_to(scene.gain_std, len(found.pictures))[keep],
-        gain=None if scene.gain is None else scene.gain[keep],
-    )
-    return found._replace(
-        pictures=[found.pictures[k] for k in keep],
-        scene=fewer,
-        lamps=found.lamps[keep],
-        left_out=(*found.left_out, *names),
-    )
+    region = capture.reference_region
+    if capture.settings["reference"]["kind"] == "diffuse" and region is not None and np.isfinite(far):
+        # the radiometry takes the lamp as distant; a near one lights a patch beside the sphere otherwise
+        column, row, width, height = region
+        patch = np.array([column + width / 2 - ball.column, ball.row - row - height / 2, 0.0]) / ball.radius
+        way = lamps - patch / far
+        length = np.linalg.norm(way, axis=1)
+        stated = np.array([capture.lamps[name].direction[2] for name in names])
+        gain /= way[:, 2] / length**3 / np.where(np.isfinite(stated), stated, lamps[:, 2])
+        std = np.hypot(std, 2 * np.abs(lamps[:, 2]) / far * _PATCH_DEPTH)
+    return gain / gain.mean(), np.maximum(std, 1e-5)

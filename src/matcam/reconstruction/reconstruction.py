@@ -18,7 +18,7 @@ from matcam.files.capture import Capture, read_capture
 from matcam.inverse.fit.fit_parameters import readable_value
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import MASKINGS, Masking
-from matcam.reconstruction.captured_scene import CapturedScene, Progress, captured_scene
+from matcam.reconstruction.captured_scene import INCOMPLETE, CapturedScene, Progress, captured_scene
 from matcam.reconstruction.chosen_lobe import chosen_fit
 from matcam.reconstruction.error_budget import (
     Inseparable,
@@ -167,6 +167,11 @@ class Reconstruction:
         if not np.isfinite(self.unit.std):
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
         return " ".join(words)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every frame of the capture could be used."""
+        return not any(remark.code in INCOMPLETE for remark in self.remarks)
 
     @property
     def supported_share(self) -> float:
