@@ -181,6 +181,20 @@ def test_a_tone_curve_is_noticed(tmp_path):
     assert codes(radiometry) & {"tone-curve", "not-linear"}
 
 
+def test_sharpened_and_smoothed_frames_are_noticed(merged, tmp_path):
+    from scipy.ndimage import gaussian_filter
+
+    assert not codes(merged[2]) & {"sharpened", "smoothed"}
+    drawn = small(cfa=None, peak_fill=4.0, clip="converter")
+    for amount, code in ((0.8, "sharpened"), (-0.5, "smoothed")):
+        frames = {}
+        for name, v in drawn.frames.items():
+            v = v.astype(float)
+            frames[name] = np.clip(np.round(v + amount * (v - gaussian_filter(v, 1.0))), 0, 65535).astype(np.uint16)
+        capture = read_capture(changed(drawn, frames=frames).write(tmp_path / code))
+        assert code in codes(measure_radiometry(capture, lamps=["L00", "L02"]))
+
+
 def test_full_colour_is_refused_unless_accepted(tmp_path):
     drawn = small()
     frames = {name: np.repeat(v[..., None], 3, axis=2) for name, v in drawn.frames.items()}

@@ -55,6 +55,28 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
     return total / 8
 
 
+def noise_correlation(light: np.ndarray, around: np.ndarray, noise: float) -> tuple[float, float]:
+    """Return the correlation of neighbouring pixels' noise where a frame is dark, and its standard deviation.
+
+    Raw pixels have none. Sharpening makes it negative, demosaicing and smoothing positive.
+
+    Args:
+        light: frame without dark, (height, width), DN.
+        around: its pixels' neighbours' mean, same shape.
+        noise: read noise, DN.
+    """
+    dark = (np.abs(around) < 1.5 * max(noise, 0.3)) & (np.abs(light) < 6 * max(noise, 0.3))
+    products, squares, count = 0.0, 0.0, 0
+    for first, second in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
+        both = dark[first] & dark[second]
+        a, b = light[first][both].astype(np.float64), light[second][both].astype(np.float64)
+        if a.size < 100:
+            continue
+        a, b = a - a.mean(), b - b.mean()
+        products, squares, count = products + float(a @ b), squares + float(a @ a + b @ b) / 2, count + a.size
+    return (products / squares, 1 / count**0.5) if squares > 0 else (0.0, float("inf"))
+
+
 def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
     """Return indices of pixels for a sample: the brightest by their neighbours, and some of the others that hold light.
 

@@ -40,9 +40,8 @@ def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
     A pixel's own dark mean counts by how much more pixels differ than their noise explains: James and Stein's shrinkage towards
     the frame's level.
     """
-    stack = np.asarray(stack, np.float32)
     n = len(stack)
-    mean = stack.mean(0)
+    mean = np.mean(np.asarray(stack, np.float32), axis=0)
     level = float(mean.mean()) if mean.size < 100 else _trimmed_mean(mean)
     spread = _ROBUST * float(np.median(np.abs(mean - np.median(mean))))
     if n < 2:
@@ -80,7 +79,7 @@ def measure_darkness(
     found: dict[str, Darkness] = {}
     remarks = []
     for exposure in exposures:
-        stack = []
+        stack: list[np.ndarray] = []
         for frame in capture.of("dark", exposure=exposure):
             try:
                 one = reader.read(frame, region)

@@ -47,7 +47,7 @@ class ExposureRatios(NamedTuple):
 
     Attributes:
         value: exposure relative to the shortest, (k,).
-        std: relative standard deviation of each, (k,); 0 for the shortest.
+        covariance: of their logarithms, (k, k); 0 for the shortest, infinite on the diagonal where nothing links one to it.
         misfit: scatter over what noise explains, chi2 a degree of freedom.
         curve: code above dark over the largest one, relative departure from a straight line there, and its standard deviation;
             (n, 3).
@@ -55,10 +55,19 @@ class ExposureRatios(NamedTuple):
     """
 
     value: np.ndarray
-    std: np.ndarray
+    covariance: np.ndarray
     misfit: float
     curve: np.ndarray
     linked: bool
+
+    def std(self, reference: int = 0) -> np.ndarray:
+        """Return the relative standard deviation of each exposure over the one of that index, (k,)."""
+        own = np.diag(self.covariance)
+        with np.errstate(invalid="ignore"):
+            variance = own + own[reference] - 2 * self.covariance[reference]
+        variance = np.where(np.isnan(variance), np.inf, np.maximum(variance, 0))
+        variance[reference] = 0.0
+        return np.sqrt(variance)
 
 
 def first_guess(
@@ -149,11 +158,10 @@ def fit_ratios(
     chi = np.where(used & (variance > 0), (sums - counts * mean) ** 2 / np.where(variance > 0, variance, 1), 0)
     degrees = int(used.sum() - len(flux) - len(exposures) + 1)
     misfit = float(chi.sum() / degrees) if degrees > 0 else float("nan")
-    std = np.full(len(exposures), np.inf)
-    std[0] = 0.0
+    covariance = np.diag(np.r_[0.0, np.full(len(exposures) - 1, np.inf)])
     if linked and len(exposures) > 1:
-        std[1:] = np.sqrt(np.diag(np.linalg.inv(matrix[1:, 1:])) * max(1.0, misfit if degrees > 0 else 1.0))
-    return ExposureRatios(exposures / exposures[0], std, misfit, _curve(sums, counts, mean, variance), linked)
+        covariance[1:, 1:] = np.linalg.inv(matrix[1:, 1:]) * max(1.0, misfit if degrees > 0 else 1.0)
+    return ExposureRatios(exposures / exposures[0], covariance, misfit, _curve(sums, counts, mean, variance), linked)
 
 
 def fit_gain(
@@ -236,9 +244,9 @@ def _groups(
             one_count[0, sample.exposures[good]] = sample.reference_pixels
             sums.append(one_sum)
             counts.append(one_count)
-    sums, counts = np.concatenate(sums), np.concatenate(counts)
-    shared = (counts > 0).sum(1) > 1
-    return sums[shared], counts[shared]
+    all_sums, all_counts = np.concatenate(sums), np.concatenate(counts)
+    shared = (all_counts > 0).sum(1) > 1
+    return all_sums[shared], all_counts[shared]
 
 
 def _solve(

@@ -25,7 +25,7 @@ from matcam.acquisition.exposure_ratios import (
     measure_clip_level,
 )
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
+from matcam.acquisition.radiometry_remarks import clip_remarks, correlation_remarks, exposure_remarks, linearity_remarks
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark
@@ -121,7 +121,12 @@ def capture_camera(capture: Capture) -> Camera | None:
     return camera
 
 
-def measure_radiometry(capture: Capture, region: Region | None = None, progress: Progress | None = None) -> Radiometry:
+def measure_radiometry(
+    capture: Capture,
+    region: Region | None = None,
+    progress: Progress | None = None,
+    lamps: Sequence[str] | None = None,
+) -> Radiometry:
     """Measure what the codes of a capture's frames mean.
 
     Args:
@@ -129,6 +134,7 @@ def measure_radiometry(capture: Capture, region: Region | None = None, progress:
         region: first column, first row, width, height of the part that is used, px; the first two even. None: the capture's
             own, or all. Default: None.
         progress: called after each lamp position. Default: None.
+        lamps: names of the lamp positions that are read. Default: None, all.
 
     Returns:
         The radiometry; frames that cannot be used are named in its remarks.
@@ -148,16 +154,21 @@ def measure_radiometry(capture: Capture, region: Region | None = None, progress:
     samples: list[BracketSample] = []
     used: dict[str, tuple[CaptureFrame, ...]] = {}
     largest, smallest = -np.inf, np.inf
-    for number, lamp in enumerate(capture.lamps):
+    wanted = list(capture.lamps if lamps is None else lamps)
+    for number, lamp in enumerate(wanted):
         bracket = _bracket(capture, reader, region, lamp, names, shapes, remarks)
         if progress:
-            progress("radiometry", number + 1, len(capture.lamps))
+            progress("radiometry", number + 1, len(wanted))
         if not bracket:
             continue
         used[lamp] = tuple(frame for frame, _ in bracket)
         largest = max(largest, *(float(codes.max()) for _, codes in bracket))
         smallest = min(smallest, *(float(codes.min()) for _, codes in bracket))
         samples.append(_sample(capture, reader, lamp, bracket, names, darkness, noise, step, number))
+        if number == 0:
+            frame, codes = bracket[0]
+            light = codes - np.asarray(darkness[frame.exposure].level, np.float32)
+            remarks += correlation_remarks(capture.folder / frame.file, light, step, noise)
     if not samples:
         raise FitError(
             f"{capture.folder}: no frame of any lamp position can be read: {remarks[0] if remarks else 'see frames.csv'}"
@@ -180,7 +191,7 @@ def measure_radiometry(capture: Capture, region: Region | None = None, progress:
     guess = first_guess(samples, len(names), top, noise, nominal)
     clip = measure_clip_level(samples, guess, largest)
     gain = Stated(1.0)
-    ratios = ExposureRatios(guess, np.full(len(names), np.inf), np.nan, np.zeros((0, 3)), False)
+    ratios = ExposureRatios(guess, np.zeros((len(names), len(names))), np.nan, np.zeros((0, 3)), False)
     for _ in range(2):  # weights need the gain, the gain needs ratios
         ratios = fit_ratios(samples, ratios.value, clip, noise, gain.value)
         measured = fit_gain(samples, ratios.value, clip, noise)
@@ -190,9 +201,7 @@ def measure_radiometry(capture: Capture, region: Region | None = None, progress:
         gain = _stated_gain(capture, remarks)
     reference = len(names) // 2
     value = ratios.value / ratios.value[reference]
-    others = np.arange(len(names)) != reference
-    error = np.zeros(len(names))
-    error[others] = value[others] * np.hypot(ratios.std[others], ratios.std[reference])
+    error = value * ratios.std(reference)
     remarks += exposure_remarks(names, ratios, nominal)
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
-from matcam.acquisition.bracket_sample import BracketSample
+from matcam.acquisition.bracket_sample import BracketSample, noise_correlation, same_colour_neighbours
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
 from matcam.core.remark import Remark
 
 _WRONG_TIME = 0.02
 """Relative error of a nominal exposure time that is remarked."""
+_CORRELATED = 0.06
+"""Correlation of neighbouring pixels' noise beyond which a frame was processed."""
 
 
 def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:
@@ -37,7 +40,7 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
         )
     said = nominal / nominal[0]
     wrong = ratios.value / said - 1
-    for name, error, std in zip(names, wrong, ratios.std, strict=True):
+    for name, error, std in zip(names, wrong, ratios.std(), strict=True):
         if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
             text = f"exposure {name}: true over nominal time is {1 + error:.3f} +- {std:.3f} of that of {names[0]}"
             found.append(Remark("times-wrong", text + "; the frames' own ratio is used"))
@@ -64,6 +67,23 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
             text = f"lamp {sample.lamp}: {peak} pixels are clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
             found.append(Remark("peak-clipped", text))
     return found
+
+
+def correlation_remarks(path: Path, light: np.ndarray, step: int, noise: float) -> list[Remark]:
+    """Return whether a frame's noise shows that it was sharpened or smoothed.
+
+    Args:
+        path: the frame's file.
+        light: the frame without dark, DN.
+        step: distance of the nearest pixel of the same colour, px.
+        noise: read noise, DN.
+    """
+    correlation, std = noise_correlation(light, same_colour_neighbours(light, step), noise)
+    if abs(correlation) < max(_CORRELATED, 5 * std):
+        return []
+    what = "sharpened: highlights overshoot and read too narrow" if correlation < 0 else "smoothed or demosaiced"
+    text = f"{path}: neighbouring pixels' noise correlates by {correlation:+.2f}: the frames were probably {what}"
+    return [Remark("sharpened" if correlation < 0 else "smoothed", f"{text}; use raw frames")]
 
 
 def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:

@@ -9,6 +9,7 @@ import typer
 from matcam.cli import (
     browser,
     calibrate,
+    capture,
     chart,
     convert,
     correct,
@@ -81,4 +82,7 @@ for _name, _module in {
     "demo": demo,
 }.items():
     app.command(_name, cls=Command)(with_common(_name, _module.command))
+app.add_typer(
+    capture.app, name="capture", help="Begin, plan and check a capture: photographs of a sample under a moved lamp."
+)
 app.add_typer(data.app, name="data", help="Fetch published measurements.")

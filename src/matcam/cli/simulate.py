@@ -31,14 +31,14 @@ _TABLES, _PICTURES = (".binary", ".nc"), suffixes_for("picture")
 
 def command(
     output: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="FILE",
             help="Table (.binary, .nc) or picture (.exr, .tif; a .json goes beside it) to write.",
         ),
-    ],
+    ] = None,
     table: Annotated[
         Path | None,
         typer.Argument(help="Table of the material (.binary, .nc, .csv). Default: the lobe that the options describe."),
@@ -107,6 +107,17 @@ def command(
             help="Electrons per unit of radiance: take a raw picture with the profile's sensor and its noise.",
         ),
     ] = None,
+    capture: Annotated[
+        Path | None,
+        typer.Option(
+            "--capture",
+            metavar="DIR",
+            help="Folder to write a whole capture to, instead of --output: frames, darks, outline, reference, truth.",
+        ),
+    ] = None,
+    positions: Annotated[
+        int, typer.Option("--lamp-positions", help="Lamp positions of --capture, theta_d from 5 to 82 degrees.")
+    ] = 18,
     preview: Annotated[
         Path | None,
         typer.Option("--preview", metavar="FILE", help="Figure of the picture to write (.png, .pdf, .svg)."),
@@ -124,13 +135,26 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Simulate what a rig records of a known material: the whole table, or one picture.
+    """Simulate what a rig records of a known material: the whole table, one picture, or a capture of many.
 
     Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
     """
     from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output
 
+    near = {"lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
+    if (output is None) == (capture is None):
+        raise ArgumentError("give --output for a table or a picture, or --capture for a folder")
+    if capture is not None:
+        if table or preview or exposure or sample != "sphere":
+            raise ArgumentError(
+                "--capture is for a lobe on a sphere: leave out TABLE, --preview, --exposure and --sample"
+            )
+        rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near)
+        _capture(lobe, rig, math.radians(azimuth), positions, capture, seed, force, json)
+        return
+    assert output is not None
     suffix = output.suffix.lower()
     if suffix not in _TABLES + _PICTURES:
         raise ArgumentError(f"{output}: the name must end in one of {', '.join(_TABLES + _PICTURES)}")
@@ -149,10 +173,8 @@ def command(
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    near = {"lamp_distance": lamp_distance, "sample_mm": sample_mm}
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, cell_value=cell, crop=crop)
     turned = math.radians(azimuth)
-    lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
     material, described = _tabulated(table, sampling) if table else _microfacet(lobe)
     if suffix in _TABLES:
         result = _table(material, rig, turned, output, described, force)
@@ -166,6 +188,30 @@ def command(
         show.as_json({**result, "material": described, "output": str(output)})
     else:
         show.say(f"{result['what']}: {output}")
+
+
+def _capture(
+    lobe: dict[str, Any], rig: Any, azimuth: float, positions: int, folder: Path, seed: int, force: bool, json: bool
+) -> None:
+    """Write a whole capture; print what it consists of."""
+    import numpy as np
+
+    from matcam.core.jax import use_compilation_cache
+    from matcam.forward.synthetic_capture import CapturePlan, sensor_or_usual, simulate_capture
+
+    use_compilation_cache()
+    material, described = _microfacet(lobe)
+    plan = CapturePlan(
+        tuple(np.radians(np.linspace(5, 82, positions)) if positions > 1 else [math.radians(45)]), azimuth
+    )
+    with show.tallying("drawing") as progress:
+        truth = simulate_capture(
+            material, sensor_or_usual(rig), plan, folder, seed=seed, force=force, progress=progress
+        )
+    if json:
+        show.as_json({"capture": str(folder), "material": described, "truth": truth})
+    else:
+        show.say(f"capture of {positions} lamp positions, {plan.exposures} exposures each: {folder}")
 
 
 def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:

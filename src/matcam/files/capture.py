@@ -53,8 +53,8 @@ class Stated(NamedTuple):
     std: float = 0.0
 
 
-def _stated(low: float, unit_free_high: float = math.inf) -> Any:
-    """Return the type of a value or [value, standard deviation] above `low`, kept as a list of two."""
+def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJsonSchema]:
+    """Return what checks a value or [value, standard deviation] within limits, and its schema; it is kept as a list of two."""
 
     def check(value: Any) -> list[float]:
         pair = value if isinstance(value, list) else [value, 0.0]
@@ -63,16 +63,18 @@ def _stated(low: float, unit_free_high: float = math.inf) -> Any:
         number, std = map(float, pair)
         if not (math.isfinite(number) and math.isfinite(std)) or std < 0:
             raise ValueError("must be finite, with a standard deviation of at least 0")
-        if not low <= number <= unit_free_high:
-            raise ValueError(f"must lie in [{low:g}, {unit_free_high:g}], got {number:g}")
+        if not low <= number <= high:
+            raise ValueError(f"must lie in [{low:g}, {high:g}], got {number:g}")
         return [number, std]
 
     number = {"type": "number", "minimum": low}
     pair = {"type": "array", "prefixItems": [number, {"type": "number", "minimum": 0}], "minItems": 2, "maxItems": 2}
-    return Annotated[list[float], BeforeValidator(check), WithJsonSchema({"anyOf": [number, pair]})]
+    return BeforeValidator(check), WithJsonSchema({"anyOf": [number, pair]})
 
 
-_Positive, _Share, _NotNegative = _stated(1e-12), _stated(0.0, 1.0), _stated(0.0)
+_Positive = Annotated[list[float], *_stated(1e-12)]
+_Share = Annotated[list[float], *_stated(0.0, 1.0)]
+_NotNegative = Annotated[list[float], *_stated(0.0)]
 _Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
 
 
@@ -232,7 +234,7 @@ class Capture:
     def reference_region(self) -> Region | None:
         """Return where the reference stands in every frame; None: it is not in the frames."""
         section = self.settings["reference"]
-        return None if section is None or section["region_px"] is None else tuple(section["region_px"])  # type: ignore[return-value]
+        return None if section is None or section["region_px"] is None else tuple(section["region_px"])
 
     @property
     def region(self) -> Region | None:

@@ -1,0 +1,164 @@
+"""`matcam capture`: begin, plan and check a folder of photographs of a sample under a moved lamp."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import (
+    AsJson,
+    CameraProfile,
+    Command,
+    Distance,
+    Force,
+    LampDistance,
+    Radius,
+    SampleMm,
+    rig_of,
+)
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command("init", cls=Command)
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture; it is made.")],
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Write a commented capture.toml, an empty frames.csv, and the folders of the frames.
+
+    Example: `matcam capture init chromium`
+    """
+    from matcam.files.capture_writing import write_template
+
+    files = write_template(folder, force=force)
+    if json:
+        show.as_json({"files": [str(path) for path in files]})
+    else:
+        for path in files:
+            show.say(f"template: {path}")
+
+
+@app.command("check", cls=Command)
+def check(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture.")],
+    json: AsJson = False,
+) -> int:
+    """Check a capture while one is still in the lab: clipped or missing frames, missed angles, wrong times, what moved.
+
+    Exit code 1 where something was found. Example: `matcam capture check chromium`
+    """
+    from matcam.acquisition.capture_check import check_capture
+    from matcam.files.capture import read_capture
+
+    capture = read_capture(folder)
+    with show.working("checking"):
+        found = check_capture(capture)
+    if json:
+        show.as_json(
+            {
+                "findings": [remark.to_dict() for remark in found.findings],
+                "notes": [remark.to_dict() for remark in found.notes],
+                "frames": len(capture.frames),
+                "lamps": len(capture.lamps),
+                "centre_px": list(found.centre[:2]),
+                "radius_px": found.centre[2],
+                "radiometry": None if found.radiometry is None else found.radiometry.to_dict(),
+            }
+        )
+        return 1 if found.findings else 0
+    show.say(f"{len(capture.frames)} frames, {len(capture.lamps)} lamp positions, {len(capture.exposures)} exposures")
+    if found.radiometry is not None:
+        _print_radiometry(found.radiometry)
+    if math.isfinite(found.centre[2]):
+        show.say("sphere that the highlights want: column {:.1f}, row {:.1f}, radius {:.1f} px".format(*found.centre))
+    for remark in found.notes:
+        show.say(f"note: {remark}")
+    for remark in found.findings:
+        show.say(f"found: {remark}")
+    if not found.findings:
+        show.say("nothing was found that should be mended")
+    return 1 if found.findings else 0
+
+
+def _print_radiometry(found: Any) -> None:
+    """Print exposures, clip level and noise."""
+    show.table(
+        ["exposure", "relative", "std"],
+        [[name, f"{value.value:.5g}", f"{value.std / value.value:.2%}"] for name, value in found.exposures.items()],
+        "Exposures, by the frames",
+    )
+    clip = f"{found.clip.level:.0f} DN" if found.clip.pixels else "not seen"
+    noise, gain = found.read_noise.value, found.gain.value
+    show.say(f"clip level {clip}; gain {gain:.4g} DN per electron; read noise {noise:.3g} DN")
+
+
+@app.command("plan", cls=Command)
+def plan(
+    roughness: Annotated[float, typer.Argument(help="Expected roughness (alpha, a slope) of the sample.")] = 0.01,
+    accuracy: Annotated[
+        float, typer.Option("--accuracy", help="Wanted standard deviation of F at the last angle, relative (no unit).")
+    ] = 0.01,
+    last: Annotated[
+        float, typer.Option("--last", metavar="DEGREES", help="Largest theta_d at which F is wanted, degrees.")
+    ] = 75.0,
+    metal: Annotated[
+        str | None,
+        typer.Option("--metal", help="Metal whose F is expected. Default: n = 1.5, whose F is steep."),
+    ] = None,
+    camera: CameraProfile = None,
+    radius: Radius = None,
+    distance: Distance = None,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
+    json: AsJson = False,
+) -> None:
+    """Say which lamp angles, exposures, radius and tolerances a wanted accuracy needs.
+
+    Example: `matcam capture plan 0.02 --accuracy 0.01 --camera camera.json --radius 300`
+    """
+    from matcam.core.jax import use_compilation_cache
+    from matcam.core.workspace import Workspace
+
+    use_compilation_cache()
+    from matcam.inverse.capture_plan import plan_capture
+    from matcam.material.optical_constants import metal as constants
+
+    n, k = 1.5, 0.0
+    if metal:
+        values = constants(metal, 550e-9)
+        n, k = float(values[0]), float(values[1])
+    rig = rig_of(camera, radius, 0.0, "sphere", distance, lamp_distance=lamp_distance, sample_mm=sample_mm)
+    with show.working("planning"):
+        needs = plan_capture(rig, roughness, accuracy, math.radians(last), n=n, k=k, workspace=Workspace.user())
+    if json:
+        show.as_json(needs.to_dict())
+        return
+    found = needs.to_dict()
+    wide = f"{needs.radius:.0f} px or more" if math.isfinite(needs.radius) else "more than any that was tried"
+    show.table(
+        ["what", "needed"],
+        [
+            ["radius of the limb", wide],
+            ["lamp positions", f"{len(needs.theta_d)}"],
+            ["exposures, each 4 times the one before", f"{needs.exposures}"],
+            ["lamps' directions known to", f"{found['lamp_std_deg']:.2g}°"],
+            ["sphere's outline known to", f"{needs.outline_std:.2g} px"],
+            ["a picture's light known to", f"{needs.gain_std:.2%}"],
+        ],
+        f"F at {last:g}° to {accuracy:.2g}, roughness {roughness:g}",
+    )
+    angles = ", ".join(f"{angle:.0f}" for angle in found["lamp_angle_deg"])
+    show.say(f"angles between lamp and camera, degrees: {angles}")
+    tried = ", ".join(f"{size:.0f} px {bound:.2%}" for size, bound in needs.fresnel_std)
+    show.say(f"bound of F at {last:g}° by pixels and lens: {tried}")

@@ -1,0 +1,127 @@
+"""Write captures: a commented template to fill in, and the files of a whole capture (capture.py reads them)."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core.errors import OutputError
+from matcam.core.io import replacing
+from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
+
+TEMPLATE = """\
+# A capture: photographs of a sample under a moved lamp. docs/capture.md explains every field.
+# Units stand in the names. A value may carry its standard deviation: radius_mm = [25.0, 0.005].
+# Delete what you do not know; a field that stands here is believed.
+
+format = "matcam capture"
+version = 1
+
+[camera]
+# profile = "camera.json"            # from `matcam calibrate`: lens, noise; lies in this folder
+# cfa = "RGGB"                       # colours of the first 2 x 2 px; leave it out for grey pictures and camera raw
+# black_level_dn = 256               # only where there are no dark frames
+# accept_processed = false           # true: take demosaiced or 8-bit pictures, with what that costs
+
+[sample]
+kind = "sphere"                      # sphere | cylinder | flat
+# radius_mm = [25.0, 0.005]
+# region_px = [800, 600, 900, 900]   # first column, first row (both even), width, height that hold the sphere
+
+[distances]                          # from the sample's centre
+# camera_mm = [1200, 5]
+# lamp_mm = [700, 10]
+
+[lamp]
+# radius_mm = [3.5, 0.05]            # of its luminous disc
+motion = "arc"                       # arc | free | table
+intensity = "constant"               # reference | constant | table
+gain_std = 0.005                     # how well a picture's light is known, relative
+direction_std_deg = 1.0              # how well angle_deg and azimuth_deg of frames.csv are known
+
+# [reference]                        # something in every frame whose light is known
+# kind = "diffuse"                   # diffuse: a white patch that faces the camera | monitor: light that follows the lamp's
+# reflectance = [0.98, 0.003]
+# region_px = [10, 10, 60, 60]       # first column, first row, width, height, in the whole frame
+
+[outline]
+field_beyond_deg = 3.0               # by how much the bright field of outline frames reaches beyond the sphere's limb
+"""
+
+
+def write_template(folder: str | Path, *, force: bool = False) -> list[Path]:
+    """Write a commented capture.toml, an empty frames.csv, and the folders of the frames.
+
+    Args:
+        folder: where the capture will lie; it is made.
+        force: replace an existing capture.toml and frames.csv (no unit). Default: False.
+
+    Returns:
+        The two files.
+
+    Raises:
+        OutputError: a file exists and `force` is False, or the folder cannot be written.
+    """
+    folder = _made(folder)
+    texts = {SETTINGS: TEMPLATE, LIST: ",".join(COLUMNS) + "\n"}
+    for name, text in texts.items():
+        with replacing(folder / name, force=force) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def write_description(
+    folder: Path, settings: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], *, force: bool = False
+) -> None:
+    """Write capture.toml and frames.csv.
+
+    Args:
+        folder: where the capture lies.
+        settings: tables of capture.toml by name, values that JSON can hold.
+        rows: lines of frames.csv by column; what is missing stays empty.
+        force: replace existing files (no unit). Default: False.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    for name, content in ((SETTINGS, as_toml(settings)), (LIST, text.getvalue())):
+        with replacing(folder / name, force=force) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+
+
+def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
+    """Write a frame of whole numbers as a 16-bit TIFF, without compression: frames are read in part."""
+    import tifffile
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, force=force) as temporary:
+        tifffile.imwrite(temporary, np.asarray(codes, np.uint16), photometric="minisblack")
+
+
+def as_toml(settings: Mapping[str, Any]) -> str:
+    """Return tables of plain values as TOML: JSON's numbers, texts and lists are TOML's, too."""
+    lines = [f"{key} = {json.dumps(value)}" for key, value in settings.items() if not isinstance(value, dict)]
+    for name, table in settings.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _made(folder: str | Path) -> Path:
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"output {folder} is a file: give a folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for kind in KINDS:
+            (folder / kind).mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"output {folder} cannot be written: {error.strerror}") from None
+    return folder

@@ -1,0 +1,261 @@
+"""A whole capture of a known material, as a rig would have taken it: brackets of mosaic frames, darks, outline, reference.
+
+For practice and for planning. It is drawn with this package's own forward model: what is reconstructed from it tests everything
+but that model. The sphere does not move from one lamp position to the next.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from matcam.camera.camera import Camera
+from matcam.camera.sensor import Sensor
+from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.io import replacing, write_json
+from matcam.core.jax import jnp
+from matcam.files.capture_writing import write_codes, write_description
+from matcam.forward.image import picture
+from matcam.lamp.lamps import NearLamp
+from matcam.material.material import Material
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
+
+_MARGIN = 48  # px about the sphere, in which the reference stands
+_REFERENCE = (4, 4, 40, 40)
+_RADIUS_MM = 25.0
+_FILLED = 0.8  # of the full well, by the brightest pixel in the shortest exposure
+_FIELD = 0.6  # of the full well, by the bright field of an outline frame
+_FINE = 8  # points a px along a limb
+
+
+class CapturePlan(NamedTuple):
+    """State what a synthetic capture consists of, and what is wrong with what it states.
+
+    Attributes:
+        theta_d: difference angle of each lamp position at the sphere's mirror point, rad, (n,).
+        azimuth: of the lamp's arc about the optical axis, rad.
+        exposures: of each lamp position. Default: 5.
+        step: from one exposure to the next, > 1. Default: 4.
+        lamp_std: error of the stated lamp angles, rad. Default: 0.3 degrees.
+        gain_std: of the lamp's light from one lamp position to the next, relative. Default: 0.005.
+        time_std: true over nominal exposure time, relative. Default: 0.05.
+        error: of the drawn pictures, a share of their peak (`picture`). Default: 1e-4.
+    """
+
+    theta_d: Sequence[float]
+    azimuth: float = 0.0
+    exposures: int = 5
+    step: float = 4.0
+    lamp_std: float = math.radians(0.3)
+    gain_std: float = 0.005
+    time_std: float = 0.05
+    error: float = 1e-4
+
+
+def simulate_capture(
+    material: Material,
+    rig: Rig,
+    plan: CapturePlan,
+    folder: str | Path,
+    *,
+    seed: int = 0,
+    force: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Write a capture of a sphere, and its truth beside it (truth.json).
+
+    Args:
+        material: of the sphere.
+        rig: camera with a sensor of at most 16 bits, a `Sphere` and a lamp.
+        plan: lamp positions, exposures, and errors of what is stated.
+        folder: where to write; it is made.
+        seed: of noise and errors. Default: 0.
+        force: replace existing files (no unit). Default: False.
+        progress: called with lamp positions done and all. Default: None.
+
+    Returns:
+        The truth: as truth.json holds it.
+
+    Raises:
+        ArgumentError: the rig has no sensor, no sphere, or the plan is out of range.
+        OutputError: a file exists and `force` is False, or cannot be written.
+    """
+    sensor = _sensor(rig)
+    sphere = rig.sample
+    if not isinstance(sphere, Sphere):
+        raise ArgumentError(f"a capture can be simulated of a Sphere, not of a {type(sphere).__name__}")
+    if not 1 <= plan.exposures <= 12 or not plan.step > 1 or not len(plan.theta_d):
+        got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
+        raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not force)):
+        raise OutputError(f"output {folder} exists and is not empty: use force=True to write into it")
+    rng = np.random.default_rng(seed)
+    lamps = list(_lamps(plan, sphere, rig, rng))
+    pictures = []
+    for number, lamp in enumerate(lamps):
+        pictures.append(_drawn(material, rig, sphere, plan, lamp))
+        if progress:
+            progress(number + 1, len(lamps))
+    well = float(sensor.full_well)
+    scale = _FILLED * well / max(lamp["gain"] * float(p.max()) for lamp, p in zip(lamps, pictures, strict=True))
+    relative = plan.step ** np.arange(plan.exposures)
+    nominal = relative / 1000 * np.exp(plan.time_std * rng.standard_normal(plan.exposures))
+    names = [f"E{k + 1}" for k in range(plan.exposures)]
+    rows: list[dict[str, Any]] = []
+
+    def add(file: str, electrons: np.ndarray, exposure: int, lamp: dict[str, Any] | None = None) -> None:
+        write_codes(folder / file, _exposed(sensor, electrons, rng), force=force)
+        about = {} if lamp is None else {"lamp": lamp["lamp"], "angle_deg": f"{lamp['stated_deg'][0]:.4f}"}
+        about |= {} if lamp is None else {"azimuth_deg": f"{lamp['stated_deg'][1]:.4f}"}
+        rows.append({"file": file, "exposure": names[exposure], "time_s": f"{nominal[exposure]:.8g}", **about})
+
+    for lamp, radiance in zip(lamps, pictures, strict=True):
+        for k, share in enumerate(relative):
+            electrons = scale * share * lamp["gain"] * _mosaic(sensor, radiance)
+            column, row, width, height = _REFERENCE
+            electrons[row : row + height, column : column + width] = _FIELD * well * share / relative[-1] * lamp["gain"]
+            add(f"frames/{lamp['lamp']}_{names[k]}.tif", electrons, k, lamp)
+    shape = pictures[0].shape[:2]
+    for k in range(plan.exposures):
+        for number in (1, 2):
+            add(f"dark/D{number}_{names[k]}.tif", np.zeros(shape), k)
+    add("outline/O1.tif", _FIELD * well * _before_field(rig, sphere, shape), 0)
+    truth = {
+        "format": "matcam capture truth",
+        "material": repr(material),
+        "radius_px": float(sphere.radius),
+        "centre_px": [(shape[1] - 1) / 2, (shape[0] - 1) / 2],
+        "camera_radii": _finite(sphere.distance),
+        "lamp_radii": _finite(_lamp_distance(rig)),
+        "lamps": [{name: value for name, value in lamp.items() if name != "stated_deg"} for lamp in lamps],
+        "exposures": [{"exposure": n, "relative": float(r)} for n, r in zip(names, relative, strict=True)],
+        "electrons_per_radiance": scale,
+        "clip_dn": float(sensor.saturation * sensor.gain + sensor.black_level),
+        "gain_dn_per_electron": float(sensor.gain),
+        "seed": seed,
+    }
+    write_description(folder, _settings(rig, sphere, sensor, plan), rows, force=force)
+    with replacing(folder / "camera.json", force=force) as temporary:
+        temporary.write_text(json.dumps(rig.camera.profile(), indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "truth.json", truth, force=force)
+    return truth
+
+
+def sensor_or_usual(rig: Rig) -> Rig:
+    """Return the rig, with a usual sensor (30,000 electrons, 14 bits, RGGB) where its camera states none."""
+    camera = rig.camera
+    if camera.sensor is not None:
+        return rig
+    sensor = Sensor(5e-6, full_well=30_000, read_noise=3.0, gain=0.5, bits=14, cfa="RGGB", black_level=256)
+    whole = Camera(camera.optics, camera.pixel, sensor, uncertainty=camera.uncertainty, provenance=camera.provenance)
+    return eqx.tree_at(lambda r: r.camera, rig, whole)
+
+
+def _sensor(rig: Rig) -> Sensor:
+    sensor = rig.camera.sensor
+    if sensor is None:
+        raise ArgumentError("a capture needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
+    if sensor.bits is None or sensor.bits > 16:
+        raise ArgumentError(f"a capture needs a sensor of at most 16 bits, got {sensor.bits}")
+    return sensor
+
+
+def _lamps(plan: CapturePlan, sphere: Sphere, rig: Rig, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield every lamp position: where it is, where it is stated to be, its light."""
+    angles = np.asarray(sphere.lamp_angle(jnp.asarray(plan.theta_d, dtype=float), rig.lamp.nearness))
+    for number, angle in enumerate(angles):
+        sin = math.sin(float(angle))
+        wrong = plan.lamp_std * rng.standard_normal(2) / [1, max(sin, 0.05)]
+        stated = np.degrees([min(max(float(angle) + wrong[0], 0.0), math.pi), plan.azimuth + wrong[1]])
+        yield {
+            "lamp": f"L{number + 1:02d}",
+            "direction": [sin * math.cos(plan.azimuth), sin * math.sin(plan.azimuth), math.cos(float(angle))],
+            "angle_deg": math.degrees(float(angle)),
+            "azimuth_deg": math.degrees(plan.azimuth),
+            "theta_d_deg": math.degrees(float(np.asarray(plan.theta_d, float)[number])),
+            "gain": math.exp(plan.gain_std * rng.standard_normal()),
+            "stated_deg": stated.tolist(),
+        }
+
+
+def _drawn(material: Material, rig: Rig, sphere: Sphere, plan: CapturePlan, lamp: dict[str, Any]) -> np.ndarray:
+    """Return radiance (height, width, channels) of one lamp position."""
+    side = 2 * (math.ceil(float(sphere.radius)) + _MARGIN)
+    angle = math.radians(lamp["angle_deg"])
+    image = picture(material, rig, angle, plan.azimuth, shape=(side, side), error=plan.error).values
+    return image if image.ndim == 3 else image[..., None]
+
+
+def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
+    """Return what each pixel sees: its own colour, or the mean of all."""
+    if sensor.cfa is None:
+        return radiance.mean(2)
+    three = np.broadcast_to(radiance, (*radiance.shape[:2], 3)) if radiance.shape[2] == 1 else radiance
+    channel = sensor.channel_map(*radiance.shape[:2])
+    return np.take_along_axis(three, np.asarray(channel)[..., None], axis=2)[..., 0].copy()
+
+
+def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return codes of expected electrons that are a mosaic already (`Sensor.expose` is for radiance)."""
+    well = float(sensor.full_well)
+    charge = np.minimum(rng.poisson(np.minimum(electrons, 2 * well + 100)), well)
+    code = float(sensor.gain) * (charge + float(sensor.read_noise) * rng.standard_normal(charge.shape))
+    return np.clip(np.round(code + float(sensor.black_level)), 0, 2 ** int(sensor.bits or 16) - 1)
+
+
+def _before_field(rig: Rig, sphere: Sphere, shape: tuple[int, int]) -> np.ndarray:
+    """Return the share of a bright field's light that each pixel sees past the sphere.
+
+    Along a limb of hundreds of pixels' radius the edge is straight: the camera's edge spread function at the distance from it.
+    """
+    rows, columns = np.indices(shape)
+    x, y = columns - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - rows
+    beyond = np.hypot(x, y) - float(sphere.radius)
+    near = np.abs(beyond) < 12
+    out = (beyond > 0).astype(float)
+    angle = np.arctan2(y[near], x[near])
+    turned = np.minimum(np.mod(angle, np.pi / 2), np.pi / 2 - np.mod(angle, np.pi / 2))  # the pixel is a square
+    steps = np.linspace(0, np.pi / 4, 9)
+    curves = np.stack([np.asarray(rig.camera.esf(np.linspace(-12, 12, 481), angle=a)) for a in steps])
+    from scipy.interpolate import RegularGridInterpolator
+
+    read = RegularGridInterpolator((steps, np.linspace(-12, 12, 481)), curves)
+    out[near] = read(np.stack([np.clip(turned, 0, np.pi / 4), np.clip(beyond[near], -12, 12)], -1))
+    return np.clip(out, 0, 1)
+
+
+def _lamp_distance(rig: Rig) -> float:
+    return float(rig.lamp.distance) if isinstance(rig.lamp, NearLamp) else math.inf
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(float(value)) else None
+
+
+def _settings(rig: Rig, sphere: Sphere, sensor: Sensor, plan: CapturePlan) -> dict[str, Any]:
+    distances = {"camera_mm": float(sphere.distance), "lamp_mm": _lamp_distance(rig)}
+    return {
+        "format": "matcam capture",
+        "version": 1,
+        "camera": {"profile": "camera.json"} | ({"cfa": sensor.cfa} if sensor.cfa else {}),
+        "sample": {"kind": "sphere", "radius_mm": [_RADIUS_MM, 0.005]},
+        "distances": {
+            name: [_RADIUS_MM * d, 0.005 * _RADIUS_MM * d] for name, d in distances.items() if math.isfinite(d)
+        },
+        "lamp": {
+            "motion": "arc",
+            "direction_std_deg": max(math.degrees(plan.lamp_std), 0.01),
+            "intensity": "reference",
+            "gain_std": max(plan.gain_std, 1e-4),
+        },
+        "reference": {"kind": "monitor", "region_px": list(_REFERENCE)},
+        "outline": {"field_beyond_deg": 0.0},
+    }

@@ -1,0 +1,163 @@
+"""Which lamp angles, exposures, radius and tolerances a wanted accuracy of F needs (docs/model.md 10).
+
+What pixels and lens allow comes from `limits`. What geometry and light must be known to follows from how steep F is: an error
+of an angle reads F at another angle, an error of a picture's light is one of F.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.camera.sensor import PixelNoise
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jnp
+from matcam.core.workspace import Workspace
+from matcam.forward.peaks.peak import peak_response
+from matcam.inverse.recoverability import limits
+from matcam.material.ndf.ggx import GGX
+from matcam.material.reflectance import fresnel_conductor
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
+
+_FIRST = 5.0
+_STEP = 4.5
+"""Degrees of theta_d: the first lamp position, and the largest step to the next."""
+_SHARES = 4.0
+"""Independent sources of error that share a wanted accuracy: angle, light, outline, pixels."""
+_FLOOR = 30.0
+"""Read noises at which a dim pixel still tells something."""
+_STEP_OF_EXPOSURE = 4.0
+_RADII = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
+"""Radii, in that of the rig, among which the smallest that will do is named."""
+
+
+class CaptureNeeds(NamedTuple):
+    """Hold what a wanted accuracy needs.
+
+    Attributes:
+        theta_d: of the lamp positions, rad, (n,).
+        lamp_angle: between lamp and optical axis, seen from the sample's centre, rad, (n,).
+        radius: smallest radius of the limb among those tried at which pixels allow the accuracy, px; infinite: none of them.
+        fresnel_std: bound of F at the last angle for each radius tried, (radius px, relative standard deviation).
+        exposures: how many, in steps of 4.
+        dynamic_range: brightest pixel over the dimmest that matters.
+        lamp_std: what every lamp's direction must be known to, rad.
+        outline_std: what the sphere's centre and radius must be known to, px.
+        gain_std: what a picture's light must be known to, relative.
+        slope: change of F with the angle at the last one, relative, 1/rad.
+    """
+
+    theta_d: np.ndarray
+    lamp_angle: np.ndarray
+    radius: float
+    fresnel_std: tuple[tuple[float, float], ...]
+    exposures: int
+    dynamic_range: float
+    lamp_std: float
+    outline_std: float
+    gain_std: float
+    slope: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the needs as a JSON object, angles in degrees."""
+        return {
+            "theta_d_deg": np.degrees(self.theta_d).tolist(),
+            "lamp_angle_deg": np.degrees(self.lamp_angle).tolist(),
+            "radius_px": self.radius,
+            "fresnel_std": [list(pair) for pair in self.fresnel_std],
+            "exposures": self.exposures,
+            "dynamic_range": self.dynamic_range,
+            "lamp_std_deg": math.degrees(self.lamp_std),
+            "outline_std_px": self.outline_std,
+            "gain_std": self.gain_std,
+            "fresnel_slope_per_deg": self.slope * math.pi / 180,
+        }
+
+
+def plan_capture(
+    rig: Rig,
+    roughness: float,
+    accuracy: float = 0.01,
+    last: float = math.radians(75),
+    *,
+    n: float = 1.5,
+    k: float = 0.0,
+    noise: PixelNoise | None = None,
+    workspace: Workspace | None = None,
+) -> CaptureNeeds:
+    """Say what a wanted accuracy of F at a large angle needs.
+
+    The accuracy is shared by four independent errors: the angle, the picture's light, the outline, and the pixels; each may
+    take half of it.
+
+    Args:
+        rig: camera with a Gaussian lens, and a `Sphere`; its distances count for the lamp angles.
+        roughness: alpha of a GGX lobe, no unit.
+        accuracy: wanted standard deviation of F at `last` over F at small angles, relative. Default: 0.01.
+        last: largest theta_d at which F is wanted, rad, [0.2, 1.5]. Default: 75 degrees.
+        n: refractive index of the material. Default: 1.5, whose F is steep.
+        k: its extinction. Default: 0.
+        noise: of a pixel. Default: None, 1 % of the value and 1e-4 of the peak.
+        workspace: keeps what depends on a rig alone. Default: None, the process's own.
+
+    Returns:
+        Lamp positions, radius, exposures and tolerances.
+
+    Raises:
+        ArgumentError: an argument is out of range, or the rig cannot be followed (`limits`).
+
+    Source:
+        docs/model.md 8 and 10.
+    """
+    accuracy = float(checks.within("accuracy", accuracy, 1e-4, 0.5))
+    last = float(checks.within("last", last, 0.2, 1.5, "rad"))
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(f"a capture can be planned for a Sphere, not for a {type(rig.sample).__name__}")
+    share = accuracy / math.sqrt(_SHARES)
+    reflectance = lambda t: float(fresnel_conductor(t, n, k))  # noqa: E731
+    step = 1e-4
+    slope = abs(math.log(reflectance(last + step) / reflectance(last - step))) / (2 * step)
+    known = share / max(slope, 1e-6)
+    radius = float(rig.sample.radius)
+    end = min(math.degrees(last) + 5.0, 85.0)
+    theta_d = np.radians(np.linspace(_FIRST, end, 1 + math.ceil((end - _FIRST) / _STEP)))
+    bounds = []
+    smallest = math.inf
+    for factor in _RADII:
+        size = factor * radius
+        found = limits(
+            Rig(rig.camera, Sphere(size)),
+            roughness=[roughness],
+            noise=noise or PixelNoise(picture_gain=0.01),
+            workspace=workspace,
+        )
+        bound = float(np.interp(last, found["theta_d"].values, found["fresnel_std"].values[0]))
+        bounds.append((size, bound))
+        if bound <= share:
+            smallest = size
+            break
+    at = smallest if math.isfinite(smallest) else bounds[-1][0]
+    sensor = rig.camera.sensor
+    # brightest: the recorded peak at the last angle; dimmest: its hundredth at the first one
+    ends = np.array([theta_d[0], last])
+    peaks = np.asarray(peak_response(Rig(rig.camera, Sphere(at)), GGX(roughness), ends)) / np.cos(ends)
+    ratio = 100 * peaks[1] / peaks[0] * reflectance(last) / reflectance(float(theta_d[0]))
+    full = 1e4 if sensor is None else float(sensor.saturation) / max(_FLOOR * float(sensor.read_noise), 1.0)
+    exposures = 1 + max(0, math.ceil(math.log(max(ratio / full, 1.0)) / math.log(_STEP_OF_EXPOSURE)))
+    angles = np.asarray(rig.sample.lamp_angle(jnp.asarray(theta_d), rig.lamp.nearness))
+    return CaptureNeeds(
+        theta_d,
+        angles,
+        smallest,
+        tuple(bounds),
+        max(exposures, 2),
+        float(ratio),
+        2 * known,
+        at * math.cos(last) * known / math.sqrt(2),
+        share,
+        slope,
+    )

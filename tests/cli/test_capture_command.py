@@ -1,0 +1,94 @@
+"""`matcam capture`, and `matcam simulate --capture`."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam.core.grid import CHANNEL_WAVELENGTHS
+from matcam.files.capture import read_capture, read_settings
+from matcam.material.optical_constants import metal
+from tests.acquisition.drawn import small
+from tests.oracle.capture import MOSAICS
+from tests.oracle.sphere_picture import Surface, View, picture
+
+
+def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
+    folder = tmp_path / "new"
+    matcam("capture", "init", folder)
+    settings = read_settings(folder / "capture.toml")
+    assert settings["lamp"]["motion"] == "arc"
+    assert "--force" in matcam("capture", "init", folder, code=2).stderr
+    empty = matcam("capture", "check", folder, code=2)
+    assert "no frame of the sample" in empty.stderr
+    # every commented field is one that is read
+    text = (folder / "capture.toml").read_text().replace("# [reference]", "[reference]")
+    lines = [
+        line.removeprefix("# ") if " = " in line else line for line in text.splitlines() if not line.startswith("# A ")
+    ]
+    (folder / "capture.toml").write_text("\n".join(line for line in lines if "Units stand" not in line))
+    assert read_settings(folder / "capture.toml")["sample"]["region_px"] == [800, 600, 900, 900]
+
+
+def test_check_says_what_it_found(matcam, tmp_path):
+    folder = small().write(tmp_path)
+    found = json.loads(matcam("capture", "check", folder, "--json", code=1).stdout)
+    assert found["lamps"] == 4
+    assert {one["code"] for one in found["findings"]} >= {"times-wrong", "angles-missed"}
+    assert found["radiometry"]["clip_level_dn"][0] == pytest.approx(15256, rel=5e-3)
+
+
+@pytest.mark.slow
+def test_a_simulated_capture_is_what_it_states(matcam, tmp_path):
+    """Its frames against the oracle's pictures at the truth that it states."""
+    folder = tmp_path / "simulated"
+    options = (
+        "--radius",
+        "40",
+        "--distance",
+        "40",
+        "--lamp-distance",
+        "25",
+        "--roughness",
+        "0.05",
+        "--lamp-positions",
+        "2",
+    )
+    matcam("simulate", "--capture", folder, *options, "--seed", "3", "--azimuth", "30", "--json")
+    capture, truth = read_capture(folder), json.loads((folder / "truth.json").read_text())
+    assert capture.problems == ()
+    n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS)
+    for lamp in truth["lamps"]:
+        frame = next(f for f in capture.of("frames", lamp=lamp["lamp"]) if f.exposure == "E3")
+        codes = capture.read(frame).values.astype(float)
+        view = View(40.0, 40.0, 25.0, 0.5, 0.5, *truth["centre_px"], codes.shape)
+        clean = picture(Surface("ggx", 0.05, n=tuple(n), k=tuple(k), diffuse=(0.0,)), view, np.array(lamp["direction"]))
+        channel = np.tile(np.array(MOSAICS["RGGB"]), (codes.shape[0] // 2, codes.shape[1] // 2))
+        clean = np.take_along_axis(clean, channel[..., None], axis=2)[..., 0]
+        electrons = truth["electrons_per_radiance"] * 16 * lamp["gain"] * clean
+        pull = ((codes - 256) / 0.5 - electrons) / np.sqrt(electrons + 9.4)
+        used = (electrons < 29_000) & (np.indices(codes.shape).max(0) > 46)
+        assert abs(pull[used].mean()) < 0.05
+        assert 0.9 < pull[used].std() < 1.1
+
+
+@pytest.mark.slow
+def test_a_plan_names_what_the_model_does(matcam):
+    """docs/model.md 10: 1 % on a dielectric at 75 degrees wants theta_d to 0.12 degrees, the outline to 0.15 px of 400."""
+    found = json.loads(matcam("capture", "plan", "0.02", "--accuracy", "0.02", "--radius", "400", "--json").stdout)
+    assert found["fresnel_slope_per_deg"] == pytest.approx(0.082, abs=0.003)
+    assert found["lamp_std_deg"] == pytest.approx(0.25, abs=0.02)
+    assert found["outline_std_px"] * 400 / min(found["radius_px"] or 1600, 1600) == pytest.approx(0.15, abs=0.02)
+    assert found["lamp_angle_deg"][-1] == pytest.approx(160)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "give --output"),
+        (("-o", "a.exr", "--capture", "b"), "give --output"),
+        (("--capture", "b", "--exposure", "3"), "leave out"),
+    ],
+)
+def test_what_simulate_needs(matcam, options, message):
+    assert message in matcam("simulate", *options, code=2).stderr
