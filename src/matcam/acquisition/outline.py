@@ -194,7 +194,7 @@ def find_outline(
         raise ArgumentError(f"light must be one of {', '.join(map(repr, get_args(LimbLight)))}, got {light!r}")
     sighting = sighting or Sighting()
     begin = np.array(start if start is not None else _searched(picture, light))
-    tried = [(light, tuple(exponents))] if exponents is not None else [(light, EXPONENTS[light])]
+    tried: list[tuple[str, Sequence[float]]] = [(light, exponents if exponents is not None else EXPONENTS[light])]
     if exponents is None and light == "lit":
         tried.append(("coated", EXPONENTS["coated"]))
     found = []
