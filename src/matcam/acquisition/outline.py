@@ -34,9 +34,9 @@ _LARGEST_STD = 0.3  # px, of a sector's edge
 _MISFIT = 6.0  # times the usual chi squared: dust, a stand
 _OUTLIER = 4.0  # standard deviations
 _RAGGED = 0.4  # px, rms of the edges about the outline: no limb
-_TEMPER = 8.0
+_TEMPER = 15.0
 """Difference in chi squared between two models of the light that makes one e times likelier; 2, were the models exact."""
-_SIMPLER = 20.0
+_SIMPLER = 30.0
 """A sphere is taken for one without a coat, unless chi squared falls by more than this with it."""
 _FIT = ("chi2", "freedom")
 FEWEST_SECTORS = 8
