@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from matcam.acquisition.lamps.two_probes import compare_probes
 from matcam.acquisition.mirror_ball import unit
-from matcam.acquisition.two_probes import compare_probes
 from matcam.core.errors import ArgumentError
 
 

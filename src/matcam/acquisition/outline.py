@@ -1,7 +1,7 @@
 """Find a sphere's outline in a picture: centre and radius of the limb, through the lens, with covariance.
 
 A picture shows the limb where a lamp lights the sphere up to it, or as a dark disc before a bright field. Its edges are
-measured one sector of azimuth at a time (`limb_edges.py`), and the outline is the conic that a sphere at a known distance
+measured one sector of azimuth at a time (`limb/limb_edges.py`), and the outline is the conic that a sphere at a known distance
 makes: a circle on the camera's axis, an ellipse beside it. Sectors that a stand, dust or a highlight spoils are left out.
 """
 
@@ -14,9 +14,9 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from matcam.acquisition.backlight import grazing_reflection
-from matcam.acquisition.circle_search import FoundCircle, find_circles
-from matcam.acquisition.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
+from matcam.acquisition.limb.backlight import grazing_reflection
+from matcam.acquisition.limb.circle_search import FoundCircle, find_circles
+from matcam.acquisition.limb.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.core.errors import ArgumentError, FitError
