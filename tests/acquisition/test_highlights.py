@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from matcam.acquisition.highlights import find_highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
-from matcam.acquisition.lamp_table import radius_by_highlights
+from matcam.acquisition.lamps.lamp_table import radius_by_highlights
 from matcam.acquisition.mirror_ball import MirrorBall, pull_to_limb, unit
 from matcam.acquisition.outline import find_outline, stacked
 from matcam.core.errors import FitError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcam.acquisition.lamp_table import explain_lamp_table, fit_arc, radius_by_highlights
+from matcam.acquisition.lamps.lamp_table import explain_lamp_table, fit_arc, radius_by_highlights
 from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import ArgumentError, FitError
 

@@ -1,5 +1,6 @@
 """The outline against spheres rendered ray by ray (`tests/oracle/ball_outline.py`), and against real photographs."""
 
+import imagecodecs
 import numpy as np
 import pytest
 
@@ -121,6 +122,16 @@ def test_pictures_without_an_outline_are_refused():
     mirror = oracle.lit(oracle.Ball(75, 78, 60), SHAPE, lamps[0], diffuse=0.0, alpha=0.05)
     with pytest.raises(FitError, match=r"lamp 1: (no sphere|only)"):
         find_outline(photograph(mirror, rng, electrons=1e3))
+
+
+def test_psbox_is_refused(real_data):
+    """Mirror balls on a table in a room: there is no limb to be seen."""
+    folder = real_data / "captures" / "psbox" / "LightProbe-1"
+    green = [imagecodecs.imread((folder / f"Image_{k:02d}.JPG").read_bytes())[::2, ::2, 1] for k in (1, 4, 8)]
+    pictures = [merged(one * 1.0, np.hypot(2.0, 0.03 * one), clip=250.0, name="probe") for one in green]
+    for light in ("lit", "backlit"):
+        with pytest.raises(FitError, match=r"probe|all lamps"):
+            find_outline(stacked(pictures), light=light)
 
 
 def test_diligent_ball(real_data):

@@ -105,10 +105,10 @@ def find_shifts(
         chi2 += float(np.sum(weight * rest**2))
         number += len(rest)
     covariance = covariance * max(1.0, chi2 / max(number - 3, 1))
-    found = [
-        FrameShift(*map(float, shift), covariance[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k], int(chosen.sum()))
-        for k, (shift, chosen) in enumerate(zip(shifts, used, strict=True))
-    ]
+    found = []
+    for k, (shift, chosen) in enumerate(zip(shifts, used, strict=True)):
+        at = slice(3 + 2 * k, 5 + 2 * k)
+        found.append(FrameShift(float(shift[0]), float(shift[1]), covariance[at, at], int(chosen.sum())))
     remarks = outline.remarks
     moved = float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
     if moved > 2 * shift_std:

@@ -111,7 +111,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     if clipped:
         remarks.append(Remark("clipped", f"{picture.name}: {clipped} pixels of the highlight are clipped"))
     normal = ball.normals(*place)
-    return Highlight(picture.name, *map(float, place), covariance, normal, width, clipped, others, tuple(remarks))
+    row, column = map(float, place)
+    return Highlight(picture.name, row, column, covariance, normal, width, clipped, others, tuple(remarks))
 
 
 def _spots(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 _TURNS = 60
 
@@ -54,7 +55,7 @@ class MirrorBall(NamedTuple):
             return np.array([0.0, 0.0, 1.0])
         return unit(np.array([self.axis[1] - self.column, self.row - self.axis[0], self._focal]))
 
-    def normals(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    def normals(self, rows: ArrayLike, columns: ArrayLike) -> np.ndarray:
         """Return the normal that each place in the frame shows.
 
         Args:

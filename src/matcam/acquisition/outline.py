@@ -1,7 +1,7 @@
 """Find a sphere's outline in a picture: centre and radius of the limb, through the lens, with covariance.
 
 A picture shows the limb where a lamp lights the sphere up to it, or as a dark disc before a bright field. Its edges are
-measured one sector of azimuth at a time (`limb_edges.py`), and the outline is the conic that a sphere at a known distance
+measured one sector of azimuth at a time (`limb/limb_edges.py`), and the outline is the conic that a sphere at a known distance
 makes: a circle on the camera's axis, an ellipse beside it. Sectors that a stand, dust or a highlight spoils are left out.
 """
 
@@ -14,8 +14,9 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from matcam.acquisition.circle_search import FoundCircle, find_circles
-from matcam.acquisition.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
+from matcam.acquisition.limb.backlight import grazing_reflection
+from matcam.acquisition.limb.circle_search import FoundCircle, find_circles
+from matcam.acquisition.limb.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.core.errors import ArgumentError, FitError
@@ -32,16 +33,13 @@ _CONTRAST = 8.0  # a step of light over its noise
 _LARGEST_STD = 0.3  # px, of a sector's edge
 _MISFIT = 6.0  # times the usual chi squared: dust, a stand
 _OUTLIER = 4.0  # standard deviations
-_TEMPER = 8.0
+_RAGGED = 0.4  # px, rms of the edges about the outline: no limb
+_TEMPER = 15.0
 """Difference in chi squared between two models of the light that makes one e times likelier; 2, were the models exact."""
-_SIMPLER = 20.0
+_SIMPLER = 30.0
 """A sphere is taken for one without a coat, unless chi squared falls by more than this with it."""
 _FIT = ("chi2", "freedom")
 FEWEST_SECTORS = 8
-_GRAZING = (4.0, 2.5)
-"""Fresnel reflectance at a grazing angle g is exp(-c g): c of metals and glasses, and its spread."""
-_REACH_UNKNOWN = np.radians(3.0)
-"""A backlight of unstated size: its reflection is not subtracted, and this one's counts as error."""
 
 
 class Sighting(NamedTuple):
@@ -196,7 +194,7 @@ def find_outline(
         raise ArgumentError(f"light must be one of {', '.join(map(repr, get_args(LimbLight)))}, got {light!r}")
     sighting = sighting or Sighting()
     begin = np.array(start if start is not None else _searched(picture, light))
-    tried = [(light, tuple(exponents))] if exponents is not None else [(light, EXPONENTS[light])]
+    tried: list[tuple[str, Sequence[float]]] = [(light, exponents if exponents is not None else EXPONENTS[light])]
     if exponents is None and light == "lit":
         tried.append(("coated", EXPONENTS["coated"]))
     found = []
@@ -394,7 +392,13 @@ class OutlineFit:
                         f"the sphere mirrors the backlight: up to {shrunk_std:.2f} px of radius",
                     )
                 )
-        lost = int(np.sum((edges.contrast > _CONTRAST) & ~used))
+        seen = int(np.sum(edges.contrast > _CONTRAST))
+        lost = seen - int(used.sum())
+        if lost > 0.5 * seen or scatter > _RAGGED:
+            raise FitError(
+                f"{self.picture.name}: {seen} edges stand out where the limb should be, {seen - lost} follow one outline, to "
+                f"{scatter:.2f} px: what is behind the sphere, or mirrored in it, hides the limb; use a plain background"
+            )
         if lost > 0.1 * self.count:
             remarks.append(
                 Remark("limb-spoilt", f"{lost} of {self.count} parts of the limb do not follow it; left out")
@@ -444,33 +448,3 @@ class OutlineFit:
         rise = (misfit(found.x + step) + misfit(found.x - step) - 2 * least) / step**2 / 2
         std = np.sqrt(max(least, 1e-12) / max(rise, 1e-12) / max(freedom, 1.0))
         return sigma, float(sigma * min(std, 1.0))
-
-
-def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:
-    """Return by how much the mirrored backlight shrinks a dark disc, and the standard deviation, px.
-
-    A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field that
-    reaches E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
-
-    Args:
-        radius: of the limb, px.
-        reach: E and its standard deviation, rad; None: not known.
-
-    Example:
-        >>> shrunk, std = grazing_reflection(400.0, (np.radians(5), np.radians(1)))
-        >>> round(shrunk, 2), round(std, 2)
-        (0.34, 0.13)
-    """
-    if reach is None:
-        return 0.0, grazing_reflection(radius, (_REACH_UNKNOWN, 0.0))[0]
-    angle, angle_std = reach
-
-    def shrunk(edge: float, slope: float) -> float:
-        # grazing angle g = sqrt(2 t / radius), even in t: the mean of F over t is that over g with weight g
-        g = np.linspace(0, edge / 2, 201)
-        return float(radius * np.trapezoid(np.sin(g) * np.exp(-slope * g), g))
-
-    here = shrunk(angle, _GRAZING[0])
-    by_slope = (shrunk(angle, _GRAZING[0] - _GRAZING[1]) - shrunk(angle, _GRAZING[0] + _GRAZING[1])) / 2
-    by_reach = (shrunk(angle + angle_std, _GRAZING[0]) - shrunk(max(angle - angle_std, 0.0), _GRAZING[0])) / 2
-    return here, float(np.hypot(by_slope, by_reach))

@@ -133,7 +133,7 @@ def _best(place: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, larg
     if not len(chosen):
         return None
     centre, radius = (first[chosen] + second[chosen]) / 2, radius[chosen]
-    score = np.array([_coverage(place, inwards, *c, r)[0] * r for c, r in zip(centre, radius, strict=True)])
+    score = np.array([_coverage(place, inwards, c[0], c[1], r)[0] * r for c, r in zip(centre, radius, strict=True)])
     best: FoundCircle | None = None
     for k in np.argsort(score)[::-1][:5]:
         (row, column), size_ = centre[k], radius[k]

@@ -114,8 +114,11 @@ def radius_by_highlights(
                 "table-turned", f"the table's axes are turned by {np.degrees(size):.2f} degrees against the camera's"
             )
         )
+    row, column, radius = map(float, found.x)
     return RadiusByHighlights(
-        *map(float, found.x),
+        row,
+        column,
+        radius,
         std,
         float(np.sqrt(np.sum(rest**2) / len(rows))),
         ratio - 1,

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import erf
 
 _STEP = 0.05  # px, of the table of blurred powers
-_NODES = 80
+_GAUSS = np.polynomial.legendre.leggauss(80)
 _INDEX = 1.5  # of a clear coat
 _TURNS = 5
 _STILL = 1e-3  # px: a position that moves less has been found
@@ -54,7 +54,7 @@ class BlurredPowers:
         sigma: standard deviation of the lens, px.
         exponents: of the powers; the first must be 0, the step of light at the edge.
         half_width: of the pixel, px. Default: 0.5.
-        reach: largest distance, px. Default: 40.
+        reach: largest distance, px. Default: 24.
         coated: radius of the limb, px, of a sphere under a clear coat, whose light falls towards the limb as the coat's
             transmittance does. Default: None, no coat.
 
@@ -70,7 +70,7 @@ class BlurredPowers:
         sigma: float,
         exponents: Sequence[float],
         half_width: float = 0.5,
-        reach: float = 40.0,
+        reach: float = 24.0,
         coated: float | None = None,
     ):
         self.exponents = tuple(exponents)
@@ -78,7 +78,7 @@ class BlurredPowers:
         self.places = np.arange(-8.0, reach, _STEP)
         end = 8 * np.sqrt(self.variance)
         root2 = np.sqrt(2) * max(sigma, 1e-3)
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = _GAUSS
         # u = s^2, the distance inside the edge, takes away the root's infinite slope
         t = self.places[:, None]
         top, bottom = (np.sqrt(np.maximum(t + side, 0.0)) for side in (end, -end))

@@ -1,0 +1,1 @@
+"""What highlights say of lamps that somebody wrote down."""

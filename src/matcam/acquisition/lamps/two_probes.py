@@ -1,0 +1,85 @@
+"""Compare the lamps that two mirror balls show: a lamp at a finite distance stands in two directions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.mirror_ball import unit
+from matcam.core.errors import ArgumentError
+from matcam.core.remark import Remark
+
+_EXPLAINED = np.radians(0.3)
+
+
+class ProbeComparison(NamedTuple):
+    """Tell whether the lamps' distance explains that two probes disagree.
+
+    Attributes:
+        apart: angle between both probes' directions of each lamp, rad (n,).
+        rms: of these, rad.
+        displacement: of the second probe from the first over the lamps' distance, no unit (3,): x right, y up, z to the
+            camera.
+        left: rms angle that one distance for all lamps leaves, rad.
+        left_by_turn: rms angle that a turn of one probe's axes leaves instead, rad.
+        remarks: the verdict in words.
+    """
+
+    apart: np.ndarray
+    rms: float
+    displacement: np.ndarray
+    left: float
+    left_by_turn: float
+    remarks: tuple[Remark, ...]
+
+
+def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
+    """Compare the directions of the same lamps by two mirror balls.
+
+    Moved by d, a probe sees a lamp at a distance Q in the direction l turned by -(d - (d l) l) / Q. All lamps at one distance
+    leave three unknowns, d / Q; so does a turn of one probe's axes against the other's, the usual other cause.
+
+    Args:
+        first: directions by one probe (n, 3).
+        second: by the other (n, 3).
+
+    Returns:
+        What the distance explains, and what it leaves.
+
+    Raises:
+        ArgumentError: the shapes differ, or there are fewer than four lamps.
+    """
+    first, second = np.asarray(first, float), np.asarray(second, float)
+    if first.shape != second.shape or first.ndim != 2 or first.shape[1] != 3 or len(first) < 4:
+        raise ArgumentError(
+            f"both probes need the same lamps, at least 4 of shape (n, 3), got {first.shape}, {second.shape}"
+        )
+    first, second = unit(first), unit(second)
+    middle, moved = unit(first + second), second - first
+    apart = 2 * np.arcsin(np.linalg.norm(moved, axis=1) / 2)
+    aside = middle[:, :, None] * middle[:, None, :] - np.eye(3)
+    turned = np.cross(np.eye(3)[None], middle[:, None, :]).transpose(0, 2, 1)
+    displacement, left = _explained(aside, moved)
+    _, left_by_turn = _explained(turned, moved)
+    rms = float(np.sqrt(np.mean(apart**2)))
+    size = float(np.linalg.norm(displacement))
+    begin = f"the probes disagree by {np.degrees(rms):.2f} degrees rms"
+    if rms < _EXPLAINED:
+        remarks: tuple[Remark, ...] = ()
+    elif left < _EXPLAINED and left < 0.5 * rms:
+        text = f"{begin}: lamps at {1 / size:.0f} times the probes' distance from each other explain it"
+        remarks = (Remark("probes-near-lamps", text),)
+    else:
+        text = (
+            f"{begin}; one finite distance of all lamps leaves {np.degrees(left):.2f}, a turn of the axes "
+            f"{np.degrees(left_by_turn):.2f}: neither explains it"
+        )
+        remarks = (Remark("probes-disagree", text),)
+    return ProbeComparison(apart, rms, displacement, left, left_by_turn, remarks)
+
+
+def _explained(slopes: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the three unknowns, and the rms length that they leave of the moves (n, 3)."""
+    found, *_ = np.linalg.lstsq(slopes.reshape(-1, 3), moved.ravel(), rcond=None)
+    return found, float(np.sqrt(np.mean(np.sum((moved - slopes @ found) ** 2, axis=1))))

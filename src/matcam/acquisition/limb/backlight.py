@@ -1,0 +1,38 @@
+"""What a sphere mirrors of the bright field behind it: its dark disc looks smaller than it is."""
+
+import numpy as np
+
+_GRAZING = (4.0, 2.5)
+"""Fresnel reflectance at a grazing angle g is exp(-c g): c of metals and glasses, and its spread."""
+_REACH_UNKNOWN = np.radians(3.0)
+"""A backlight of unstated size: its reflection is not subtracted, and this one's counts as error."""
+
+
+def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:
+    """Return by how much the mirrored backlight shrinks a dark disc, and the standard deviation, px.
+
+    A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field that
+    reaches E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
+
+    Args:
+        radius: of the limb, px.
+        reach: E and its standard deviation, rad; None: not known.
+
+    Example:
+        >>> shrunk, std = grazing_reflection(400.0, (np.radians(5), np.radians(1)))
+        >>> round(shrunk, 2), round(std, 2)
+        (0.34, 0.13)
+    """
+    if reach is None:
+        return 0.0, grazing_reflection(radius, (_REACH_UNKNOWN, 0.0))[0]
+    angle, angle_std = reach
+
+    def shrunk(edge: float, slope: float) -> float:
+        # grazing angle g = sqrt(2 t / radius), even in t: the mean of F over t is that over g with weight g
+        g = np.linspace(0, edge / 2, 201)
+        return float(radius * np.trapezoid(np.sin(g) * np.exp(-slope * g), g))
+
+    here = shrunk(angle, _GRAZING[0])
+    by_slope = (shrunk(angle, _GRAZING[0] - _GRAZING[1]) - shrunk(angle, _GRAZING[0] + _GRAZING[1])) / 2
+    by_reach = (shrunk(angle + angle_std, _GRAZING[0]) - shrunk(max(angle - angle_std, 0.0), _GRAZING[0])) / 2
+    return here, float(np.hypot(by_slope, by_reach))
