@@ -1,5 +1,6 @@
 """Every block of code in README and the documentation: commands are read as the command line reads them, Python runs."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -7,9 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import matcam
 from docs_commands import commands
-from matcam import read_merl, write_merl
+from matcam import GGX, Conductor, Microfacet, metal, read_merl, write_merl
 from matcam.cli import _run
+from matcam.forward import true_table
+from matcam.io import write_float_tiff
+from matcam.targets import Star, design_chart, write_chart
+from tests.batch.simple import work_in_this_process
+from tests.oracle.chart_camera import ChartCamera
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -53,18 +60,13 @@ def test_commands_are_understood(page, words):
 
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
-    """A folder with the files that README and the pages speak of."""
-    import sys
-
+    """A folder with the files that README and the pages speak of: the table is ideal, and no camera has to be undone."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    from shared_table import recorded
-
-    write_merl("chrome.binary", recorded().clip(min=0))
+    chromium = Conductor(*metal("Cr", [610e-9, 550e-9, 465e-9])[:2])
+    write_merl("chrome.binary", true_table(Microfacet(GGX(0.05), chromium)))
     Path("brdfs").mkdir()
     Path("brdfs/chrome.binary").write_bytes(Path("chrome.binary").read_bytes())
     Path("photographs").mkdir()
-    sys.modules.pop("shared_table")
     return tmp_path
 
 
@@ -84,13 +86,11 @@ def test_python_runs(page, n, block, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_readme_runs(workplace):
-    """The commands of README in their order, on a table of chromium and a photograph of slanted squares, then its Python."""
+    """Its commands in their order, on an ideal table of chromium and a photograph of slanted squares, then its Python."""
     page = ROOT / "README.md"
     source = (ROOT / "examples" / "tutorials" / "plot_2_calibrate_a_camera.py").read_text()
     names = {"__name__": "example"}
     exec(source.split("folder = Path(")[0].replace("import matplotlib.pyplot as plt\n", ""), names)
-    from matcam.io import write_float_tiff
-
     write_float_tiff("photographs/one.tif", names["photograph"].astype(np.float32))
     for words in lines_of(page):
         assert _run([*words, "--force"] if "-o" in words and words[0] != "inspect" else words) == 0, words
@@ -100,11 +100,30 @@ def test_readme_runs(workplace):
 
 
 @pytest.mark.slow
-def test_heavy_pages_run(workplace, monkeypatch):
-    """Python of the other pages that need files: a run, and a chart."""
-    from tests.batch.simple import work_in_this_process
-
+def test_the_page_of_runs(workplace, monkeypatch):
     work_in_this_process(monkeypatch)
     for block in blocks(ROOT / "docs" / "batch.md", "python"):
         exec(compile(block, "batch.md", "exec"), {"__name__": "__main__"})
     assert Path("corrected/index.html").exists()
+
+
+@pytest.mark.slow
+def test_the_page_of_charts(tmp_path, monkeypatch):
+    """Its Python, on a photograph that the oracle's camera takes of the chart."""
+    monkeypatch.chdir(tmp_path)
+    chart = design_chart(("star", "bars"), pixels_across=700)
+    write_chart("chart.json", chart)
+    shot = ChartCamera(page=chart.page, width=700, height=500, sigma=0.5, fill=0.9)
+    picture = shot.photograph(shot.expected(json.loads(Path("chart.json").read_text())), 60, 1)
+    star = next(one for one in chart.elements if isinstance(one, Star))
+    x, y = np.ravel(shot.sensor_of(*star.centre))
+    radius = np.ravel(shot.sensor_of(star.centre[0] + star.outer, star.centre[1]))[0] - x + 4
+    names = {
+        "matcam": matcam,
+        "picture": picture,
+        "roi": [round(v) for v in (x - radius, y - radius, 2 * radius, 2 * radius)],
+    }
+    for block in blocks(ROOT / "docs" / "targets.md", "python"):
+        exec(compile(block, "targets.md", "exec"), names)
+    assert names["found"].problems == ()
+    assert len(names["found"].samples) > 3

@@ -170,7 +170,7 @@ def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force
         layers: pictures of one size by name, (H, W) or (H, W, 3), row 0 on top; NaN where missing.
         force: replace an existing file (no unit). Default: False.
     """
-    channels = {}
+    channels: dict[str, np.ndarray] = {}
     for layer, picture in layers.items():
         stored = as_float32(picture)
         planes = stored[..., None] if stored.ndim == 2 else stored
