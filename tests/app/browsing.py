@@ -15,8 +15,9 @@ BOXES = """(() => {
     if (['Row', 'Column'].includes(view.model.type) && view.child_views) { view.child_views.forEach(walk); return }
     const r = view.el.getBoundingClientRect();
     if (r.width && r.height && !(view.model.type === 'Div' && !view.model.text))
-      found.push([view.model.name || view.model.title || view.model.text || view.model.type, r.left, r.top, r.right, r.bottom,
-                  view.model.type === 'Div' ? view.el.scrollWidth - view.el.clientWidth : 0]);
+      { const m = view.model; found.push([String(m.name || m.title?.text || m.text || m.type), r.left,
+                  r.top, r.right, r.bottom,
+                  view.model.type === 'Div' ? view.el.scrollWidth - view.el.clientWidth : 0]) }
   };
   Object.values(Bokeh.index.roots || Bokeh.index).forEach(walk);
   return found;
@@ -44,7 +45,7 @@ FOCUSED = """(() => {
   while (one) { const host = one; path.push(host); one = one.shadowRoot ? one.shadowRoot.activeElement : null }
   const names = [];
   const walk = (view) => {
-    if (path.includes(view.el)) names.push(view.model.name || view.model.title || view.model.label || view.model.type);
+    if (path.includes(view.el)) names.push(String(view.model.name || view.model.type));
     (view.child_views || []).forEach(walk);
   };
   Object.values(Bokeh.index.roots || Bokeh.index).forEach(walk);
