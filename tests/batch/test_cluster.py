@@ -198,6 +198,7 @@ def test_what_is_started_here_listens_here_alone():
         assert all(worker.startswith("tcp://127.0.0.1:") for worker in scheduler.workers)
 
 
+@pytest.mark.slow
 def test_a_file_that_kills_every_worker(tmp_path):
     """Dask tries it on several workers; in the end it is listed, and the others are done."""
     database = write_database(tmp_path / "in", ["a", "poison"])

@@ -17,9 +17,11 @@ def simulate(matcam):
     return partial(matcam, "simulate")
 
 
+OPTIONS = ("--roughness", 0.05, "--radius", 40, "--lamp-angle", 60, "--lamp", 0.25, "--size", 31, 33)
+
+
 def test_a_picture_with_all_that_is_needed_to_invert_it(simulate, tmp_path):
-    options = ("--roughness", 0.05, "--radius", 40, "--lamp-angle", 60, "--lamp", 0.25, "--size", 31, 33)
-    done = simulate(*options, "-o", "a.exr", "--preview", "a.png", "--json")
+    done = simulate(*OPTIONS, "-o", "a.exr", "--preview", "a.png", "--json")
     assert json.loads(done.stdout)["what"] == "picture of 33 x 31 px"
     picture, about = read_exr(tmp_path / "a.exr"), read_sidecar(sidecar_path(tmp_path / "a.exr"))
     assert picture.shape == (31, 33, 3)
@@ -34,9 +36,14 @@ def test_a_picture_with_all_that_is_needed_to_invert_it(simulate, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 5000
     # the lamp stands to the right: so does the highlight
     assert picture[15, :, 1].argmax() > 16
-    assert "--force" in simulate(*options, "-o", "a.exr", code=2).stderr
-    simulate(*options, "-o", "b.tif")
-    np.testing.assert_array_equal(read_float_tiff(tmp_path / "b.tif"), picture)
+    assert "--force" in simulate(*OPTIONS, "-o", "a.exr", code=2).stderr
+
+
+@pytest.mark.slow
+def test_a_tiff_holds_the_same_picture(simulate, tmp_path):
+    for name in ("a.exr", "b.tif"):
+        simulate(*OPTIONS, "-o", name)
+    np.testing.assert_array_equal(read_float_tiff(tmp_path / "b.tif"), read_exr(tmp_path / "a.exr"))
 
 
 @pytest.mark.slow

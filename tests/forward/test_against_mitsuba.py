@@ -69,10 +69,8 @@ def through_camera(sigma):
     return (kernel - (slope[0] - slope[1]) / FINE**2 / 24) / FINE
 
 
-@pytest.mark.parametrize(
-    ("degrees", "sigma", "apart"),
-    [(0, 0.2, 1), pytest.param(75, 0.5, 3, marks=pytest.mark.slow), pytest.param(0, 0.5, 3, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "sigma", "apart"), [(0, 0.2, 1), (75, 0.5, 3), (0, 0.5, 3)])
 def test_highlight_of_a_metal_sphere(degrees, sigma, apart):
     """Pixels around the highlight, `apart` so far that they share hardly any light: Student's t of each with 11 degrees of
     freedom, all taken together by Fisher."""

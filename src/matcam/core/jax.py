@@ -77,7 +77,7 @@ def use_compilation_cache() -> None:
 
 def program_folder() -> Path | None:
     """Return the folder of whole programs, where `use_compilation_cache` was called; None where they cannot be kept."""
-    folder = jax.config.jax_compilation_cache_dir
+    folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     return Path(folder) if folder and Path(folder).name == _SEALED else None
 
 

@@ -57,19 +57,19 @@ def kept_program(function: Callable[P, T]) -> Callable[P, T]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         folder = program_folder()
-        if kwargs or folder is None or jax.config.jax_disable_jit or not _one_processor():
+        if kwargs or folder is None or getattr(jax.config, "jax_disable_jit", False) or not _one_processor():
             return compiled(*args, **kwargs)
         leaves, tree = jax.tree.flatten(args)
         kinds = tuple(_kind(leaf) for leaf in leaves)
         if _TRACED in kinds:
-            return compiled(*args)
+            return compiled(*args, **kwargs)
         key = tree, kinds
         if key not in ready:
             ready[key], result = _Kept(function, leaves, tree, kinds).program(folder)
             if result is not None:
                 return result
         program = ready[key]
-        return compiled(*args) if program is None else program(*_arrays(leaves))
+        return compiled(*args, **kwargs) if program is None else program(*_arrays(leaves))
 
     return call
 
