@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 GROUPS = {
     "Plan": ("predict", "limits", "simulate"),
     "Calibrate": ("chart", "edge", "calibrate"),
-    "Acquire": ("data", "reconstruct"),
+    "Acquire": ("capture", "reconstruct", "data"),
     "Correct": ("correct", "fit", "fresnel"),
     "Exchange": ("inspect", "convert", "render", "app"),
     "Paper": ("figures", "demo"),
