@@ -133,7 +133,7 @@ def lobe_figure(result: Reconstruction) -> Figure:
     """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, with the pinhole's reading beside it."""
     grid = merl_grid("centre")
     low, high = result.measured_range
-    slices = [one for one in _SLICES if low <= np.radians(one) <= high] or [float(np.degrees((low + high) / 2))]
+    slices = [float(one) for one in _SLICES if low <= np.radians(one) <= high] or [float(np.degrees((low + high) / 2))]
     table = result.table
     channel = table["brdf"].sizes["channel"] // 2
     theta_h = np.degrees(grid.theta_h)

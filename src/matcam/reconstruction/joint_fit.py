@@ -362,6 +362,7 @@ def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> tuple
     gradient, normal = problem.prior_rows.T @ away, problem.prior_rows.T @ problem.prior_rows
     for k in range(problem.layout.pictures):
         fit = problem.picture(p, k, slopes=True)
+        assert fit.jacobian is not None
         residual, slope, weight = judge.residual(problem.pixels[k], fit.value)
         columns = np.flatnonzero(np.any(fit.jacobian != 0, axis=0))
         jacobian = fit.jacobian[:, columns] * slope[:, None]

@@ -150,7 +150,8 @@ class PictureModel(eqx.Module):
         count = light.size
         pair = jnp.moveaxis(slopes, 0, -1)
         angle = jax.jacfwd(theta_d, argnums=(0, 1))(light, kernel)
-        derivative = Recorded(*(_in_order(part[..., :count], part[..., count:]) for part in pair), _in_order(*angle))
+        lobe, lambert = (_in_order(part[..., :count], part[..., count:]) for part in pair)
+        derivative = Recorded(lobe, lambert, _in_order(*angle))
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
     def _emitted(self, light: jax.Array, frame: LampFrame, window: Window) -> jax.Array:

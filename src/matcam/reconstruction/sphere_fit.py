@@ -33,7 +33,7 @@ from matcam.reconstruction.joint_fit import (
     unexplained_share,
 )
 from matcam.reconstruction.observed_pixels import Pixels, Place, chosen_pixels
-from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.picture_model import SCENE, LampFrame, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -357,7 +357,7 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: Scene) -> tuple[np.ndarr
 
 
 def _prior(
-    layout: JointLayout, scene: Scene, frames: Sequence[object], bend: float, own: int
+    layout: JointLayout, scene: Scene, frames: Sequence[LampFrame], bend: float, own: int
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Return rows, values and sources of what is known: combinations of the parameters that are a value +- 1."""
     rows: list[np.ndarray] = []
