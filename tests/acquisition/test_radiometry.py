@@ -195,6 +195,27 @@ def test_sharpened_and_smoothed_frames_are_noticed(merged, tmp_path):
         assert code in codes(measure_radiometry(capture, lamps=["L00", "L02"]))
 
 
+def test_one_exposure_is_merged_with_what_noise_it_shows(tmp_path):
+    """As many published captures are: no brackets, no darks, no profile; clipped at the largest code of 16 bits."""
+    drawn = small(cfa=None)
+    frames, rows = {}, []
+    for row in drawn.rows:
+        if row["exposure"] == "E3" and row["lamp"]:
+            codes_ = (drawn.frames[row["file"]].astype(int) - 256) * 4  # 2 DN per electron
+            frames[row["file"]] = np.where(codes_ > 39_000, 65535, np.clip(codes_, 0, None)).astype(np.uint16)
+            rows.append(row)
+    settings = {name: v for name, v in drawn.settings.items() if name != "camera"}
+    pictures, radiometry = merge(
+        read_capture(changed(drawn, frames=frames, rows=rows, settings=settings).write(tmp_path))
+    )
+    assert len(pictures) == 4
+    assert radiometry.exposures == {"E3": (1.0, 0.0)}
+    assert "gain-bound" in codes(radiometry)
+    assert 1.5 < radiometry.gain.value < 4
+    for picture in pictures:
+        assert (picture.clipped == (frames[f"frames/{picture.name}_E3.tif"] == 65535)).all()
+
+
 def test_full_colour_is_refused_unless_accepted(tmp_path):
     drawn = small()
     frames = {name: np.repeat(v[..., None], 3, axis=2) for name, v in drawn.frames.items()}

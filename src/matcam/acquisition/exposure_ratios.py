@@ -140,6 +140,8 @@ def fit_ratios(
         noise: read noise, DN.
         gain: DN per electron.
     """
+    if len(guess) < 2:
+        return ExposureRatios(np.ones(len(guess)), np.zeros((len(guess),) * 2), float("nan"), np.zeros((0, 3)), True)
     exposures = guess.copy()
     for _ in range(3):
         sums, counts = _groups(samples, exposures, clip, noise)
@@ -217,6 +219,31 @@ def fit_gain(
         value = float(np.sum(slope / error**2) / np.sum(1 / error**2))
     scatter = float(np.sum(((np.asarray(slope) - value) / error) ** 2) / max(len(slope) - 1, 1))
     return value, float(np.sqrt(max(scatter, 1.0) / np.sum(1 / error**2)))
+
+
+def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> tuple[float, float]:
+    """Return an upper bound of the gain from how pixels differ from their neighbours, where there is one exposure only.
+
+    Texture and gradients are taken for noise: bins of brightness give the lower quartile of variance over mean.
+    """
+    light = np.concatenate([sample.light[-1] for sample in samples])
+    around = np.concatenate([sample.around[-1] for sample in samples])
+    codes = np.concatenate([sample.codes[-1] for sample in samples])
+    good = (around > 10 * noise) & (codes < clip.threshold)
+    if good.sum() < 300:
+        return float("nan"), float("inf")
+    light, around = light[good], around[good]
+    cuts = np.unique(np.quantile(around, np.linspace(0, 1, 25)))
+    place = np.clip(np.searchsorted(cuts, around, side="right") - 1, 0, len(cuts) - 2)
+    found = []
+    for one in range(len(cuts) - 1):
+        part = place == one
+        if part.sum() >= 30:
+            spread = _ROBUST * float(np.median(np.abs((light - around)[part])))
+            # eight neighbours' mean adds an eighth of the variance
+            found.append((spread**2 / 1.125 - noise**2) / float(around[part].mean()))
+    value = float(np.quantile(found, 0.25)) if found else float("nan")
+    return (value, 0.5 * value) if value > 0 else (float("nan"), float("inf"))
 
 
 def _groups(

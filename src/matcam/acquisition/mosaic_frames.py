@@ -27,14 +27,16 @@ class MosaicReader:
     Attributes:
         capture: where the frames lie.
         remarks: what was noticed of the frames' kind, once each.
+        saturation: largest code that the frames' format can hold; infinite: not known.
     """
 
     capture: Capture
     remarks: dict[str, Remark]
+    saturation: float
     _first: tuple[str, str | None, str, bool] | None = None
 
     def __init__(self, capture: Capture):
-        self.capture, self.remarks, self._first = capture, {}, None
+        self.capture, self.remarks, self.saturation, self._first = capture, {}, np.inf, None
 
     @property
     def cfa(self) -> str | None:
@@ -77,7 +79,7 @@ class MosaicReader:
         colour = values.ndim == 3
         kind = (str(values.dtype), photograph.cfa, photograph.exif.camera, colour)
         if self._first is None:
-            self._first = kind
+            self._first, self.saturation = kind, photograph.saturation
             if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
                 raise FileFormatError(f"{path}: its mosaic is {photograph.cfa}; capture.toml says {camera['cfa']}")
         elif kind != self._first:

@@ -21,6 +21,7 @@ from matcam.acquisition.exposure_ratios import (
     ExposureRatios,
     first_guess,
     fit_gain,
+    fit_gain_of_single,
     fit_ratios,
     measure_clip_level,
 )
@@ -190,6 +191,8 @@ def measure_radiometry(
         )
     guess = first_guess(samples, len(names), top, noise, nominal)
     clip = measure_clip_level(samples, guess, largest)
+    if not clip.pixels and largest >= reader.saturation:  # the largest code that the file can hold
+        clip = ClipLevel(largest, 0.29, 0.0, 1)
     gain = Stated(1.0)
     ratios = ExposureRatios(guess, np.zeros((len(names), len(names))), np.nan, np.zeros((0, 3)), False)
     for _ in range(2):  # weights need the gain, the gain needs ratios
@@ -198,7 +201,7 @@ def measure_radiometry(
         if math.isfinite(measured[0]) and measured[0] > 0:
             gain = Stated(*measured)
     if not (math.isfinite(measured[0]) and measured[0] > 0):
-        gain = _stated_gain(capture, remarks)
+        gain = _gain_without_brackets(capture, samples, clip, noise, remarks)
     reference = len(names) // 2
     value = ratios.value / ratios.value[reference]
     error = value * ratios.std(reference)
@@ -359,11 +362,18 @@ def _noise_error(darkness: dict[str, Darkness]) -> float:
     return 0.005 if known else 0.3
 
 
-def _stated_gain(capture: Capture, remarks: list[Remark]) -> Stated:
+def _gain_without_brackets(
+    capture: Capture, samples: Sequence[BracketSample], clip: ClipLevel, noise: float, remarks: list[Remark]
+) -> Stated:
     camera = capture_camera(capture)
     if camera is not None and camera.sensor is not None:
         remarks.append(Remark("gain-stated", "the frames do not determine the gain: the profile's was used"))
         return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))
+    bound = fit_gain_of_single(samples, clip, noise)
+    if math.isfinite(bound[0]):
+        text = "no brackets and no profile: the gain is an upper bound, from how pixels differ from their neighbours"
+        remarks.append(Remark("gain-bound", text))
+        return Stated(*bound)
     remarks.append(
         Remark("gain-unknown", "the frames do not determine the gain, and no profile states it: 1 DN per electron")
     )
