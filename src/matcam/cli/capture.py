@@ -9,19 +9,21 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
+from matcam.cli.common import with_common
 from matcam.cli.options import (
     AsJson,
     CameraProfile,
     Command,
     Distance,
     Force,
+    Group,
     LampDistance,
     Radius,
     SampleMm,
     rig_of,
 )
 
-app = typer.Typer(no_args_is_help=True)
+app = typer.Typer(no_args_is_help=True, cls=Group)
 
 
 @app.callback()
@@ -29,7 +31,6 @@ def _group() -> None:
     pass
 
 
-@app.command("init", cls=Command)
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture; it is made.")],
     force: Force = False,
@@ -49,7 +50,6 @@ def init(
             show.say(f"template: {path}")
 
 
-@app.command("check", cls=Command)
 def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture.")],
     json: AsJson = False,
@@ -103,18 +103,20 @@ def _print_radiometry(found: Any) -> None:
     show.say(f"clip level {clip}; gain {gain:.4g} DN per electron; read noise {noise:.3g} DN")
 
 
-@app.command("plan", cls=Command)
 def plan(
     roughness: Annotated[float, typer.Argument(help="Expected roughness (alpha, a slope) of the sample.")] = 0.01,
     accuracy: Annotated[
-        float, typer.Option("--accuracy", help="Wanted standard deviation of F at the last angle, relative (no unit).")
+        float,
+        typer.Option(
+            "--accuracy", metavar="SHARE", help="Wanted standard deviation of F at the last angle, relative (no unit)."
+        ),
     ] = 0.01,
     last: Annotated[
         float, typer.Option("--last", metavar="DEGREES", help="Largest theta_d at which F is wanted, degrees.")
     ] = 75.0,
     metal: Annotated[
         str | None,
-        typer.Option("--metal", help="Metal whose F is expected. Default: n = 1.5, whose F is steep."),
+        typer.Option("--metal", metavar="NAME", help="Metal whose F is expected. Default: n = 1.5, whose F is steep."),
     ] = None,
     camera: CameraProfile = None,
     radius: Radius = None,
@@ -162,3 +164,7 @@ def plan(
     show.say(f"angles between lamp and camera, degrees: {angles}")
     tried = ", ".join(f"{size:.0f} px {bound:.2%}" for size, bound in needs.fresnel_std)
     show.say(f"bound of F at {last:g}° by pixels and lens: {tried}")
+
+
+for _name, _function in {"init": init, "check": check, "plan": plan}.items():
+    app.command(_name, cls=Command)(with_common(f"capture {_name}", _function))

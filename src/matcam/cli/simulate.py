@@ -116,7 +116,10 @@ def command(
         ),
     ] = None,
     positions: Annotated[
-        int, typer.Option("--lamp-positions", help="Lamp positions of --capture, theta_d from 5 to 82 degrees.")
+        int,
+        typer.Option(
+            "--lamp-positions", metavar="N", help="Lamp positions of --capture, theta_d from 5 to 82 degrees."
+        ),
     ] = 18,
     preview: Annotated[
         Path | None,

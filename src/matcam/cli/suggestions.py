@@ -36,7 +36,7 @@ def _of_table(values: dict[str, Any], file: Path | None) -> list[Any] | None:
 def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
     output = values["output"]
     if output is None:
-        return None
+        return ["matcam", "capture", "check", values["capture"]] if values.get("capture") else None
     if output.suffix.lower() == ".binary":
         return ["matcam", "fresnel", output, *_camera(values)]
     return ["matcam", "inspect", output]
@@ -65,9 +65,14 @@ def _after_data(values: dict[str, Any]) -> list[Any] | None:
     return ["matcam", "inspect", values["output"] / f"{values['materials'][0]}.binary"]
 
 
+def _after_check(values: dict[str, Any]) -> list[Any]:
+    return ["matcam", "reconstruct", values["folder"], "-o", f"{values['folder'].name or 'capture'}.binary"]
+
+
 _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "predict": lambda v: ["matcam", "limits", *(v["roughness"] or [])[:5], *_camera(v)],
     "simulate": _after_simulate,
+    "capture check": _after_check,
     "chart": lambda v: [
         "matcam",
         "calibrate",
