@@ -166,5 +166,6 @@ def plan(
     show.say(f"bound of F at {last:g}° by pixels and lens: {tried}")
 
 
-for _name, _function in {"init": init, "check": check, "plan": plan}.items():
-    app.command(_name, cls=Command)(with_common(f"capture {_name}", _function))
+app.command("init", cls=Command)(with_common("capture init", init))
+app.command("check", cls=Command)(with_common("capture check", check))
+app.command("plan", cls=Command)(with_common("capture plan", plan))
