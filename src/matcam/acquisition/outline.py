@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from matcam.acquisition.limb.backlight import grazing_reflection
 from matcam.acquisition.limb.circle_search import FoundCircle, find_circles
-from matcam.acquisition.limb.limb_edges import BandPixels, BlurredPowers, LimbSectors, sector_edges
+from matcam.acquisition.limb.limb_edges import BandPixels, LimbSectors, blurred_powers, sector_edges
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.core.errors import ArgumentError, FitError
@@ -294,7 +294,7 @@ class OutlineFit:
     def edges(self, place: np.ndarray, sigma: float, exponents: Sequence[float], wider: float = 0.0) -> LimbSectors:
         """Return the sectors' edges about a curve."""
         coated = float(self.place[2]) if self.light == "coated" else None
-        return sector_edges(self.band(place, wider), BlurredPowers(sigma, exponents, coated=coated), self.count)
+        return sector_edges(self.band(place, wider), blurred_powers(sigma, tuple(exponents), coated), self.count)
 
     def usable(self, edges: LimbSectors) -> np.ndarray:
         """Return which sectors show a limb: it stands out, is sharp enough to place, and nothing lies on it."""

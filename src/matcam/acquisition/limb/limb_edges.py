@@ -9,6 +9,7 @@ blurred by the lens's and pixel's LSF, and fitted to the pixels of a sector with
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -103,6 +104,12 @@ class BlurredPowers:
         values = self.columns[:, low] * (1 - share) + self.columns[:, low + 1] * share
         slopes = self.slopes[:, low] * (1 - share) + self.slopes[:, low + 1] * share
         return values, slopes
+
+
+@lru_cache(maxsize=16)
+def blurred_powers(sigma: float, exponents: tuple[float, ...], coated: float | None) -> BlurredPowers:
+    """Return `BlurredPowers` of these; the last ones are kept, because a search comes back to them."""
+    return BlurredPowers(sigma, exponents, coated=coated)
 
 
 def _transmitted(cosine: np.ndarray) -> np.ndarray:
