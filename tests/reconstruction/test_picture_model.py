@@ -8,7 +8,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction import picture_rule
-from matcam.reconstruction.observed_pixels import Place, chosen_pixels
+from matcam.reconstruction.observed_pixels import HighlightPlace, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
 from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
 
@@ -36,7 +36,7 @@ def seen(alpha, theta_d, azimuth):
     normal = mirror_angle(lamp_angle(np.radians(theta_d), VIEW), VIEW)
     out = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
     highlight = out * np.cos(azimuth), out * np.sin(azimuth)
-    place = Place(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
+    place = HighlightPlace(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
     return lamp, chosen_pixels(merged, place, scale=alpha / 3, plateau=0.0, seed=0)
 
 

@@ -21,7 +21,7 @@ from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, CaptureFrame, Region, Stated
-from matcam.reconstruction.sphere_fit import Known, Scene, lens_std
+from matcam.reconstruction.sphere_scene import Known, SphereScene, lens_std
 
 Progress = Callable[[str, int, int], None]
 
@@ -54,7 +54,7 @@ class CapturedScene(NamedTuple):
     """
 
     pictures: list[MergedPicture]
-    scene: Scene
+    scene: SphereScene
     lamps: np.ndarray
     radiometry: Radiometry
     outline: Outline
@@ -106,9 +106,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
         try:
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
-            raise FitError(
-                f"{error}; a frame of the sphere before a bright field, in outline/, shows its limb"
-            ) from error
+            raise FitError(f"{error}; put a frame of the sphere before a bright field into outline/") from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)
@@ -130,7 +128,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
     gain, gain_std = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, far)
     lamp_radius = _lamp_radius(capture)
-    scene = Scene(
+    scene = SphereScene(
         camera=camera,
         lens_std=spread,
         centres=centres,

@@ -16,7 +16,8 @@ from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.joint_fit import Likelihood
-from matcam.reconstruction.sphere_fit import Known, Scene, SphereFit, fit_sphere
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
+from matcam.reconstruction.sphere_scene import Known, SphereScene
 
 _BEND = 1.0
 _NOT_EXPLAINED = 0.006
@@ -52,7 +53,7 @@ class ChosenFit(NamedTuple):
 
 def chosen_fit(
     pictures: Sequence[MergedPicture],
-    scene: Scene,
+    scene: SphereScene,
     lamps: np.ndarray,
     family: str = AUTO,
     *,
@@ -75,7 +76,7 @@ def chosen_fit(
     first = CANDIDATES[0] if family == AUTO else family
     remarks: list[Remark] = []
 
-    def fitted(name: str, scene: Scene, **more: object) -> SphereFit:
+    def fitted(name: str, scene: SphereScene, **more: object) -> SphereFit:
         return fit_sphere(
             pictures,
             scene,
@@ -137,7 +138,7 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
     return surprise[0] < surprise[1]
 
 
-def _without_contradiction(fit: SphereFit, scene: Scene) -> tuple[Scene, list[Remark]]:
+def _without_contradiction(fit: SphereFit, scene: SphereScene) -> tuple[SphereScene, list[Remark]]:
     """Return the scene with every prior widened that the pictures contradict, and a remark on each."""
     problem, p = fit.solution.problem, fit.solution.p
     away = problem.prior_rows @ p - problem.prior_values
@@ -159,7 +160,7 @@ def _without_contradiction(fit: SphereFit, scene: Scene) -> tuple[Scene, list[Re
     return scene, remarks
 
 
-def _widened(scene: Scene, source: str, factor: float) -> Scene:
+def _widened(scene: SphereScene, source: str, factor: float) -> SphereScene:
     if source == "lamp":
         return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
     if source == "gain":

@@ -20,7 +20,7 @@ from scipy.special import log_ndtr
 
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
-from matcam.reconstruction.observed_pixels import Pixels
+from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, PictureModel, Recorded
 
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
@@ -107,7 +107,7 @@ class JointProblem:
 
     model: PictureModel
     layout: JointLayout
-    pixels: Sequence[Pixels]
+    pixels: Sequence[ObservedPixels]
     frames: Sequence[LampFrame]
     prior_rows: np.ndarray
     prior_values: np.ndarray
@@ -230,7 +230,7 @@ class Likelihood:
     def __init__(self, unexplained: float):
         self.unexplained = unexplained
 
-    def residual(self, pixels: Pixels, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def residual(self, pixels: ObservedPixels, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return standardised residuals, their derivatives by the model, and their robust weights, (pixels,).
 
         A clipped pixel's residual is the root of minus twice the logarithm of the chance that it was clipped.
@@ -249,14 +249,14 @@ class Likelihood:
         used = pixels.used
         return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
 
-    def cost(self, pixels: Pixels, value: np.ndarray) -> float:
+    def cost(self, pixels: ObservedPixels, value: np.ndarray) -> float:
         """Return Huber's cost of a picture, with the logarithm of its noise."""
         residual, _, _ = self.residual(pixels, value)
         size = np.abs(residual)
         huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
         return float(huber.sum())
 
-    def surprise(self, pixels: Pixels, value: np.ndarray) -> float:
+    def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
         """Return minus twice the logarithm of the likelihood per pixel, but for a constant: it compares lobes."""
         std = np.hypot(pixels.std, self.unexplained * np.abs(value))
         measured = pixels.used & ~pixels.clipped

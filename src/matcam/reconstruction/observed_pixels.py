@@ -21,7 +21,7 @@ _OUTSIDE = 1.5  # px beyond the outline up to which the window's pixels are read
 _LIT = 0.1  # least cosine to the lamp: near the terminator a pixel's own rule meets a kink
 
 
-class Pixels(NamedTuple):
+class ObservedPixels(NamedTuple):
     """Hold the chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
 
     Attributes:
@@ -45,7 +45,7 @@ class Pixels(NamedTuple):
     used: np.ndarray
 
 
-class Place(NamedTuple):
+class HighlightPlace(NamedTuple):
     """Say where a highlight and its sphere are in the frame.
 
     Attributes:
@@ -64,8 +64,14 @@ class Place(NamedTuple):
 
 
 def chosen_pixels(
-    picture: MergedPicture, place: Place, *, scale: float, plateau: float, seed: int, keep: Pixels | None = None
-) -> Pixels:
+    picture: MergedPicture,
+    place: HighlightPlace,
+    *,
+    scale: float,
+    plateau: float,
+    seed: int,
+    keep: ObservedPixels | None = None,
+) -> ObservedPixels:
     """Return the pixels of a picture that are fitted.
 
     Args:
@@ -102,7 +108,7 @@ def chosen_pixels(
     values, std = picture.values[at_row, at_column], picture.std[at_row, at_column]
     away = np.hypot(column - place.column, row - place.row)
     used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
-    return Pixels(
+    return ObservedPixels(
         window=window,
         column=far_column,
         row=far_row,
@@ -115,7 +121,7 @@ def chosen_pixels(
 
 
 def _scattered(
-    picture: MergedPicture, place: Place, near: tuple[np.ndarray, np.ndarray], seed: int
+    picture: MergedPicture, place: HighlightPlace, near: tuple[np.ndarray, np.ndarray], seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw pixels beyond the window, evenly over strata of ln theta_h; NaN-free but possibly outside the frame: not used."""
     height, width = picture.values.shape

@@ -33,7 +33,8 @@ from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
-from matcam.reconstruction.sphere_fit import Known, Scene, SphereFit
+from matcam.reconstruction.sphere_fit import SphereFit
+from matcam.reconstruction.sphere_scene import Known, SphereScene
 
 FORMAT, VERSION = "matcam reconstruction", 1
 _JUDGED = np.radians(75.0)
@@ -144,7 +145,7 @@ class Reconstruction:
 
     @property
     def verdict(self) -> str:
-        """What came out, in plain words."""
+        """Say what came out, in plain words."""
         name = self.fit.kind.family_names[0]
         value, std = self.parameters[name]
         low, high = np.degrees(self.measured_range)
@@ -224,7 +225,7 @@ def reconstruct(
     diffuse: bool = True,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct a material from a capture: photographs of a sphere under a moved lamp.
+    """Reconstruct a material from photographs of a sphere under a moved lamp.
 
     Frames are merged by what they say of exposures, noise and clipping. Outline and highlights give the geometry a start. Then
     lobe, reflectance, diffuse part, lens, outline, lamps and distances are fitted to the pixels of all pictures at once, within
@@ -280,7 +281,7 @@ def reconstruct(
 
 def reconstructed(
     pictures: Sequence[MergedPicture],
-    scene: Scene,
+    scene: SphereScene,
     lamps: np.ndarray,
     unit: Known | None = None,
     family: str = AUTO,

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from matcam.core.jax import jax
 from matcam.inverse.fit.fit_parameters import fresnel_start, readable_value, reflectance_at
 from matcam.numerics.linalg import scaled_inverse
-from matcam.reconstruction.sphere_fit import Known
+from matcam.reconstruction.sphere_scene import Known
 
 _WORST = 2.5
 """Mean squared residual, in standard deviations, up to which a curve of n and k explains strengths."""

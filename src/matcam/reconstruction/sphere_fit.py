@@ -8,21 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall
-from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.inverse.operator.rig_axes import known_lens
 from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
-from matcam.numerics.approximation import smoothness
 from matcam.reconstruction.joint_fit import (
     JointLayout,
     JointProblem,
@@ -32,9 +28,10 @@ from matcam.reconstruction.joint_fit import (
     summed_up,
     unexplained_share,
 )
-from matcam.reconstruction.observed_pixels import Pixels, Place, chosen_pixels
-from matcam.reconstruction.picture_model import SCENE, LampFrame, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
+from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
+from matcam.reconstruction.sphere_scene import SphereScene, prior_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
@@ -44,48 +41,6 @@ _ROUNDS = 4
 _FEW = 6  # pictures in which the lobe is looked for
 _DISC_POINTS = 36
 _NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
-
-
-class Known(NamedTuple):
-    """Hold a value with its standard deviation."""
-
-    value: float
-    std: float
-
-
-@dataclass(frozen=True)
-class Scene:
-    """State what is known of a capture before its highlights are fitted.
-
-    Attributes:
-        camera: the camera; the width of its lens is scaled in the fit.
-        lens_std: relative standard deviation of the lens's width; 0: exact.
-        centres: column and row of the outline's centre in each picture, px, (pictures, 2).
-        radius: of the outline, px.
-        outline_covariance: of column, row and radius that all pictures share, px^2, (3, 3).
-        shift_std: standard deviation of each picture's own centre, px.
-        camera_nearness: one over the camera's distance, in radii.
-        lamp_nearness: one over the lamp's distance, in radii.
-        lamps: directions from the sphere's centre to the lamp, x right, y up, z to the camera, (pictures, 3).
-        lamp_std: standard deviation of each along each tangent, rad, () or (pictures,).
-        lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
-        gain_std: standard deviation of ln of each picture's gain, () or (pictures,).
-        gain: light of each picture relative to their mean, as a reference says, (pictures,). Default: None, 1 each.
-    """
-
-    camera: Camera
-    lens_std: float
-    centres: np.ndarray
-    radius: float
-    outline_covariance: np.ndarray
-    shift_std: float
-    camera_nearness: Known
-    lamp_nearness: Known
-    lamps: np.ndarray
-    lamp_std: float | np.ndarray
-    lamp_radius: float = 0.0
-    gain_std: float | np.ndarray = 0.005
-    gain: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +55,7 @@ class SphereFit:
         names: names of the pictures.
     """
 
-    scene: Scene
+    scene: SphereScene
     kind: LobeKind
     solution: JointSolution
     channels: tuple[str, ...]
@@ -151,7 +106,7 @@ class SphereFit:
 
 def fit_sphere(
     pictures: Sequence[MergedPicture],
-    scene: Scene,
+    scene: SphereScene,
     family: str = "ggx",
     *,
     masking: Masking = "smith",
@@ -224,7 +179,7 @@ def fit_sphere(
     return found
 
 
-def _write_scene(p: np.ndarray, layout: JointLayout, scene: Scene) -> None:
+def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:
     p[layout.scene] = [0.0, scene.radius, scene.camera_nearness.value, scene.lamp_nearness.value]
     for k in range(layout.pictures):
         p[layout.own(k)] = [*scene.centres[k], 0.0, 0.0]
@@ -232,7 +187,11 @@ def _write_scene(p: np.ndarray, layout: JointLayout, scene: Scene) -> None:
 
 
 def _searched(
-    pictures: Sequence[MergedPicture], scene: Scene, kind: LobeKind, widths: np.ndarray, say: Callable[[str], None]
+    pictures: Sequence[MergedPicture],
+    scene: SphereScene,
+    kind: LobeKind,
+    widths: np.ndarray,
+    say: Callable[[str], None],
 ) -> np.ndarray:
     """Return the lobe of a lattice that explains a few pictures best, their strengths solved for."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
@@ -293,8 +252,8 @@ def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) ->
 
 def _problem(
     pictures: Sequence[MergedPicture],
-    scene: Scene,
-    known: Scene,
+    scene: SphereScene,
+    known: SphereScene,
     kind: LobeKind,
     p: np.ndarray,
     slope: np.ndarray,
@@ -302,7 +261,7 @@ def _problem(
     diffuse: bool,
     bend: float,
     disc: bool = True,
-    keep: Sequence[Pixels] | None = None,
+    keep: Sequence[ObservedPixels] | None = None,
 ) -> JointProblem:
     """Lay the windows about the highlights at p, with the lamps of `known` as base, and state the prior of `scene`."""
     layout = JointLayout(kind.size, len(pictures[0].channels), len(pictures))
@@ -318,7 +277,7 @@ def _problem(
         distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
         at_row, at_column = MirrorBall(row, column, radius, distance).mirror_place(frames[k].base, far)
         highlight = float((at_column - column) / radius), float((row - at_row) / radius)
-        place = Place(column, row, radius, frames[k].base, highlight)
+        place = HighlightPlace(column, row, radius, frames[k].base, highlight)
         plateau = scene.lamp_radius / 2 if with_disc else 0.0
         pixels.append(
             chosen_pixels(
@@ -332,7 +291,7 @@ def _problem(
     for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
         if known_value.std == 0:
             fixed[layout.lobe + SCENE.index(name)] = True
-    rows, values, sources = _prior(layout, scene, frames, bend, len(kind.family_names))
+    rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
     if not rows[:, layout.lobe].any():
         fixed[layout.lobe] = True  # an exact lens
     for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
@@ -342,93 +301,18 @@ def _problem(
     return JointProblem(model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed)
 
 
-def _model(kind: LobeKind, scene: Scene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float) -> PictureModel:
+def _model(kind: LobeKind, scene: SphereScene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float) -> PictureModel:
     places, weights = disc
     return PictureModel(kind, blur_of(Rig(scene.camera, Sphere(scene.radius))), places * disc_radius, weights)
 
 
-def _bounds(layout: JointLayout, kind: LobeKind, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     for index, (least, most) in enumerate(kind.bounds(scene.radius)):
         low[index], high[index] = least, most
     low[layout.scene] = [-1.5, 0.8 * scene.radius, 0.0, 0.0]
     high[layout.scene] = [1.0, 1.2 * scene.radius, 0.9, 0.9]
     return low, high
-
-
-def _prior(
-    layout: JointLayout, scene: Scene, frames: Sequence[LampFrame], bend: float, own: int
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return rows, values and sources of what is known: combinations of the parameters that are a value +- 1."""
-    rows: list[np.ndarray] = []
-    values: list[float] = []
-    sources: list[str] = []
-
-    def add(source: str, row: np.ndarray, value: float) -> None:
-        rows.append(row)
-        values.append(value)
-        sources.append(source)
-
-    def unit(source: str, index: int, std: float, value: float) -> None:
-        row = np.zeros(layout.size)
-        row[index] = 1 / std
-        add(source, row, value / std)
-
-    if scene.lens_std > 0:
-        unit("lens", layout.lobe, scene.lens_std, 0.0)
-    for name, known in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
-        if known.std > 0:
-            unit(f"{name} distance", layout.lobe + SCENE.index(name), known.std, known.value)
-    # outline: column, row and radius are shared, each picture's centre has a shift of its own
-    k = layout.pictures
-    common = np.asarray(scene.outline_covariance, dtype=float)
-    covariance = np.zeros((2 * k + 1, 2 * k + 1))
-    covariance[:k, :k] = common[0, 0]
-    covariance[k : 2 * k, k : 2 * k] = common[1, 1]
-    covariance[:k, k : 2 * k] = covariance[k : 2 * k, :k] = common[0, 1]
-    covariance[:k, -1] = covariance[-1, :k] = common[0, 2]
-    covariance[k : 2 * k, -1] = covariance[-1, k : 2 * k] = common[1, 2]
-    covariance[-1, -1] = common[2, 2]
-    covariance[np.arange(2 * k), np.arange(2 * k)] += max(scene.shift_std, 1e-4) ** 2
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    places = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
-    places.append(layout.lobe + SCENE.index("radius"))
-    expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
-    for line in root:
-        row = np.zeros(layout.size)
-        row[places] = line
-        add("outline", row, float(line @ expected))
-    stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
-    gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
-    gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
-    for i, frame in enumerate(frames):
-        # where the stated direction lies in this frame, whose base is the direction found last
-        stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
-        along = float(stated @ frame.base)
-        for axis, tangent in enumerate((frame.first, frame.second)):
-            unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
-        unit("gain", layout.gain(i), float(gain_stds[i]), float(gains[i]))
-    if bend:
-        smooth = smoothness(KNOTS)
-        for line in smooth:
-            row = np.zeros(layout.size)
-            row[own : own + KNOTS] = line / bend
-            add("smooth lobe", row, 0.0)
-    return np.array(rows), np.array(values), tuple(sources)
-
-
-def lens_std(camera: Camera) -> float:
-    """Return the relative standard deviation of a lens's width, as its profile states it or as it is assumed; 0: exact."""
-    known = known_lens(camera)
-    if known.uncertainty is None:
-        return 0.0
-    parameters = camera.parameters()
-    relative = [
-        std / float(parameters[name])
-        for name, std in known.uncertainty.std().items()
-        if name.startswith("optics.") and float(parameters[name]) > 0
-    ]
-    return max(relative, default=0.0)
 
 
 def _slopes(fit: SphereFit) -> np.ndarray:

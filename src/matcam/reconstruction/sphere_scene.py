@@ -1,0 +1,133 @@
+"""What is known of a capture before its highlights are fitted, and the prior that it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.camera.camera import Camera
+from matcam.inverse.operator.rig_axes import known_lens
+from matcam.material.ndf.free_lobe import KNOTS
+from matcam.numerics.approximation import smoothness
+from matcam.reconstruction.joint_fit import JointLayout
+from matcam.reconstruction.picture_model import SCENE, LampFrame
+
+
+class Known(NamedTuple):
+    """Hold a value with its standard deviation."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class SphereScene:
+    """State what is known of a capture before its highlights are fitted.
+
+    Attributes:
+        camera: the camera; the width of its lens is scaled in the fit.
+        lens_std: relative standard deviation of the lens's width; 0: exact.
+        centres: column and row of the outline's centre in each picture, px, (pictures, 2).
+        radius: of the outline, px.
+        outline_covariance: of column, row and radius that all pictures share, px^2, (3, 3).
+        shift_std: standard deviation of each picture's own centre, px.
+        camera_nearness: one over the camera's distance, in radii.
+        lamp_nearness: one over the lamp's distance, in radii.
+        lamps: directions from the sphere's centre to the lamp, x right, y up, z to the camera, (pictures, 3).
+        lamp_std: standard deviation of each along each tangent, rad, () or (pictures,).
+        lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
+        gain_std: standard deviation of ln of each picture's gain, () or (pictures,).
+        gain: light of each picture relative to their mean, as a reference says, (pictures,). Default: None, 1 each.
+    """
+
+    camera: Camera
+    lens_std: float
+    centres: np.ndarray
+    radius: float
+    outline_covariance: np.ndarray
+    shift_std: float
+    camera_nearness: Known
+    lamp_nearness: Known
+    lamps: np.ndarray
+    lamp_std: float | np.ndarray
+    lamp_radius: float = 0.0
+    gain_std: float | np.ndarray = 0.005
+    gain: np.ndarray | None = None
+
+
+def prior_of(
+    layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], bend: float, own: int
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return rows, values and sources of what is known: combinations of the parameters that are a value +- 1."""
+    rows: list[np.ndarray] = []
+    values: list[float] = []
+    sources: list[str] = []
+
+    def add(source: str, row: np.ndarray, value: float) -> None:
+        rows.append(row)
+        values.append(value)
+        sources.append(source)
+
+    def unit(source: str, index: int, std: float, value: float) -> None:
+        row = np.zeros(layout.size)
+        row[index] = 1 / std
+        add(source, row, value / std)
+
+    if scene.lens_std > 0:
+        unit("lens", layout.lobe, scene.lens_std, 0.0)
+    for name, known in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
+        if known.std > 0:
+            unit(f"{name} distance", layout.lobe + SCENE.index(name), known.std, known.value)
+    # outline: column, row and radius are shared, each picture's centre has a shift of its own
+    k = layout.pictures
+    common = np.asarray(scene.outline_covariance, dtype=float)
+    covariance = np.zeros((2 * k + 1, 2 * k + 1))
+    covariance[:k, :k] = common[0, 0]
+    covariance[k : 2 * k, k : 2 * k] = common[1, 1]
+    covariance[:k, k : 2 * k] = covariance[k : 2 * k, :k] = common[0, 1]
+    covariance[:k, -1] = covariance[-1, :k] = common[0, 2]
+    covariance[k : 2 * k, -1] = covariance[-1, k : 2 * k] = common[1, 2]
+    covariance[-1, -1] = common[2, 2]
+    covariance[np.arange(2 * k), np.arange(2 * k)] += max(scene.shift_std, 1e-4) ** 2
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    places = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
+    places.append(layout.lobe + SCENE.index("radius"))
+    expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
+    for line in root:
+        row = np.zeros(layout.size)
+        row[places] = line
+        add("outline", row, float(line @ expected))
+    stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
+    gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
+    gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
+    for i, frame in enumerate(frames):
+        # where the stated direction lies in this frame, whose base is the direction found last
+        stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
+        along = float(stated @ frame.base)
+        for axis, tangent in enumerate((frame.first, frame.second)):
+            unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
+        unit("gain", layout.gain(i), float(gain_stds[i]), float(gains[i]))
+    if bend:
+        smooth = smoothness(KNOTS)
+        for line in smooth:
+            row = np.zeros(layout.size)
+            row[own : own + KNOTS] = line / bend
+            add("smooth lobe", row, 0.0)
+    return np.array(rows), np.array(values), tuple(sources)
+
+
+def lens_std(camera: Camera) -> float:
+    """Return the relative standard deviation of a lens's width, as its profile states it or as it is assumed; 0: exact."""
+    known = known_lens(camera)
+    if known.uncertainty is None:
+        return 0.0
+    parameters = camera.parameters()
+    relative = [
+        std / float(parameters[name])
+        for name, std in known.uncertainty.std().items()
+        if name.startswith("optics.") and float(parameters[name]) > 0
+    ]
+    return max(relative, default=0.0)
