@@ -106,7 +106,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
         try:
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
-            raise FitError(f"{error}; put a frame of the sphere before a bright field into outline/") from error
+            raise FitError(f"{error}; give a frame of the sphere before a bright field, in outline/") from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)

@@ -171,7 +171,7 @@ class Reconstruction:
 
     @property
     def complete(self) -> bool:
-        """Whether every frame of the capture could be used."""
+        """Say whether every frame of the capture could be used."""
         return not any(remark.code in INCOMPLETE for remark in self.remarks)
 
     @property
