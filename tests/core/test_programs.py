@@ -1,5 +1,7 @@
 """Programs that are kept on disk: found again by what they are made of, and never run when damaged."""
 
+from collections import namedtuple
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,15 @@ def test_each_kind_of_argument_has_its_own(folder):
     for lobe in (GGX(0.3), Beckmann(0.3), GGX(0.2)):
         np.testing.assert_allclose(counted(traces)(X, 1, lobe)[1], lobe.d(X), rtol=1e-12)
     assert len(traces) == len(list(folder.iterdir())) == 14  # both roughnesses share one
+
+
+def test_classes_of_one_name_are_told_apart(folder):
+    """A tree's text has short names only."""
+    made = [namedtuple("Scale", "by", module=module) for module in ("one", "two")]
+    for scale, expected in zip(made, (2, 3), strict=True):
+        scaled = kept_program(lambda x, s: x * (2 if type(s).__module__ == "one" else 3))
+        np.testing.assert_array_equal(scaled(X, scale(X)), X * expected)
+    assert len(list(folder.iterdir())) == 2
 
 
 def test_within_a_transformation_it_is_traced(folder):

@@ -106,7 +106,7 @@ class _Kept(NamedTuple):
     def program(self, folder: Path) -> tuple[Callable[..., Any] | None, Any]:
         """Return the program from disk with its first result, or make and keep it; None where it cannot be named."""
         name = f"{self.function.__module__}.{self.function.__qualname__}"
-        description = f"{name}\n{self.tree}\n{self.kinds!r}"
+        description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}"
         if " at 0x" in description or (made_of := _surroundings()) is None:
             return None, None
         key = f"{made_of}\n{description}".encode()
@@ -139,6 +139,13 @@ class _Kept(NamedTuple):
 
         of_arrays.__name__ = function.__name__
         return of_arrays
+
+
+def _types(tree: Any) -> list[str]:
+    """Return the full names of a tree's types; a tree's text has their short ones."""
+    data = tree.node_data()
+    own = [f"{data[0].__module__}.{data[0].__qualname__}"] if data else []
+    return own + [name for child in tree.children() for name in _types(child)]
 
 
 @cache
