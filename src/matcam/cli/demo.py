@@ -62,7 +62,7 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
         named.symlink_to(where_written(table).absolute())
         fresnel.command(named, metal="Cr", output=term, force=force)
     show.say("4. The paper's figures:")
-    extracted = read_netcdf(term.with_suffix(".nc"))
+    extracted = read_netcdf(where_written(term.with_suffix(".nc")))  # fitted once
     stems = {"figure-3": None, "figure-4": None, "figure-5": None, f"figure-6-{table.stem}": extracted}
     figures.draw_all(stems, output, "svg", force=force, quiet=False)
     show.say(f"Done. Open {term} first.")
