@@ -18,7 +18,6 @@ from matcam.reconstruction.picture_rule import WINDOW
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
-_SLICES = (10, 30, 55, 75)
 _SHOWN = 18  # pictures whose highlights are drawn
 _BUDGET = (
     ("ratio", "F at grazing angles over F at 10 to 45°, %", 100.0),
@@ -98,6 +97,7 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
         axes.plot(column + radius * np.cos(turn), row + radius * np.sin(turn), color=BLUE, lw=1, label="fitted outline")
         at = np.array([_brightest(result, k) for k in range(len(result.fit.names))])
         axes.plot(at[:, 0], at[:, 1], "+", color=VERMILION, ms=8, mew=1.5, label="fitted highlights")
+        axes.grid(visible=False)
         axes.set_xlabel("column [px]")
         axes.set_ylabel("row [px]")
         axes.legend(loc="lower left", facecolor="white", framealpha=0.9, frameon=True)
@@ -132,8 +132,8 @@ def reflectance_figure(result: Reconstruction) -> Figure:
 def lobe_figure(result: Reconstruction) -> Figure:
     """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, with the pinhole's reading beside it."""
     grid = merl_grid("centre")
-    low, high = result.measured_range
-    slices = [float(one) for one in _SLICES if low <= np.radians(one) <= high] or [float(np.degrees((low + high) / 2))]
+    theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # where a pinhole has cells, too
+    slices = [float(theta_d[k]) for k in np.unique(np.linspace(0, len(theta_d) - 1, 4).round().astype(int))]
     table = result.table
     channel = table["brdf"].sizes["channel"] // 2
     theta_h = np.degrees(grid.theta_h)
