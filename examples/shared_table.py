@@ -1,7 +1,7 @@
 """One table for all examples: polished chromium as the rig of the MERL database records it, with 1 % noise a pixel.
 
 The values lie in `data/chromium.npz`, made by `data/make_chromium.py` with code that shares nothing with matcam. To be
-small, it holds 15 of the 90 slices, and one cell of each pixel: what a fit uses. All else is missing (NaN).
+small, it holds 13 of the 90 slices, and one cell of each pixel: what a fit uses. All else is missing (NaN).
 """
 
 from pathlib import Path

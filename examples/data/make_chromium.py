@@ -1,4 +1,4 @@
-"""Make chromium.npz: what the MERL rig records of polished chromium (GGX, alpha 0.004) in 15 of 90 slices,
+"""Make chromium.npz: what the MERL rig records of polished chromium (GGX, alpha 0.004) in 13 of 90 slices,
 with 1 % noise a pixel.
 
 The values come from the tests' oracle, which shares no code with matcam. In each slice about 100 cells are filled, one of

@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 import matcam
 from shared_table import recorded
@@ -41,11 +42,17 @@ print("peak lost:", {f"{angle}°": round(share, 2) for angle, share in record["p
 print(sorted(path.name for path in outputs.iterdir() if not path.name.startswith(".")))
 
 # %%
-# The thumbnail of the index: the sphere as recorded, and as corrected.
+# Its table, as recorded and as corrected: the values that the pixels of one picture gave, at a difference angle of 75 degrees.
 
-figure, axes = plt.subplots(figsize=(5, 2.6), layout="constrained")
-axes.imshow(plt.imread(outputs / "chromium.png"))
-axes.set(xticks=[], yticks=[], title="recorded, corrected")
+before = matcam.read_merl(inputs / "chromium.binary").isel(channel=1, theta_d=75)
+after = matcam.read_merl(outputs / "chromium.binary").isel(channel=1, theta_d=75)
+half_angle = np.degrees(before.theta_h.broadcast_like(before))
+
+figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+axes.loglog(half_angle.values.ravel(), before.values.ravel(), ".", label="recorded")
+axes.loglog(half_angle.values.ravel(), after.values.ravel(), ".", label="corrected")
+axes.set(xlabel="half angle, degrees", ylabel="BRDF, 1/sr")
+axes.legend()
 plt.show()
 
 # %%
