@@ -116,7 +116,9 @@ def plan(
     ] = 75.0,
     metal: Annotated[
         str | None,
-        typer.Option("--metal", metavar="NAME", help="Metal whose F is expected. Default: n = 1.5, whose F is steep."),
+        typer.Option(
+            "--metal", metavar="SYMBOL", help="Metal whose F is expected. Default: n = 1.5, whose F is steep."
+        ),
     ] = None,
     camera: CameraProfile = None,
     radius: Radius = None,
