@@ -112,10 +112,10 @@ def write(path):
         for message in own:
             if message.error == kind:
                 by_module.setdefault(message.place.partition(":")[0], []).append(message.text)
-        lines += ["| message | from |", "|---|---|"]
+        lines += ["| from | message |", "|---|---|"]
         for module, texts in by_module.items():
             for text in dict.fromkeys(texts):
-                lines.append(f"| {_as_text(text)} | `{module}` |")
+                lines.append(f"| `{module}` | {_as_text(text)} |")
         lines.append("")
     text = "\n".join(lines)
     if not path.exists() or path.read_text(encoding="utf-8") != text:
