@@ -33,7 +33,8 @@ def test_the_site_has_no_warning_and_no_bad_link(tmp_path):
         shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("tutorials", "gallery"))
     for folder in ("tutorials", "gallery"):  # the scripts, not what an earlier build made of them
         shutil.copytree(ROOT / "examples" / folder, copy / "examples" / folder)
-    shutil.copy(ROOT / "CHANGELOG.md", copy)
+    for page in ("CHANGELOG.md", "SECURITY.md"):
+        shutil.copy(ROOT / page, copy)
     done = built(copy / "docs", tmp_path / "site", "-D", "plot_gallery=0")
     assert done.returncode == 0, done.stderr[-3000:]
     pages = docs_check.read(tmp_path / "site")
