@@ -34,7 +34,8 @@ if __name__ == "__main__":  # workers are new processes
         print("failed:", failed.reason.replace(str(folder), "..."))
 
 # %%
-# Each material has a record, written last, which vouches for its files.
+# Each material has a record, written last, which vouches for its files. A MERL file holds no negative noise: it was cut off
+# above, and the verdict notices that the floor is no longer what a lobe and a camera would leave.
 
 record = json.loads((outputs / "chromium.json").read_text())
 print("verdict:", record["verdict"])
