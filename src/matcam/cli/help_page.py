@@ -30,7 +30,7 @@ EXIT_CODES = {
 }
 
 
-class Entry(NamedTuple):
+class HelpLine(NamedTuple):
     """One argument or option of a command, in words."""
 
     names: str
@@ -39,17 +39,17 @@ class Entry(NamedTuple):
     default: str
 
 
-def entry(param: Any, context: Any) -> Entry:
+def entry(param: Any, context: Any) -> HelpLine:
     """Return what the help says of a parameter; flags have no value."""
     if param.param_type_name == "argument":
         name = param.metavar or param.name.upper() + ("..." if param.nargs == -1 else "")
-        return Entry(name, "", param.help or "", "" if param.required else "optional")
+        return HelpLine(name, "", param.help or "", "" if param.required else "optional")
     names = ", ".join([*sorted(param.opts, key=len), *param.secondary_opts])
     if param.is_flag:
-        return Entry(names, "", param.help or "", "")
+        return HelpLine(names, "", param.help or "", "")
     record = param.get_help_record(context)
     shown = param.metavar or _choices(record[0])
-    return Entry(names, shown, param.help or "", _default(param))
+    return HelpLine(names, shown, param.help or "", _default(param))
 
 
 def _choices(label: str) -> str:
@@ -72,7 +72,7 @@ def parts(command: Any) -> tuple[str, list[str]]:
     return before.strip(), re.findall(r"`([^`]+)`", after)
 
 
-def entries(command: Any, context: Any) -> tuple[list[Entry], list[Entry]]:
+def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]:
     """Return a command's arguments and options."""
     params = command.get_params(context)
     shown = [p for p in params if not getattr(p, "hidden", False)]
@@ -127,7 +127,7 @@ def summary(command: Any) -> str:
     return parts(command)[0].split("\n\n")[0].replace("\n", " ").replace("`", "")
 
 
-def _note(one: Entry) -> str:
+def _note(one: HelpLine) -> str:
     return f" [default: {one.default}]" if one.default not in ("", "optional") else ""
 
 
