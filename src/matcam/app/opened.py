@@ -122,6 +122,9 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
         parts = {key: data[key] for key in ("brdf_std", "supported") if key in data}
         if any(part.shape != corrected.shape for part in parts.values()):
             raise ArgumentError("brdf_std and supported must have the shape of brdf")
+        if "pinhole" in data:  # a reconstruction: what a camera without blur would have been taken to have recorded
+            pinhole = checked_table(data["pinhole"].assign_attrs(corrected.attrs))
+            return OpenedTable(name, pinhole, corrected, parts.get("brdf_std"), parts.get("supported"), record)
         if not parts:
             return OpenedTable(name, recorded=corrected, record=record)
         recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None

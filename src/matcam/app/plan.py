@@ -300,7 +300,7 @@ class PlanView:
     def _copies(self, planned: Planned) -> str:
         links = " · ".join(
             self._downloads.offer(name, text.encode())
-            for name, text in (("camera.json", planned.camera_profile()), ("rig.json", planned.rig_file()))
+            for name, text in (("camera.json", planned.camera_profile()), ("rig.toml", planned.rig_file()))
         )
         return (
             f"<b>The same</b>, to copy; files: {links}<br><code>{escape(planned.command())}</code>"

@@ -43,6 +43,13 @@ class Upload:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _arrived(self, attribute: str, old: Any, value: Any) -> None:
+        # the name is changed by the same message, behind the content
+        document = self.layout.document
+        if value and document is not None:
+            document.add_next_tick_callback(self._take)
+
+    def _take(self) -> None:
+        value = self.layout.value
         name, value = str(self.layout.filename or "file"), str(value or "")
         if not value:
             return
