@@ -22,11 +22,14 @@ def command(
         str,
         typer.Option(
             "--host",
+            metavar="ADDRESS",
             help="Address to listen on. Any other than the default lets other machines in that know the token; nothing is "
             "encrypted.",
         ),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", help="Port to listen on. Default: 0, a free one.")] = 0,
+    port: Annotated[
+        int, typer.Option("--port", metavar="NUMBER", help="Port to listen on. Default: 0, a free one.")
+    ] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
     """Open a page on this machine to plan a rig, calibrate a camera and look at tables. Ctrl-C ends it.
