@@ -12,9 +12,9 @@ from bokeh.layouts import column, row
 from bokeh.models.widgets import Div, RadioButtonGroup
 
 from matcam.app.calibrate_view import CalibrateView, is_picture
-from matcam.app.downloads import Downloads
 from matcam.app.explore import ExploreView
 from matcam.app.plan import PlanView
+from matcam.app.transfers import Downloads
 
 
 class Page:

@@ -15,9 +15,9 @@ from bokeh.models import ColumnDataSource, Span
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
 from matcam.app.controls import WIDTH, NumberControl
-from matcam.app.downloads import Downloads
 from matcam.app.plan_settings import PRESETS, SETTINGS, Planned
 from matcam.app.plots import COLOURS, GREY, PictureFigure, curve_figure, hover
+from matcam.app.transfers import Downloads
 from matcam.app.worker import Newest
 
 _REST = 0.5  # s without a change before the exact values are computed

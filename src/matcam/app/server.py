@@ -22,9 +22,9 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
-from matcam.app.downloads import Downloads
 from matcam.app.guard import Guard
 from matcam.app.page import Page
+from matcam.app.transfers import Downloads
 from matcam.app.worker import THREAD
 from matcam.core.errors import ArgumentError
 
