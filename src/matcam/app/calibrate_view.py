@@ -18,9 +18,8 @@ from bokeh.plotting import figure
 
 from matcam.app.calibrated import OpenedPicture, calibrated, edges_in, measured_edge, opened_or_why, profiles
 from matcam.app.controls import WIDTH
-from matcam.app.downloads import Downloads
 from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, plain
-from matcam.app.upload import Upload
+from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
 from matcam.files.photographs import PICTURES

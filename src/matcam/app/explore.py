@@ -15,7 +15,6 @@ from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 from bokeh.plotting import figure
 
 from matcam.app.controls import WIDTH, NumberControl, Setting
-from matcam.app.downloads import Downloads
 from matcam.app.explored import (
     SIDE,
     as_bsdf,
@@ -28,9 +27,9 @@ from matcam.app.explored import (
     slice_of,
     sphere_of,
 )
-from matcam.app.opened import Entry, OpenedTable, entries_of
+from matcam.app.opened import Openable, OpenedTable, entries_of
 from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, plain
-from matcam.app.upload import Upload
+from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import Newest
 from matcam.core.errors import ArgumentError, MatcamError
 
@@ -57,7 +56,7 @@ class ExploreView:
     def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
         self._downloads, self._complain, self._files = downloads, complain, files
         self._fast, self._slow = Newest(document, self._failed), Newest(document, self._failed)
-        self._entries: list[Entry] = []
+        self._entries: list[Openable] = []
         self._read: dict[int, OpenedTable] = {}
         self._shown: dict[str, Any] = {}
         self._controls = {one.name: NumberControl(one, self.refresh, lambda: None) for one in SETTINGS}
@@ -184,7 +183,7 @@ class ExploreView:
             sizing_mode="stretch_width",
         )
 
-    def _listed(self) -> tuple[list[Entry], list[str], list[str]]:
+    def _listed(self) -> tuple[list[Openable], list[str], list[str]]:
         from matcam.material.optical_constants import metals
 
         entries, failures = [], []
@@ -195,7 +194,7 @@ class ExploreView:
                 failures.append(str(error))
         return entries, failures, list(metals())
 
-    def _offer(self, listed: tuple[list[Entry], list[str], list[str]]) -> None:
+    def _offer(self, listed: tuple[list[Openable], list[str], list[str]]) -> None:
         entries, failures, metals = listed
         self._metal.options = metals
         self._add(entries)
@@ -206,7 +205,7 @@ class ExploreView:
                 "Nothing is open: drop a table (MERL, NetCDF, CSV, RGL .bsdf), or start <code>matcam app FILE</code>."
             )
 
-    def _add(self, entries: list[Entry]) -> None:
+    def _add(self, entries: list[Openable]) -> None:
         first = len(self._entries)
         self._entries += entries
         options = [(str(index), entry.label) for index, entry in enumerate(self._entries)]

@@ -89,7 +89,7 @@ class Guard(HTTPServerConnectionDelegate):
         headers["Referrer-Policy"] = "no-referrer"
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Cross-Origin-Resource-Policy"] = "same-origin"
-        headers["Cache-Control"] = "no-store"
+        headers.setdefault("Cache-Control", "no-store")  # scripts whose address holds their version say otherwise
 
     def _is_own(self, host: str) -> bool:
         name, _, port = host.rpartition(":")

@@ -51,7 +51,7 @@ class OpenedTable:
 
 
 @dataclass(frozen=True)
-class Entry:
+class Openable:
     """A material that can be looked at.
 
     Attributes:
@@ -63,14 +63,14 @@ class Entry:
     read: Callable[[], OpenedTable]
 
 
-def entries_of(path: Path) -> list[Entry]:
+def entries_of(path: Path) -> list[Openable]:
     """Return the materials of a file, of a run's folder or of its Zarr; nothing but records is read.
 
     Raises:
         FileFormatError: a folder holds no records of a run.
     """
     if not path.is_dir():
-        return [Entry(path.name, lambda: read_opened(path))]
+        return [Openable(path.name, lambda: read_opened(path))]
     if (path / "zarr.json").is_file():
         return _rows(path)
     found = []
@@ -122,6 +122,9 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
         parts = {key: data[key] for key in ("brdf_std", "supported") if key in data}
         if any(part.shape != corrected.shape for part in parts.values()):
             raise ArgumentError("brdf_std and supported must have the shape of brdf")
+        if "pinhole" in data:  # a reconstruction: what a camera without blur would have been taken to have recorded
+            pinhole = checked_table(data["pinhole"].assign_attrs(corrected.attrs))
+            return OpenedTable(name, pinhole, corrected, parts.get("brdf_std"), parts.get("supported"), record)
         if not parts:
             return OpenedTable(name, recorded=corrected, record=record)
         recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
@@ -130,9 +133,9 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
     return OpenedTable(name, recorded, corrected, parts.get("brdf_std"), parts.get("supported"), record)
 
 
-def _of_run(table: Path, record: Path) -> Entry:
+def _of_run(table: Path, record: Path) -> Openable:
     about = _record(record)
-    return Entry(_label(record.stem, about), lambda: read_opened(table, _record(record)))
+    return Openable(_label(record.stem, about), lambda: read_opened(table, _record(record)))
 
 
 def _record(path: Path) -> dict[str, Any]:
@@ -156,13 +159,13 @@ def _label(name: str, record: dict[str, Any]) -> str:
     return " · ".join(part for part in (name, width, supported) if part)
 
 
-def _rows(store: Path) -> list[Entry]:
+def _rows(store: Path) -> list[Openable]:
     from matcam.batch.store import read_row, row_names
 
     def reader(row: int, name: str) -> Callable[[], OpenedTable]:
         return lambda: _of_correction(name, read_row(store, row), {})
 
-    return [Entry(name, reader(row, name)) for row, name in enumerate(row_names(store))]
+    return [Openable(name, reader(row, name)) for row, name in enumerate(row_names(store))]
 
 
 def parameters(table: OpenedTable) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,9 @@ from bokeh.layouts import column, row
 from bokeh.models.widgets import Div, RadioButtonGroup
 
 from matcam.app.calibrate_view import CalibrateView, is_picture
-from matcam.app.downloads import Downloads
 from matcam.app.explore import ExploreView
 from matcam.app.plan import PlanView
+from matcam.app.transfers import Downloads
 
 
 class Page:
@@ -30,23 +30,23 @@ class Page:
         self._message = Div(
             text="", name="message", height=18, sizing_mode="stretch_width", styles={"color": "#B00000"}
         )
-        self._views: dict[str, Any] = {
-            "Plan": PlanView(document, downloads, self.complain),
-            "Calibrate": CalibrateView(document, downloads, self.complain, files),
-            "Explore": ExploreView(
+        self._make: dict[str, Callable[[], Any]] = {
+            "Plan": lambda: PlanView(document, downloads, self.complain),
+            "Calibrate": lambda: CalibrateView(document, downloads, self.complain, files),
+            "Explore": lambda: ExploreView(
                 document, downloads, self.complain, [path for path in files if not is_picture(path)]
             ),
         }
+        self._views: dict[str, Any] = {}
         start = "Plan" if not files else "Calibrate" if is_picture(files[0]) else "Explore"
         self._chosen = RadioButtonGroup(
-            labels=list(self._views), active=list(self._views).index(start), name="views", width=300
+            labels=list(self._make), active=list(self._make).index(start), name="views", width=300
         )
         self._chosen.on_change("active", lambda attr, old, new: self._choose())
         head = row(self._chosen, self._message, sizing_mode="stretch_width", spacing=12)
         document.title = "matcam"
-        document.add_root(
-            column(head, *(view.layout for view in self._views.values()), sizing_mode="stretch_width", name="page")
-        )
+        self._body = column(sizing_mode="stretch_width", name="page")
+        document.add_root(column(head, self._body, sizing_mode="stretch_width"))
         self._started: set[str] = set()
         self._ready = False
         self._choose()
@@ -68,6 +68,9 @@ class Page:
 
     def _choose(self) -> None:
         chosen = self._chosen.labels[self._chosen.active]
+        if chosen not in self._views:  # what nobody has looked at need not be built
+            self._views[chosen] = self._make[chosen]()
+            self._body.children = [*self._body.children, self._views[chosen].layout]
         for name, view in self._views.items():
             view.layout.visible = name == chosen
         if self._ready and chosen not in self._started:

@@ -15,9 +15,9 @@ from bokeh.models import ColumnDataSource, Span
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
 from matcam.app.controls import WIDTH, NumberControl
-from matcam.app.downloads import Downloads
 from matcam.app.plan_settings import PRESETS, SETTINGS, Planned
 from matcam.app.plots import COLOURS, GREY, PictureFigure, curve_figure, hover
+from matcam.app.transfers import Downloads
 from matcam.app.worker import Newest
 
 _REST = 0.5  # s without a change before the exact values are computed
@@ -300,7 +300,7 @@ class PlanView:
     def _copies(self, planned: Planned) -> str:
         links = " · ".join(
             self._downloads.offer(name, text.encode())
-            for name, text in (("camera.json", planned.camera_profile()), ("rig.json", planned.rig_file()))
+            for name, text in (("camera.json", planned.camera_profile()), ("rig.toml", planned.rig_file()))
         )
         return (
             f"<b>The same</b>, to copy; files: {links}<br><code>{escape(planned.command())}</code>"

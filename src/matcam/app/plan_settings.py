@@ -136,8 +136,19 @@ class Planned:
         return json.dumps(replace(self, glare=0.0).rig().camera.profile(), indent=2)
 
     def rig_file(self) -> str:
-        """Return the rig as JSON, as a picture's sidecar holds it."""
-        return json.dumps(self.rig().description(), indent=2)
+        """Return the rig as `--rig` reads it (TOML); the profile, camera.json, lies beside it."""
+        lines = ['schema = "matcam-rig-1"', 'camera = "camera.json"', "", "[sample]", 'shape = "sphere"']
+        lines.append(f"radius_px = {self.radius:.12g}")
+        lens = {"distance": self.distance} if math.isfinite(self.distance) else {}
+        if self.glare:
+            lens |= {"glare": self.glare, "glare_radius_px": GLARE_RADIUS}
+        lamp = {"radius_deg": self.lamp_radius} if self.lamp_radius else {}
+        if math.isfinite(self.lamp_distance):
+            lamp["distance"] = self.lamp_distance
+        for name, values in (("lens", lens), ("lamp", lamp)):
+            if values:
+                lines += ["", f"[{name}]", *(f"{key} = {value:.12g}" for key, value in values.items())]
+        return "\n".join(lines) + "\n"
 
     def command(self) -> str:
         """Return the command line of the same prediction; camera.json is the profile."""

@@ -22,9 +22,9 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
 
-from matcam.app.downloads import Downloads
 from matcam.app.guard import Guard
 from matcam.app.page import Page
+from matcam.app.transfers import Downloads
 from matcam.app.worker import THREAD
 from matcam.core.errors import ArgumentError
 
@@ -57,7 +57,7 @@ class AppServer:
         self.port = int(sockets[0].getsockname()[1])
         self.downloads = Downloads()
         self.pages: set[Page] = set()
-        tornado = BokehTornado(
+        tornado = _Site(
             Application(FunctionHandler(self._page(tuple(files)))),
             extra_websocket_origins=["*"],  # the guard has checked it
             extra_patterns=[self.downloads.pattern()],
@@ -140,6 +140,14 @@ class AppServer:
             document.on_session_destroyed(ended)
 
         return make
+
+
+class _Site(BokehTornado):
+    """Bokeh's server, whose pages load no more of its scripts than these need."""
+
+    def resources(self, absolute_url: str | bool | None = None) -> Any:
+        """Return the scripts of a page."""
+        return super().resources(absolute_url).clone(components=["bokeh", "bokeh-widgets"])
 
 
 def _quiet() -> None:

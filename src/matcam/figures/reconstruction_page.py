@@ -130,7 +130,7 @@ def reflectance_figure(result: Reconstruction) -> Figure:
 
 
 def lobe_figure(result: Reconstruction) -> Figure:
-    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, with the pinhole's reading beside it."""
+    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, and the pinhole's mean over phi_d beside it."""
     grid = merl_grid("centre")
     theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # where a pinhole has cells, too
     slices = [float(theta_d[k]) for k in np.unique(np.linspace(0, len(theta_d) - 1, 4).round().astype(int))]
@@ -149,7 +149,11 @@ def lobe_figure(result: Reconstruction) -> Figure:
             good = table["supported"].values[at]
             seen = np.isfinite(value) & (value > 0)
             if result.pinhole is not None:
-                binned = result.pinhole.values[at]
+                all_round = result.pinhole.values[:, at[1], :, channel]  # few cells of one azimuth hold a pixel
+                there = np.isfinite(all_round)
+                binned = np.where(there, all_round, 0.0).sum(axis=1) / np.where(
+                    there.any(axis=1), there.sum(axis=1), np.nan
+                )
                 there = np.isfinite(binned) & (binned > 0)
                 axes.plot(theta_h[there], binned[there], ".-", color=VERMILION, lw=0.8, ms=3, label="pinhole binning")
             axes.plot(theta_h[seen], value[seen], color=BLUE, label="reconstructed")

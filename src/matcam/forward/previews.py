@@ -114,7 +114,7 @@ def highlight_preview(
 
 
 def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 192) -> xr.Dataset:
-    """Return a sphere under the rig's lamp, as it is and as recorded.
+    """Return a sphere under the lamp, as it is and as recorded.
 
     For lobes up to 0.1 rad it lies within 1 % of the peak of the exact picture up to 60 degrees on a sphere of 60 px, and for
     lobes of 0.3 rad within 3 %, wherever the picture shows neither limb nor terminator.

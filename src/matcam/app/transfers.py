@@ -1,19 +1,73 @@
-"""Files that are dropped on the page: kept in a folder of this session alone, and removed with it."""
+"""Files that enter the page and leave it: what is dropped lies in a folder of its session, what is saved is bytes in memory.
+
+An address of what can be saved cannot be guessed. A dropped file is removed with its session.
+"""
 
 from __future__ import annotations
 
 import base64
 import binascii
 import re
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from bokeh.models.widgets import FileInput
+from tornado.web import RequestHandler
 
 from matcam.app.controls import WIDTH
+
+_KEPT = 64
+"""Files that are offered at once, over all pages."""
+
+
+class Downloads:
+    """Hold the files that pages offer."""
+
+    def __init__(self) -> None:
+        self._files: dict[str, tuple[str, bytes]] = {}
+
+    def offer(self, name: str, content: bytes, words: str = "") -> str:
+        """Return a link, as HTML, that saves `content` as `name`."""
+        key = secrets.token_urlsafe(16)
+        self._files[key] = (name, content)
+        while len(self._files) > _KEPT:
+            del self._files[next(iter(self._files))]
+        return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'
+
+    def get(self, key: str) -> tuple[str, bytes] | None:
+        """Return name and content of a file; None where there is none."""
+        return self._files.get(key)
+
+    def close(self) -> None:
+        """Forget all files."""
+        self._files.clear()
+
+    def pattern(self) -> Any:
+        """Return the server's rule for the links."""
+        return r"/save/([\w-]+)", _Saved, {"downloads": self}
+
+
+class _Saved(RequestHandler):
+    def initialize(self, downloads: Downloads) -> None:
+        self.downloads = downloads
+
+    def get(self, key: str) -> None:
+        file = self.downloads.get(key)
+        if file is None:
+            self.set_status(404)
+            self.finish("this file is no longer offered: ask for it again in the page\n")
+            return
+        name, content = file
+        self.set_header("Content-Type", "application/octet-stream")
+        self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(name, safe='')}")
+        self.finish(content)
+
 
 LARGEST = 40 << 20
 """Largest file that can be dropped, bytes; a larger one is opened by its name on the command line."""
@@ -43,6 +97,13 @@ class Upload:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _arrived(self, attribute: str, old: Any, value: Any) -> None:
+        # the name is changed by the same message, behind the content
+        document = self.layout.document
+        if value and document is not None:
+            document.add_next_tick_callback(self._take)
+
+    def _take(self) -> None:
+        value = self.layout.value
         name, value = str(self.layout.filename or "file"), str(value or "")
         if not value:
             return
