@@ -1,17 +1,12 @@
 """The page in a real browser."""
 
 import contextlib
-import json
-import math
 import re
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
 
-from tests.app.browsing import BOXES, EXACT, FOCUSED, PREPARED, READY, faults, latencies
+from tests.app.browsing import BOXES, FOCUSED, READY, faults
 from tests.app.conftest import running
 
 SIZES = ((1280, 800), (1920, 1080))
@@ -59,63 +54,6 @@ def test_views_fit_and_nothing_leaves_the_machine(chromium):
         assert (
             faults([*boxes, ["x", boxes[0][1], boxes[0][2], 9999, boxes[0][4], 0]], size[0]) != []
         )  # the test can fail
-
-
-@pytest.mark.slow
-def test_shown_numbers_are_the_commands(chromium):
-    with running() as app, opened(chromium, app) as page:
-        page.wait_for_function(PREPARED, timeout=240_000)
-        page.get_by_role("button", name="machine vision").click()
-        page.wait_for_function(EXACT, timeout=240_000)
-        page.wait_for_function("Bokeh.documents[0].get_model_by_name('plan-copy').text.includes('lamp-distance')")
-        copies = page.evaluate("Bokeh.documents[0].get_model_by_name('plan-copy').text")
-        numbers = page.evaluate("Bokeh.documents[0].get_model_by_name('plan-numbers').text")
-        with page.expect_download() as download:
-            page.get_by_text("camera.json").first.click()
-        words = re.search(r"<code>(matcam predict[^<]*)</code>", copies)[1].split()
-        words = [str(download.value.path()) if word == "camera.json" else word for word in words[1:]]
-        said = json.loads(
-            subprocess.run([sys.executable, "-m", "matcam", *words, "--json"], capture_output=True, check=True).stdout
-        )
-        rows = re.findall(r"<tr><td>([^<]*)</td><td>([^<]*)</td><td>([^<]*)</td></tr>", numbers)
-        assert len(rows) == 5
-        for row, roughness, response, angle in zip(
-            rows, said["roughness"], said["response"], said["loss_angle_deg"], strict=True
-        ):
-            assert row == (f"{roughness:g}", f"{response[0]:.1%}", f"{angle:.1f}°" if angle < 90 else "-")
-
-
-@pytest.mark.slow
-def test_the_last_value_wins_and_nothing_queues(chromium):
-    with running() as app, opened(chromium, app) as page:
-        page.wait_for_function(PREPARED, timeout=240_000)
-        page.wait_for_function(EXACT, timeout=240_000)
-        box = page.locator("[role=slider]").nth(6).bounding_box()
-        track = page.evaluate("Bokeh.documents[0].get_model_by_name('slider-roughness').value")
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        page.mouse.down()
-        for step in range(120):  # far faster than anything can be computed
-            page.mouse.move(box["x"] + 60 * math.sin(step / 5), box["y"] + box["height"] / 2)
-        page.mouse.move(box["x"] + 40, box["y"] + box["height"] / 2)
-        page.mouse.up()
-        start = time.monotonic()
-        place = page.evaluate("Bokeh.documents[0].get_model_by_name('slider-roughness').value")
-        assert place != track
-        shown = "Bokeh.documents[0].get_model_by_name('curve').data.roughness[0]"
-        page.wait_for_function(f"Math.abs(Math.log10({shown}) - ({place})) < 0.003", timeout=20_000)
-        assert time.monotonic() - start < 2.0
-        page.wait_for_timeout(1500)
-        assert abs(math.log10(float(page.evaluate(shown))) - place) < 0.003
-
-
-@pytest.mark.slow
-def test_a_move_is_painted_soon(chromium):
-    with running() as app, opened(chromium, app) as page:
-        page.wait_for_function(PREPARED, timeout=240_000)
-        page.wait_for_function(EXACT, timeout=240_000)
-        times = latencies(page)
-        assert len(times) >= 50
-        assert np.median(times) < 100  # the 95th percentile needs a quiet machine: benchmarks/bench_app.py
 
 
 @pytest.mark.slow
