@@ -36,7 +36,7 @@ _SHIFT = 0.3
 _FEWEST = 3
 _PATCH_DEPTH = 0.5
 """Radii by which a diffuse reference may stand before or behind the sphere's centre."""
-INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight")
+INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
 """Codes of the remarks on what could not be used."""
 
 

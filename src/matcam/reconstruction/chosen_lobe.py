@@ -17,9 +17,10 @@ from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.joint_fit import Likelihood
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
-from matcam.reconstruction.sphere_scene import Known, SphereScene
+from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of
 
 _BEND = 1.0
+_FEWEST = 3
 _NOT_EXPLAINED = 0.006
 """Unexplained share of the light from which a bent lobe is tried."""
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.2
@@ -90,6 +91,19 @@ def chosen_fit(
 
     best = fitted(first, scene)
     tried = {first: best.solution.unexplained}
+    lost = best.unexplained_pictures
+    if lost and len(pictures) - len(lost) >= _FEWEST:
+        keep = [k for k in range(len(pictures)) if k not in lost]
+        remarks.append(
+            Remark(
+                "picture-left-out",
+                f"{', '.join(pictures[k].name for k in lost)}: not explained by the joint fit; left out",
+            )
+        )
+        pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
+        scene = part_of(scene, keep)
+        best = fitted(first, scene, widths=np.exp(best.solution.p[:1]))
+        tried[first] = best.solution.unexplained
     wider, said = _without_contradiction(best, scene)
     if said:
         remarks.extend(said)

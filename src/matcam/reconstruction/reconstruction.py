@@ -170,6 +170,13 @@ class Reconstruction:
         return " ".join(words)
 
     @property
+    def left_out(self) -> list[str]:
+        """Names of the lamp positions that could not be used."""
+        if self.captured is None:
+            return []
+        return [*self.captured.left_out, *(p.name for p in self.captured.pictures if p.name not in self.fit.names)]
+
+    @property
     def complete(self) -> bool:
         """Say whether every frame of the capture could be used."""
         return not any(remark.code in INCOMPLETE for remark in self.remarks)
@@ -212,7 +219,7 @@ class Reconstruction:
             ],
             "not_determined": [one.to_dict() for one in self.not_determined],
             "radiometry": None if self.captured is None else self.captured.radiometry.to_dict(),
-            "left_out": [] if self.captured is None else list(self.captured.left_out),
+            "left_out": self.left_out,
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
 
@@ -273,7 +280,7 @@ def reconstruct(
         masking=masking,
         diffuse=diffuse,
         remarks=found.remarks,
-        pinhole=lambda fit, unit: pinhole_reading(found.pictures, fit, unit),
+        pinhole=lambda fit, unit: pinhole_reading([one for one in found.pictures if one.name in fit.names], fit, unit),
         progress=lambda line: say(f"fitting ({line})", next(steps), 0),
     )
     return replace(result, captured=found)

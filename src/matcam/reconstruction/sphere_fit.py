@@ -31,13 +31,15 @@ from matcam.reconstruction.joint_fit import (
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
-from matcam.reconstruction.sphere_scene import SphereScene, prior_of
+from matcam.reconstruction.sphere_scene import SphereScene, part_of, prior_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _WIDTHS = np.geomspace(3e-4, 0.5, 14)
 _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
+_HOPELESS = 20.0
+"""Mean squared residual, of a picture and over that of the others, from which it is not explained at all."""
 _FEW = 6  # pictures in which the lobe is looked for
 _DISC_POINTS = 36
 _NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
@@ -78,6 +80,12 @@ class SphereFit:
     def strengths(self) -> np.ndarray:
         """Strength of the lobe in each picture and channel, (pictures, channels)."""
         return np.array([self.solution.p[self.layout.strengths(k)] for k in range(self.layout.pictures)])
+
+    @property
+    def unexplained_pictures(self) -> tuple[int, ...]:
+        """Places of the pictures that the fit does not explain at all, beside others that it does."""
+        chi2 = self.solution.chi2
+        return tuple(np.flatnonzero((chi2 > _HOPELESS) & (chi2 > _HOPELESS * np.median(chi2))).tolist())
 
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
         """Return the covariance of the strengths, of shape (pictures x channels,) twice.
@@ -171,10 +179,15 @@ def fit_sphere(
         unexplained = share
         solution = summed_up(problem, p, unexplained)
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
-        known, slope = replace(scene, lamps=found.lamps), _slopes(found)
+        known, slope = replace(scene, lamps=_lamps_again(found, pictures)), _slopes(found)
         say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {unexplained:.2%}")
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
-        if turn and settled and np.all(np.abs(p - before)[: layout.shared] < 0.2 * std[: layout.shared]):
+        if (
+            turn
+            and settled
+            and not found.unexplained_pictures
+            and np.all(np.abs(p - before)[: layout.shared] < 0.2 * std[: layout.shared])
+        ):
             break
     return found
 
@@ -196,12 +209,7 @@ def _searched(
     """Return the lobe of a lattice that explains a few pictures best, their strengths solved for."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
-    part = replace(
-        scene, centres=scene.centres[few], lamps=scene.lamps[few],
-        lamp_std=np.broadcast_to(scene.lamp_std, len(pictures))[few],
-        gain_std=np.broadcast_to(scene.gain_std, len(pictures))[few],
-        gain=None if scene.gain is None else scene.gain[few],
-    )  # fmt: skip
+    part = part_of(scene, few.tolist())
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))
     powers = _POWERS[kind.family] if kind.family in WITH_POWER else (None,)
     best: tuple[float, np.ndarray] | None = None
@@ -313,6 +321,24 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
     low[layout.scene] = [-1.5, 0.8 * scene.radius, 0.0, 0.0]
     high[layout.scene] = [1.0, 1.2 * scene.radius, 0.9, 0.9]
     return low, high
+
+
+def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
+    """Return the lamps that were found; where a picture is not explained at all, the one that its brightest pixel mirrors."""
+    lamps = fit.lamps
+    _, radius, camera, lamp = fit.solution.p[fit.layout.scene]
+    for k in fit.unexplained_pictures:
+        column, row = fit.solution.p[fit.layout.own(k)][:2]
+        ball = MirrorBall(row, column, radius, 1 / max(camera, 1e-12))
+        picture = pictures[k]
+        rows, columns = np.indices(picture.values.shape)
+        away = np.hypot(rows + picture.origin[0] - row, columns + picture.origin[1] - column)
+        light = np.where(np.isfinite(picture.values) & (away < radius - 0.5), picture.values, -np.inf)
+        at = np.unravel_index(int(np.argmax(light)), light.shape)
+        normal = ball.normals(at[0] + picture.origin[0], at[1] + picture.origin[1])
+        if np.all(np.isfinite(normal)):
+            lamps[k] = ball.lamp_seen_at(normal, 1 / max(lamp, 1e-12))
+    return lamps
 
 
 def _slopes(fit: SphereFit) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,19 @@ class SphereScene:
     lamp_radius: float = 0.0
     gain_std: float | np.ndarray = 0.005
     gain: np.ndarray | None = None
+
+
+def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
+    """Return what is known of some of the pictures, by their places."""
+    count, keep = len(scene.lamps), list(pictures)
+    return replace(
+        scene,
+        centres=scene.centres[keep],
+        lamps=scene.lamps[keep],
+        lamp_std=np.broadcast_to(scene.lamp_std, count)[keep],
+        gain_std=np.broadcast_to(scene.gain_std, count)[keep],
+        gain=None if scene.gain is None else scene.gain[keep],
+    )
 
 
 def prior_of(
