@@ -80,7 +80,8 @@ def test_a_sharp_highlight_is_given_back(shot):
     assert np.all(raw[peak] / truth[peak] < 0.3)
     assert supported[peak].all()
     pull = (value - truth)[supported] / std[supported]
-    assert np.abs(value / truth - 1)[supported].max() < 0.06  # four standard deviations of a pixel's 1 %
+    # four standard deviations of a pixel's 1 %; where the picture is dark, of its noise: supported speaks of the correction
+    assert (np.abs(value - truth) / np.maximum(0.06 * truth, 4 * std))[supported].max() < 1
     assert np.mean(np.abs(pull) > 3) < 0.02
     assert 0.4 < np.std(pull) < 1.2
     np.testing.assert_array_equal(np.isnan(done.table["brdf"].values), np.isnan(table.values))

@@ -18,6 +18,7 @@ SCATTERED = 768
 _STRATA = 24
 _LIMB = 3.0  # px from the outline within which a pixel's own rule does not follow the border
 _OUTSIDE = 1.5  # px beyond the outline up to which the window's pixels are read: what lies behind is not the sphere
+_BESIDE = 9.0  # px from the highlight within which the limb is read, too
 _LIT = 0.1  # least cosine to the lamp: near the terminator a pixel's own rule meets a kink
 
 
@@ -108,6 +109,12 @@ def chosen_pixels(
     values, std = picture.values[at_row, at_column], picture.std[at_row, at_column]
     away = np.hypot(column - place.column, row - place.row)
     used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
+    # the limb itself, where dirt and stands are, is read beside the highlight only
+    peak_column, peak_row = (
+        place.column + place.radius * place.highlight[0],
+        place.row - place.radius * place.highlight[1],
+    )
+    used &= (away < place.radius - _LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
     return ObservedPixels(
         window=window,
         column=far_column,

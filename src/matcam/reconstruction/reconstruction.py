@@ -15,7 +15,7 @@ from matcam.core import checks
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, read_capture
-from matcam.inverse.fit.fit_parameters import readable_value
+from matcam.inverse.fit.fit_parameters import half_maximum_angle, readable_value
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import MASKINGS, Masking
 from matcam.reconstruction.captured_scene import INCOMPLETE, CapturedScene, Progress, captured_scene
@@ -75,13 +75,16 @@ class Reconstruction:
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
-        """Lobe, lens, indices and diffuse parts by name: value and standard deviation."""
+        """Lobe, lens, indices and diffuse parts by name: value and standard deviation. A bent lobe has a half width alone."""
         fit, p = self.fit, self.fit.solution.p
         std = np.sqrt(np.maximum(np.diag(fit.solution.covariance), 0))
         found: dict[str, tuple[float, float]] = {}
         for index, name in enumerate(fit.kind.family_names):
-            value, slope = readable_value(name, float(p[index]))
-            found[name] = value, slope * float(std[index])
+            if not fit.kind.bends:  # of a bent lobe they say nothing
+                value, slope = readable_value(name, float(p[index]))
+                found[name] = value, slope * float(std[index])
+        lobe = slice(0, fit.kind.size)
+        found["hwhm_rad"] = half_maximum_angle(fit.kind, p[lobe], fit.solution.covariance[lobe, lobe])
         width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
         scale = float(np.exp(p[fit.layout.scene][0]))
         scale_std = scale * float(std[fit.layout.scene][0])
@@ -146,10 +149,10 @@ class Reconstruction:
     @property
     def verdict(self) -> str:
         """Say what came out, in plain words."""
-        name = self.fit.kind.family_names[0]
-        value, std = self.parameters[name]
+        value, std = np.degrees(self.parameters["hwhm_rad"])
         low, high = np.degrees(self.measured_range)
-        lobe = f"{self.fit.kind.family} lobe, {name} = {value:.4g} +- {std:.1g}"
+        bent = " bent" if self.fit.kind.bends else ""
+        lobe = f"{self.fit.kind.family} lobe{bent} of half width {value:.4g} +- {std:.1g}°"
         words = [
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the table's entries are supported."
