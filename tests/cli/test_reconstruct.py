@@ -70,10 +70,11 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
     assert supported[peak].all()
     assert np.abs((value - truth) / error)[peak].max() < 4
     assert np.abs(value / truth - 1)[peak].max() < 0.06
-    binned = read_merl(tmp_path / "chrome-pinhole.binary").values[i, j, k, 1]
-    near = np.isfinite(binned[:8])
+    # the highlight's pixels are in the cell of 55 degrees or below; no cell holds many
+    ring = read_merl(tmp_path / "chrome-pinhole.binary").values[:8, j - 1 : j + 1, :, 1].reshape(8, -1)
+    near = np.isfinite(ring).any(axis=1)
     assert near.any()
-    assert np.all(binned[:8][near] < 0.9 * truth[:8][near])
+    assert np.all(np.nanmean(ring[near], axis=1) < 0.95 * truth[:8][near])
     page = (tmp_path / "chrome.html").read_text()
     assert "Error budget" in page
     assert "http" not in page.replace("http://www.w3.org", "")

@@ -94,8 +94,9 @@ class Tabulated(Material):
         place_h = jnp.clip(root * n_h - self.shift, 0, n_h - 1)
         place_d = jnp.clip(theta_d * n_d / (np.pi / 2) - self.shift, 0, n_d - 1)
         place_p = jnp.mod(phi_d / np.pi, 1.0) * n_p - self.shift
-        low = [jnp.floor(place) for place in (place_h, place_d, place_p)]
-        rest = [place - floor for place, floor in zip((place_h, place_d, place_p), low, strict=True)]
+        places = [_whole_where_close(place) for place in (place_h, place_d, place_p)]
+        low = [jnp.floor(place) for place in places]
+        rest = [place - floor for place, floor in zip(places, low, strict=True)]
         i_h, i_d, i_p = (floor.astype(int) for floor in low)
 
         total = weights = missing = jnp.zeros(())
@@ -118,6 +119,15 @@ class Tabulated(Material):
     def __repr__(self) -> str:
         sampling = "edge" if self.shift == 0 else "centre"
         return f"Tabulated({' x '.join(map(str, self.values.shape))}, sampling={sampling!r})"
+
+
+def _whole_where_close(place: jax.Array) -> jax.Array:
+    """Return places, whole where they are but for rounding.
+
+    A compiler may compute a place twice, rounded otherwise: once for its cell and once for its share of it.
+    """
+    whole = jnp.round(place)
+    return jnp.where(jnp.abs(place - whole) < 1e-9, whole, place)
 
 
 class Blend(NamedTuple):
