@@ -21,10 +21,8 @@ from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of
 
 _BEND = 1.0
 _FEWEST = 3
-_NOT_EXPLAINED = 0.006
-"""Unexplained share of the light from which a bent lobe is tried."""
-_NOISE_ALONE, _AS_NOISE = 0.003, 1.2
-"""Unexplained share of the light, and mean squared residual, up to which the noise alone explains the pictures."""
+_NOISE_ALONE, _AS_NOISE = 0.003, 1.15
+"""Unexplained share of the light, and mean squared residual, up to either of which the noise alone explains the pictures."""
 _CLEARLY = 0.9  # of the unexplained share: what a bent lobe must at least take away
 _CONTRADICTED = 2.5
 """Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
@@ -118,7 +116,7 @@ def chosen_fit(
             if _likelier(other, best):
                 best = fitted(name, scene, start=other)
                 tried[name] = best.solution.unexplained
-    if best.solution.unexplained > _NOT_EXPLAINED:
+    if family == AUTO and not _explained(best):
         bent = fitted(best.kind.family, scene, start=best, bend=_BEND)
         tried[f"{best.kind.family}, bent"] = bent.solution.unexplained
         if bent.solution.unexplained < _CLEARLY * best.solution.unexplained and _likelier(bent, best):
@@ -134,7 +132,7 @@ def chosen_fit(
 
 def _explained(fit: SphereFit) -> bool:
     """Say whether photon and read noise explain the pictures: then no other lobe is looked for."""
-    return fit.solution.unexplained < _NOISE_ALONE and float(np.median(fit.solution.chi2)) < _AS_NOISE
+    return fit.solution.unexplained < _NOISE_ALONE or float(np.median(fit.solution.chi2)) < _AS_NOISE
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
