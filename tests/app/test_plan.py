@@ -12,6 +12,7 @@ from matcam.cli.app import app
 DEFAULTS = Planned(0.5, 0.5, 256.0, float("inf"), float("inf"), 0.0, 0.01, 0.0, 45.0)
 
 
+@pytest.mark.slow
 def test_the_rig_file_says_the_same(tmp_path):
     planned = replace(DEFAULTS, glare=0.01, distance=30.0, lamp_distance=25.0, lamp_radius=0.2, sigma=0.7)
     (tmp_path / "camera.json").write_text(planned.camera_profile())
