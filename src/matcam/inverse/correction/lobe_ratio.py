@@ -30,6 +30,8 @@ from matcam.rigs import Rig
 _PEAK_RINGS = 4
 _LATTICES = 4
 """Lattices kept in memory, some ten MB each."""
+_VANISHED = 1e-40
+"""1/sr; no camera sees less, and the exponential tails of some lobes are: there is nothing to correct."""
 
 
 class Spacing(NamedTuple):
@@ -124,7 +126,7 @@ def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
     # beyond where it is known it stays what it was there: towards the limb along theta_d
     for s in range(1, len(slices)):
         lattice[s] = np.where(np.isfinite(lattice[s]), lattice[s], lattice[s - 1])
-    lattice = np.nan_to_num(lattice)
+    lattice = np.round(np.nan_to_num(lattice), 12)  # slopes of less overflow in the interpolator's harmonic means
     n_h, n_d, _ = GRID_SHAPE
     along = PchipInterpolator(slices, lattice, axis=0)(np.arange(n_d))
     along = PchipInterpolator(rings, along, axis=1)(np.arange(n_h))
@@ -183,7 +185,8 @@ def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax
     recorded = where.recorded.record(ndf, kind.masking, shifts)
     true = where.true.record(ndf, kind.masking, jnp.zeros(0))
     ok = where.cells.valid
-    return jnp.log(jnp.where(ok, true, 1.0)) - jnp.log(jnp.where(ok, recorded, 1.0))
+    true, recorded = (jnp.where(ok, jnp.maximum(lobe, _VANISHED), 1.0) for lobe in (true, recorded))
+    return jnp.log(true) - jnp.log(recorded)
 
 
 @kept_program
@@ -213,7 +216,7 @@ def _shares(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> _
         shape_records(operator, at.kind, jnp.asarray(at.lobe), jnp.asarray(rig))
         for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))
     ]
-    lobes = [np.where(where.cells.valid, np.asarray(lobe), 1.0) for lobe, _ in pairs]
+    lobes = [np.where(where.cells.valid, np.maximum(np.asarray(lobe), _VANISHED), 1.0) for lobe, _ in pairs]
     return _Shares(lobes, [np.asarray(parts) / lobe for (_, parts), lobe in zip(pairs, lobes, strict=True)])
 
 
