@@ -8,7 +8,7 @@ import re
 import pytest
 
 from docs_messages import ABOVE, FAMILY, PLACE, SOURCES, collected
-from matcam.cli import OPTIONS
+from matcam.cli.show import OPTIONS
 
 NAMES = ("BRDF", "MERL", "Mitsuba", "RGL", "Zarr")
 """Words that may begin a message with a capital letter."""

@@ -19,9 +19,6 @@ FAULT = 70
 INTERRUPTED = 130
 _INTERRUPTION = "interrupted; nothing half-written was left"
 
-OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
-"""Arguments that the library's messages name, and the options that they are here."""
-
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
@@ -88,7 +85,7 @@ def _run(arguments: list[str] | None) -> int:
     import typer
 
     from matcam.cli.app import app
-    from matcam.cli.show import broken_output
+    from matcam.cli.show import broken_output, in_options
     from matcam.core.errors import MatcamError
 
     # typer carries a click of its own, and does not export this one
@@ -106,7 +103,7 @@ def _run(arguments: list[str] | None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
     except MatcamError as error:
-        return _complain(_in_options(_one_line(str(error))), BAD_INPUT)
+        return _complain(in_options(_one_line(str(error))), BAD_INPUT)
     except BrokenPipeError as error:
         return _output_failed(error, 0)
     except MemoryError:
@@ -129,13 +126,6 @@ def _complain(message: str, code: int) -> int:
     with contextlib.suppress(OSError):
         print(f"matcam: {printable(message)}", file=sys.stderr)
     return code
-
-
-def _in_options(message: str) -> str:
-    """Return a library's message in the command line's words."""
-    for argument, option in OPTIONS.items():
-        message = message.replace(argument, option)
-    return message
 
 
 def _one_line(text: str) -> str:

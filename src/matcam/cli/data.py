@@ -65,7 +65,7 @@ def merl(
                 fetched.append(str(fetch_merl(name, output, source, progress, force=force)))
             show.say(fetched[-1], quiet=json)
         except (DownloadError, OutputError) as error:
-            failed.append(str(error).replace("force=True", "--force"))
+            failed.append(show.in_options(str(error)))
             show.remark(failed[-1])
     if json:
         show.as_json({"files": fetched, "failed": failed})

@@ -19,6 +19,8 @@ from matcam.core.io import UNPRINTABLE, plain, printable
 
 _SECONDS = 30.0
 
+OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
+"""Arguments that the library's messages name, and the options that they are here."""
 
 _broken: list[OSError] = []
 """What standard output answered when it could not be written."""
@@ -234,3 +236,10 @@ def _span(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
     return f"{seconds:.0f} s"
+
+
+def in_options(message: str) -> str:
+    """Return a library's message in the command line's words."""
+    for argument, option in OPTIONS.items():
+        message = message.replace(argument, option)
+    return message

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -57,8 +57,8 @@ def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Samplin
     change = np.nan_to_num(corrected) - np.nan_to_num(recorded)
     if not (change > 0).any():
         return corrected
-    before = albedo(recorded, sampling)
-    added, taken = (albedo(np.maximum(side * change, 0), sampling) for side in (1, -1))
+    before = albedo(recorded)
+    added, taken = (albedo(np.maximum(side * change, 0)) for side in (1, -1))
     room = np.maximum(1.0, before) - before + taken
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(added > room, room / added, 1.0)
@@ -71,19 +71,19 @@ def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Samplin
     return np.where(change > 0, recorded + change * allowed, corrected)
 
 
-def albedo(table: np.ndarray, sampling: Sampling) -> np.ndarray:
+def albedo(table: np.ndarray) -> np.ndarray:
     """Return the light that a table sends into all directions, per light that falls on it; (directions, channels).
 
     Directions are 0.5, 1.5 ... 89.5 degrees from the normal. The integral goes over half vectors, where a lobe's cells are:
     4 brdf cos_o (light . half) over their solid angle.
     """
-    cells, weight = _albedo_rule(sampling)
+    cells, weight = _albedo_rule()
     flat = np.nan_to_num(table).reshape(-1, table.shape[-1])
     return np.stack([w @ flat[c] for c, w in zip(cells, weight, strict=True)])
 
 
-@lru_cache(maxsize=2)
-def _albedo_rule(sampling: Sampling) -> tuple[list[np.ndarray], list[np.ndarray]]:
+@cache
+def _albedo_rule() -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Return the cells that each direction's integral reads, and their weights."""
     edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
     ring = -np.diff(np.cos(edges))
@@ -97,23 +97,15 @@ def _albedo_rule(sampling: Sampling) -> tuple[list[np.ndarray], list[np.ndarray]
         phi_d = np.arctan2(-np.sin(direction) * np.sin(turn) + 0 * theta, x) % np.pi
         seen = (cos_d > 0) & (cos_o > 0)
         theta_d = np.arccos(np.clip(cos_d, 0, 1))
-        index = _flat_index(theta + 0 * turn, theta_d, phi_d)
+        at = merl_grid("centre").index(theta_h=theta + 0 * turn, theta_d=theta_d, phi_d=phi_d)
+        index = np.ravel_multi_index(at, GRID_SHAPE)
         weight = 4 * cos_d * cos_o * ring[:, None] * (2 * np.pi / _AZIMUTHS)
         cells.append(index[seen])
         weights.append(weight[seen])
     return cells, weights
 
 
-def _flat_index(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-    """Return the index of the cells that contain these angles, in a table's values without its channels."""
-    i = (np.sqrt(theta_h / (np.pi / 2)) * GRID_SHAPE[0]).astype(int)
-    j = (theta_d / (np.pi / 2) * GRID_SHAPE[1]).astype(int)
-    k = (phi_d / np.pi * GRID_SHAPE[2]).astype(int)
-    at = tuple(np.clip(part, 0, size - 1) for part, size in zip((i, j, k), GRID_SHAPE, strict=True))
-    return np.ravel_multi_index(at, GRID_SHAPE)
-
-
-@lru_cache(maxsize=2)
+@cache
 def _directions(sampling: Sampling) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices among the directions of each cell's light and view."""
     grid = merl_grid(sampling)
