@@ -107,7 +107,12 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     fit = _LobeFit(
         picture, ball, blur, rows.ravel()[chosen], columns.ravel()[chosen], chosen, start, first[3], background
     )
-    place, covariance, width = fit.solved()
+    try:
+        place, covariance, width = fit.solved()
+    except FitError as error:
+        spot = np.sqrt(first[3] / np.pi)
+        place, covariance, width = np.array(start), np.eye(2) * (0.5 + spot / 2) ** 2, float(spot / ball.radius)
+        remarks.append(Remark("highlight-by-centroid", str(error)))
     if clipped:
         remarks.append(Remark("clipped", f"{picture.name}: {clipped} pixels of the highlight are clipped"))
     normal = ball.normals(*place)
@@ -196,7 +201,7 @@ class _LobeFit:
         for k in range(len(self.channels)):
             bright = self.values[self.channel == k].max() - self.background
             first += [np.log(max(bright, 1e-3 * self.background)), 1.0]
-        room = 2 + np.sqrt(self.size)
+        room = 1.5 + np.sqrt(self.size / np.pi)  # the mirror point lies within the bright spot
         low, high = np.full(len(first), -np.inf), np.full(len(first), np.inf)
         low[:5], high[:5] = [-room, -room, -12, -12, -0.5], [room, room, -0.3, -0.3, 3.0]
         found = least_squares(
@@ -209,7 +214,7 @@ class _LobeFit:
         )
         place = self.start + found.x[:2]
         if not np.isfinite(self.ball.normals(*place)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
-            raise FitError(f"{self.name}: the brightest spot is no lobe on the sphere; give the lamp's direction")
+            raise FitError(f"{self.name}: the bright spot is no lobe on the sphere: only its centroid can be used")
         spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
         freedom = max(len(self.values) - len(first), 1)
         return place, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
