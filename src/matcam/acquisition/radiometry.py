@@ -29,8 +29,9 @@ from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, correlation_remarks, exposure_remarks, linearity_remarks
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
-from matcam.core.remark import Remark
-from matcam.files.capture import Capture, CaptureFrame, Region, Stated
+from matcam.core.remark import Remark, some_of
+from matcam.files.capture import Capture, Region, Stated
+from matcam.files.capture_list import CaptureFrame
 
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how many of it, and of how many."""
@@ -153,11 +154,14 @@ def measure_radiometry(
     noise = _read_noise(darkness)
     step = 1 if reader.cfa is None else 2
     samples: list[BracketSample] = []
+    missing: dict[tuple[str, ...], list[str]] = {}
     used: dict[str, tuple[CaptureFrame, ...]] = {}
     largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
     for number, lamp in enumerate(wanted):
-        bracket = _bracket(capture, reader, region, lamp, names, shapes, remarks)
+        bracket, lacking = _bracket(capture, reader, region, lamp, names, shapes, remarks)
+        if lacking:
+            missing.setdefault(lacking, []).append(lamp)
         if progress:
             progress("radiometry", number + 1, len(wanted))
         if not bracket:
@@ -170,6 +174,13 @@ def measure_radiometry(
             frame, codes = bracket[0]
             light = codes - np.asarray(darkness[frame.exposure].level, np.float32)
             remarks += correlation_remarks(capture.folder / frame.file, light, step, noise)
+    remarks += [
+        Remark(
+            "missing-frame",
+            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}",
+        )
+        for lacking, of in missing.items()
+    ]
     if not samples:
         raise FitError(
             f"{capture.folder}: no frame of any lamp position can be read: {remarks[0] if remarks else 'see frames.csv'}"
@@ -249,8 +260,10 @@ def _bracket(
     names: Sequence[str],
     shapes: dict[str, tuple[int, ...]],
     remarks: list[Remark],
-) -> list[tuple[CaptureFrame, np.ndarray]]:
-    """Return the frames of one lamp position that can be used, with their codes, in the order of `names`."""
+) -> tuple[list[tuple[CaptureFrame, np.ndarray]], tuple[str, ...]]:
+    """Return the frames of one lamp position that can be used, with their codes, in the order of `names`; and the exposures
+    that have none.
+    """
     found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
     for frame in capture.of("frames", lamp=lamp):
         path = capture.folder / frame.file
@@ -272,11 +285,7 @@ def _bracket(
             remarks.append(Remark("bad-frame", f"{path}: holds values that are not finite; it was left out"))
             continue
         found[frame.exposure] = frame, codes
-    missing = [name for name in names if name not in found]
-    if missing:
-        text = f"lamp {lamp} has no usable frame of exposure {', '.join(missing)}"
-        remarks.append(Remark("missing-frame", text))
-    return [found[name] for name in names if name in found]
+    return [found[name] for name in names if name in found], tuple(name for name in names if name not in found)
 
 
 def _sample(
