@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from matcam.core.errors import FileFormatError
-from matcam.files.capture import json_schema, read_capture
-from matcam.files.capture_list import COLUMNS
+from matcam.files.capture import COLUMNS, json_schema, read_capture
 from tests.conftest import REPOSITORY
 from tests.oracle.capture import as_toml, write_tiff
 

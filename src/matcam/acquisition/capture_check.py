@@ -18,7 +18,7 @@ from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_ra
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
-from matcam.files.capture_list import CaptureFrame, LampGuess
+from matcam.files.capture_frames import CaptureFrame, LampGuess
 
 _WHOLE = 4
 """Lamp positions of which all exposures are read."""

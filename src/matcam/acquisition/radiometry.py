@@ -31,7 +31,7 @@ from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture import Capture, Region, Stated
-from matcam.files.capture_list import CaptureFrame
+from matcam.files.capture_frames import CaptureFrame
 
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how many of it, and of how many."""

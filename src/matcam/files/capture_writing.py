@@ -13,8 +13,7 @@ import numpy as np
 
 from matcam.core.errors import OutputError
 from matcam.core.io import replacing
-from matcam.files.capture import SETTINGS
-from matcam.files.capture_list import COLUMNS, KINDS, LIST
+from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
 # A capture: photographs of a sample under a moved lamp. docs/capture.md explains every field.

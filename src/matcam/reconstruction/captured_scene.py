@@ -21,7 +21,7 @@ from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
-from matcam.files.capture_list import CaptureFrame
+from matcam.files.capture_frames import CaptureFrame
 from matcam.reconstruction.sphere_scene import Known, SphereScene, lens_std
 
 Progress = Callable[[str, int, int], None]
