@@ -23,8 +23,9 @@ class BracketSample(NamedTuple):
         codes: their codes as read, float32 (k, n), DN.
         light: the same without dark, float32 (k, n), DN.
         around: mean of the neighbours in each exposure without dark, float32 (k, n), DN.
-        reference: mean of the reference region in each exposure without dark, (k,), DN; NaN: none, or clipped.
-        reference_pixels: how many pixels it is the mean of.
+        reference: mean of the reference region in each exposure and channel without dark, (k, channels), DN; NaN: none, or
+            clipped.
+        reference_pixels: how many pixels of each channel it is the mean of, (channels,).
         median: median code of each frame, (k,), DN.
     """
 
@@ -34,8 +35,13 @@ class BracketSample(NamedTuple):
     light: np.ndarray
     around: np.ndarray
     reference: np.ndarray
-    reference_pixels: int
+    reference_pixels: np.ndarray
     median: np.ndarray
+
+    @property
+    def reference_total(self) -> np.ndarray:
+        """Return the sum over the reference region in each exposure, (k,), DN; NaN: none, or clipped."""
+        return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
 
 def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:

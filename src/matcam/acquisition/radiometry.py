@@ -25,6 +25,7 @@ from matcam.acquisition.exposure_ratios import (
     fit_ratios,
     measure_clip_level,
 )
+from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, correlation_remarks, exposure_remarks, linearity_remarks
 from matcam.camera.camera import Camera
@@ -38,8 +39,6 @@ Progress = Callable[[str, int, int], None]
 
 _ROUNDING = 1 / 12
 """Variance of a rounded code, DN^2."""
-_GRAZING = 0.2
-"""Cosine below which a diffuse reference is not used."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,8 @@ class Radiometry:
         read_noise: DN, with standard deviation.
         lamp_output: light of each lamp position by the reference, relative to their mean, with standard deviation; NaN where
             there is no reference. Merged values are not divided by it: it is the prior of a picture's gain.
+        reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN where it
+            is clipped.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
         misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
@@ -71,6 +72,7 @@ class Radiometry:
     gain: Stated
     read_noise: Stated
     lamp_output: dict[str, Stated]
+    reference_light: dict[str, tuple[Stated, ...]]
     linearity: np.ndarray
     misfit: float
     darkness: dict[str, Darkness]
@@ -219,7 +221,7 @@ def measure_radiometry(
     remarks += exposure_remarks(names, ratios, nominal)
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)
-    output = _lamp_output(capture, samples, value, gain, noise)
+    output = lamp_output(capture, samples, value, gain, noise)
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -227,6 +229,7 @@ def measure_radiometry(
         gain,
         Stated(noise, noise * _noise_error(darkness)),
         output,
+        reference_light(samples, value, gain, noise),
         ratios.curve,
         ratios.misfit,
         darkness,
@@ -311,16 +314,17 @@ def _sample(
     neighbours[:, hot.ravel()] = 0
     order = np.argsort(neighbours.mean(1))
     chosen = choose_pixels(neighbours[order], noise, seed)
-    reference, pixels = np.full(len(bracket), np.nan), 0
+    reference, numbers = np.full((len(bracket), len(reader.channels)), np.nan), np.zeros(len(reader.channels), int)
     if capture.reference_region is not None:
         for i, (frame, _) in enumerate(bracket):
             level = darkness[frame.exposure].level
             patch = reader.read(frame, capture.reference_region)
-            base = float(np.mean(level))
-            pixels = patch.size
-            reference[i] = (
-                float(patch.mean(dtype=np.float64)) - base if patch.max() < 0.9 * _ceiling(bracket) else np.nan
-            )
+            column, row, *_ = capture.reference_region
+            of = reader.channel_map((patch.shape[0], patch.shape[1]), (row, column)).ravel()
+            numbers = np.bincount(of, minlength=len(reader.channels))
+            if patch.max() < 0.9 * _ceiling(bracket):
+                total = np.bincount(of, patch.ravel().astype(np.float64), len(reader.channels))
+                reference[i] = total / np.maximum(numbers, 1) - float(np.mean(level))
     return BracketSample(
         lamp,
         np.array([list(names).index(frame.exposure) for frame, _ in bracket]),
@@ -328,7 +332,7 @@ def _sample(
         np.stack([one.ravel()[chosen] for one in light]),
         neighbours[:, chosen],
         reference,
-        pixels,
+        numbers,
         np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
     )
 
@@ -387,37 +391,3 @@ def _gain_without_brackets(
         Remark("gain-unknown", "the frames do not determine the gain, and no profile states it: 1 DN per electron")
     )
     return Stated(float("nan"), float("inf"))
-
-
-def _lamp_output(
-    capture: Capture, samples: Sequence[BracketSample], exposures: np.ndarray, gain: Stated, noise: float
-) -> dict[str, Stated]:
-    """Return the lamps' light by the reference, relative to its mean."""
-    diffuse = capture.settings["reference"] is not None and capture.settings["reference"]["kind"] == "diffuse"
-    found: dict[str, Stated] = {}
-    scale = gain.value if math.isfinite(gain.value) else 1.0
-    for sample in samples:
-        good = np.isfinite(sample.reference)
-        value, std = math.nan, math.nan
-        if good.any() and sample.reference_pixels:
-            relative = exposures[sample.exposures[good]]
-            light, pixels = sample.reference[good], sample.reference_pixels
-            value = float(light.sum() / relative.sum())
-            std = math.sqrt(float(np.sum(np.maximum(light, 0) * scale + noise**2)) / pixels) / float(relative.sum())
-            if diffuse:  # a white patch that faces the camera
-                angle = capture.lamps[sample.lamp].angle
-                cosine = math.cos(angle)
-                if not cosine > _GRAZING:
-                    value = math.nan
-                else:
-                    value, std = value / cosine, std / cosine
-                    std = math.hypot(std, value * math.tan(angle) * capture.direction_std)
-            if not value > 3 * std:
-                value = math.nan
-        found[sample.lamp] = Stated(value, std)
-    known = [v.value for v in found.values() if math.isfinite(v.value)]
-    mean = float(np.mean(known)) if known else math.nan
-    return {
-        lamp: Stated(v.value / mean, v.std / mean) if math.isfinite(v.value) else Stated(math.nan, math.nan)
-        for lamp, v in found.items()
-    }

@@ -76,6 +76,7 @@ def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJs
 _Positive = Annotated[list[float], *_stated(1e-12)]
 _Share = Annotated[list[float], *_stated(0.0, 1.0)]
 _NotNegative = Annotated[list[float], *_stated(0.0)]
+_Either = Annotated[list[float], *_stated(-1e6)]
 _Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
 
 
@@ -113,6 +114,8 @@ class _LampSection(_Strict):
 class _Reference(_Strict):
     kind: Literal["diffuse", "monitor"]
     reflectance: _Share | None = None
+    depth_mm: _Either | None = None
+    tilt_std_deg: Annotated[FiniteFloat, Field(ge=0, le=45)] = 1.0
     region_px: _Box | None = None
 
 
