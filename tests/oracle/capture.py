@@ -25,7 +25,8 @@ METALS = {  # n and k about 610, 550, 465 nm, rounded: only their size matters h
 
 class Sensor(NamedTuple):
     """full well, e-; gain, DN per e-; read noise, e-; black level, DN; bits of the converter; sensitivity of the channels, no
-    unit. cfa None: grey. clip "well": the charge is limited before read noise; "converter": the code is."""
+    unit. cfa None: grey. clip "well": the charge is limited before read noise; "converter": the code is. prnu:
+    relative scatter of the pixels' sensitivity; vignetting: loss of light in the corners."""
 
     full_well: float = 30000.0
     gain: float = 0.5
@@ -35,6 +36,8 @@ class Sensor(NamedTuple):
     cfa: str | None = "RGGB"
     sensitivity: tuple = (0.6, 1.0, 0.7)
     clip: str = "well"
+    prnu: float = 0.0
+    vignetting: float = 0.0
 
 
 class Faults(NamedTuple):
@@ -109,13 +112,15 @@ def draw(
     motion="arc",
     fine=1,
     patch=None,
+    flats=0,
 ):
     """Draw a capture.
 
     theta_d: of the lamp positions at the mirror point, rad; default: 18 from 5 to 82 degrees. azimuth: of the arc, rad, or one
     for each lamp. step: between exposures. peak_fill: the brightest pixel of all in the shortest exposure, in full wells: above
-    1 it is clipped. darks: of each exposure. backlight: rad by which it reaches beyond the limb. reference: "monitor" (its
-    light does not depend on where the lamp is), "diffuse" (a white patch that faces the camera, `patch`) or None.
+    1 it is clipped. darks: of each exposure. flats: of an even field. backlight: rad by which it reaches beyond the limb.
+    reference: "monitor" (its light does not depend on where the lamp is), "diffuse" (a white patch that faces the camera,
+    `patch`) or None.
     """
     surface, view = surface or Surface(), view or View()
     sensor, faults = sensor or Sensor(), faults or Faults()
@@ -130,6 +135,7 @@ def draw(
     names = [f"L{i:02d}" for i in range(len(angles))]
     channel = _channels(view.shape, sensor)
     pattern = _Reference(reference, view, patch or Patch())
+    even = response(view.shape, sensor, seed)
     sensitivity = np.asarray(sensor.sensitivity if sensor.cfa else (1.0,))
     relative = step ** np.arange(exposures)
     nominal = relative / 1000 * np.exp(faults.exposure * rng.standard_normal(exposures))
@@ -154,7 +160,7 @@ def draw(
             else:
                 pattern.add(electrons, ratio / relative[-1] * gain, 0.6 * sensor.full_well)
             file = f"frames/{name}_{exposure}.tif"
-            drawn.frames[file] = _expose(electrons, sensor, rng)
+            drawn.frames[file] = _expose(electrons * even, sensor, rng)
             drawn.rows.append(_row(file, name, np.degrees(said), np.degrees(turned), exposure, nominal[k]))
     for k, exposure in enumerate(ids):
         for i in range(darks):
@@ -164,8 +170,12 @@ def draw(
     for i in range(outlines):
         bright = backlit(view, backlight, surface)
         file = f"outline/O{i}.tif"
-        drawn.frames[file] = _expose(0.6 * sensor.full_well * bright * sensitivity[channel], sensor, rng)
+        drawn.frames[file] = _expose(0.6 * sensor.full_well * bright * sensitivity[channel] * even, sensor, rng)
         drawn.rows.append(_row(file, "", None, None, ids[0], nominal[0]))
+    for i in range(flats):
+        file = f"flat/F{i}.tif"
+        drawn.frames[file] = _expose(0.6 * sensor.full_well * sensitivity[channel] * even, sensor, rng)
+        drawn.rows.append(_row(file, "", None, None, ids[-1], nominal[-1]))
     sigma_said = view.sigma * np.exp(lens_std * rng.standard_normal()) if lens_std else view.sigma
     distances = [
         d * (1 + s * rng.standard_normal()) for d, s in zip((view.camera, view.lamp), distance_std, strict=True)
@@ -205,6 +215,13 @@ def noiseless(drawn, lamp, surface=None, fine=1):
     sensitivity = np.asarray(sensor.sensitivity if sensor.cfa else (1.0,))
     colours = picture(surface, view, np.asarray(one["direction"]), one["shift_px"], fine)
     return drawn.truth["electrons_per_radiance"] * one["gain"] * _of_channel(colours, channel) * sensitivity[channel]
+
+
+def response(shape, sensor, seed):
+    """Relative response of every pixel: its own sensitivity, and light that falls off from the middle as the radius squared."""
+    scatter = np.random.default_rng(seed + 10_000).standard_normal(shape)
+    y, x = (np.linspace(-1, 1, n) for n in shape)
+    return (1 + sensor.prnu * scatter) * (1 - sensor.vignetting * (x[None] ** 2 + y[:, None] ** 2) / 2)
 
 
 class _Reference:

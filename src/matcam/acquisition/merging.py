@@ -106,10 +106,17 @@ def merge_position(
     flux = np.where(none, floor, flux)
     variance = np.where(none, (gain * floor * relative[0] + noise**2) / relative[0] ** 2, variance)
     values, std = (flux / gain).astype(np.float32), (np.sqrt(variance) / gain).astype(np.float32)
+    flat = radiometry.flat
+    channel = reader.channel_map(
+        (values.shape[0], values.shape[1]), (0, 0) if region is None else (region[1], region[0])
+    )
+    if flat is not None:
+        values, std = values / flat.response, std / flat.response
+        std = np.hypot(std, values * flat.std.astype(np.float32)[channel])
+        hot |= np.isnan(flat.response)
     values[hot], std[hot] = np.nan, np.nan
     origin = (0, 0) if region is None else (region[1], region[0])
-    shape = (values.shape[0], values.shape[1])
-    return MergedPicture(lamp, values, std, none & ~hot, reader.channel_map(shape, origin), radiometry.channels, origin)
+    return MergedPicture(lamp, values, std, none & ~hot, channel, radiometry.channels, origin)
 
 
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
@@ -121,7 +128,11 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
     noise = radiometry.read_noise.value
     gain = radiometry.gain.value if math.isfinite(radiometry.gain.value) else 1.0
     total, count = 0.0, 0
-    steep = np.nan_to_num(picture.values) * gain
+    flat, std = radiometry.flat, picture.std
+    response = np.ones_like(std) if flat is None else np.nan_to_num(flat.response)
+    if flat is not None:  # what is not known of the pixels is common to all exposures
+        std = np.sqrt(np.maximum(std**2 - (picture.values * flat.std[picture.channel]) ** 2, 0))
+    steep = np.nan_to_num(picture.values) * response * gain
     for frame in radiometry.used[lamp]:
         relative = radiometry.exposures[frame.exposure].value
         dark = radiometry.darkness[frame.exposure].level
@@ -131,7 +142,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
         rest = (code - dark)[good] - mean[good]
         # the mean contains this frame: its share of the information is no residual
-        own = (gain * mean[good] + noise**2) - (relative * picture.std[good] * gain) ** 2
+        own = (gain * mean[good] + noise**2) - (relative * (std * response)[good] * gain) ** 2
         kept = own > 0.05 * (gain * mean[good] + noise**2)
         total += float(np.sum(rest[kept] ** 2 / own[kept]))
         count += int(kept.sum())

@@ -25,6 +25,7 @@ from matcam.acquisition.exposure_ratios import (
     fit_ratios,
     measure_clip_level,
 )
+from matcam.acquisition.light.flat_field import FlatField, measure_flat
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, correlation_remarks, exposure_remarks, linearity_remarks
@@ -64,6 +65,7 @@ class Radiometry:
         channels: names of the colours.
         region: part of the frames that is used; None: all of it.
         remarks: what a reader should know, frames named.
+        flat: how evenly the pixels see; None: there are no flat frames.
     """
 
     exposures: dict[str, Stated]
@@ -80,6 +82,7 @@ class Radiometry:
     channels: tuple[str, ...]
     region: Region | None = None
     remarks: tuple[Remark, ...] = field(default=())
+    flat: FlatField | None = None
 
     @property
     def clip_level(self) -> float:
@@ -104,6 +107,7 @@ class Radiometry:
             "linearity": self.linearity.tolist(),
             "misfit": self.misfit,
             "channels": list(self.channels),
+            "flat": None if self.flat is None else {"frames": self.flat.frames, "prnu": self.flat.prnu},
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
 
@@ -222,6 +226,12 @@ def measure_radiometry(
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)
     output = lamp_output(capture, samples, value, gain, noise)
+    scale = gain.value if math.isfinite(gain.value) else 1.0
+    flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
+    remarks += said
+    seen = reference_light(
+        samples, value, gain, noise, np.ones(len(reader.channels)) if flat is None else flat.reference
+    )
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -229,7 +239,7 @@ def measure_radiometry(
         gain,
         Stated(noise, noise * _noise_error(darkness)),
         output,
-        reference_light(samples, value, gain, noise),
+        seen,
         ratios.curve,
         ratios.misfit,
         darkness,
@@ -237,6 +247,7 @@ def measure_radiometry(
         reader.channels,
         region,
         tuple(remarks),
+        flat,
     )
 
 

@@ -16,7 +16,11 @@ _NONE = Stated(math.nan, math.nan)
 
 
 def reference_light(
-    samples: Sequence[BracketSample], exposures: np.ndarray, gain: Stated, noise: float
+    samples: Sequence[BracketSample],
+    exposures: np.ndarray,
+    gain: Stated,
+    noise: float,
+    response: np.ndarray,
 ) -> dict[str, tuple[Stated, ...]]:
     """Return the merged value of the reference in every lamp position, by channel, with its noise.
 
@@ -25,6 +29,7 @@ def reference_light(
         exposures: light of each exposure relative to the one whose unit merged values have.
         gain: DN per electron; not finite: merged values are DN.
         noise: read noise, DN.
+        response: of the pixels there over the usual, by channel, as flat frames say, (channels,).
     """
     scale = gain.value if math.isfinite(gain.value) else 1.0
     found = {}
@@ -35,9 +40,9 @@ def reference_light(
             found[sample.lamp] = tuple(_NONE for _ in sample.reference_pixels)
             continue
         light = sample.reference[good]
-        value = light.sum(0) / relative.sum()
+        value = light.sum(0) / relative.sum() / response
         variance = (np.maximum(light, 0) * scale + noise**2).sum(0) / sample.reference_pixels
-        std = np.sqrt(variance) / relative.sum()
+        std = np.sqrt(variance) / relative.sum() / response
         found[sample.lamp] = tuple(Stated(float(v / scale), float(s / scale)) for v, s in zip(value, std, strict=True))
     return found
 
