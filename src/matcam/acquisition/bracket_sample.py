@@ -53,12 +53,13 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
     """
     padded = np.pad(light, step, mode="reflect" if min(light.shape) > step else "edge")
     height, width = light.shape
-    total = np.zeros_like(light)
-    for row in (0, step, 2 * step):
-        for column in (0, step, 2 * step):
-            if (row, column) != (step, step):
-                total += padded[row : row + height, column : column + width]
-    return total / 8
+    rows = padded[:height] + padded[step : step + height]
+    rows += padded[2 * step :]
+    total = rows[:, :width] + rows[:, step : step + width]
+    total += rows[:, 2 * step :]
+    total -= light
+    total /= 8
+    return np.asarray(total)
 
 
 def noise_correlation(light: np.ndarray, around: np.ndarray, noise: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
+from matcam.acquisition.bracket_sample import BracketSample
 from matcam.acquisition.darkness import Darkness, measure_darkness
 from matcam.acquisition.exposure_ratios import (
     ClipLevel,
@@ -25,10 +25,11 @@ from matcam.acquisition.exposure_ratios import (
     fit_ratios,
     measure_clip_level,
 )
+from matcam.acquisition.light.bracket_reading import BracketReading, in_order
 from matcam.acquisition.light.flat_field import FlatField, measure_flat
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import clip_remarks, correlation_remarks, exposure_remarks, linearity_remarks
+from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark, some_of
@@ -134,6 +135,8 @@ def measure_radiometry(
     region: Region | None = None,
     progress: Progress | None = None,
     lamps: Sequence[str] | None = None,
+    *,
+    workers: int = 1,
 ) -> Radiometry:
     """Measure what the codes of a capture's frames mean.
 
@@ -143,6 +146,7 @@ def measure_radiometry(
             own, or all. Default: None.
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
+        workers: lamp positions that are read at a time. Default: 1.
 
     Returns:
         The radiometry; frames that cannot be used are named in its remarks.
@@ -153,33 +157,26 @@ def measure_radiometry(
     region = capture.region if region is None else region
     reader, remarks = MosaicReader(capture), list(capture.problems)
     names = capture.exposures
-    shapes: dict[str, tuple[int, ...]] = {}
     levels = _frame_levels(capture, reader, region, names)
-    darkness, found = measure_darkness(reader, capture, region, names, levels)
-    remarks += found
+    darkness, said = measure_darkness(reader, capture, region, names, levels)
+    remarks += said
     noise = _read_noise(darkness)
-    step = 1 if reader.cfa is None else 2
     samples: list[BracketSample] = []
     missing: dict[tuple[str, ...], list[str]] = {}
     used: dict[str, tuple[CaptureFrame, ...]] = {}
     largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
-    for number, lamp in enumerate(wanted):
-        bracket, lacking = _bracket(capture, reader, region, lamp, names, shapes, remarks)
-        if lacking:
-            missing.setdefault(lacking, []).append(lamp)
-        if progress:
-            progress("radiometry", number + 1, len(wanted))
-        if not bracket:
-            continue
-        used[lamp] = tuple(frame for frame, _ in bracket)
-        largest = max(largest, *(float(codes.max()) for _, codes in bracket))
-        smallest = min(smallest, *(float(codes.min()) for _, codes in bracket))
-        samples.append(_sample(capture, reader, lamp, bracket, names, darkness, noise, step, number))
-        if number == 0:
-            frame, codes = bracket[0]
-            light = codes - np.asarray(darkness[frame.exposure].level, np.float32)
-            remarks += correlation_remarks(capture.folder / frame.file, light, step, noise)
+    reading = BracketReading(capture, reader, region, names, darkness, noise)
+    say = progress or (lambda step, done, total: None)
+    for number, found in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
+        remarks += found.remarks
+        if found.lacking:
+            missing.setdefault(found.lacking, []).append(wanted[number])
+        if found.sample is not None:
+            used[wanted[number]] = found.used
+            largest, smallest = max(largest, found.largest), min(smallest, found.smallest)
+            samples.append(found.sample)
+        say("radiometry", number + 1, len(wanted))
     remarks += [
         Remark(
             "missing-frame",
@@ -264,92 +261,6 @@ def _frame_levels(
                 continue
             break
     return found
-
-
-def _bracket(
-    capture: Capture,
-    reader: MosaicReader,
-    region: Region | None,
-    lamp: str,
-    names: Sequence[str],
-    shapes: dict[str, tuple[int, ...]],
-    remarks: list[Remark],
-) -> tuple[list[tuple[CaptureFrame, np.ndarray]], tuple[str, ...]]:
-    """Return the frames of one lamp position that can be used, with their codes, in the order of `names`; and the exposures
-    that have none.
-    """
-    found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
-    for frame in capture.of("frames", lamp=lamp):
-        path = capture.folder / frame.file
-        if frame.exposure in found:
-            text = f"{path}: is a second frame of lamp {lamp}, exposure {frame.exposure}; it was left out"
-            remarks.append(Remark("extra-frame", text))
-            continue
-        try:
-            codes = reader.read(frame, region)
-        except FileFormatError as error:
-            remarks.append(Remark("bad-frame", str(error)))
-            continue
-        shape = shapes.setdefault("frames", codes.shape)
-        if codes.shape != shape:
-            text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the frames before {shape[1]} x {shape[0]}"
-            remarks.append(Remark("other-size", f"{text}; it was left out"))
-            continue
-        if not np.isfinite(codes).all():
-            remarks.append(Remark("bad-frame", f"{path}: holds values that are not finite; it was left out"))
-            continue
-        found[frame.exposure] = frame, codes
-    return [found[name] for name in names if name in found], tuple(name for name in names if name not in found)
-
-
-def _sample(
-    capture: Capture,
-    reader: MosaicReader,
-    lamp: str,
-    bracket: list[tuple[CaptureFrame, np.ndarray]],
-    names: Sequence[str],
-    darkness: dict[str, Darkness],
-    noise: float,
-    step: int,
-    seed: int,
-) -> BracketSample:
-    hot = np.zeros(bracket[0][1].shape, bool)
-    around, light = [], []
-    for frame, codes in bracket:
-        dark = darkness[frame.exposure]
-        if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
-            hot |= dark.hot
-        light.append(codes - np.asarray(dark.level, np.float32))
-        around.append(same_colour_neighbours(light[-1], step).ravel())
-    neighbours = np.stack(around)
-    neighbours[:, hot.ravel()] = 0
-    order = np.argsort(neighbours.mean(1))
-    chosen = choose_pixels(neighbours[order], noise, seed)
-    reference, numbers = np.full((len(bracket), len(reader.channels)), np.nan), np.zeros(len(reader.channels), int)
-    if capture.reference_region is not None:
-        for i, (frame, _) in enumerate(bracket):
-            level = darkness[frame.exposure].level
-            patch = reader.read(frame, capture.reference_region)
-            column, row, *_ = capture.reference_region
-            of = reader.channel_map((patch.shape[0], patch.shape[1]), (row, column)).ravel()
-            numbers = np.bincount(of, minlength=len(reader.channels))
-            if patch.max() < 0.9 * _ceiling(bracket):
-                total = np.bincount(of, patch.ravel().astype(np.float64), len(reader.channels))
-                reference[i] = total / np.maximum(numbers, 1) - float(np.mean(level))
-    return BracketSample(
-        lamp,
-        np.array([list(names).index(frame.exposure) for frame, _ in bracket]),
-        np.stack([codes.ravel()[chosen] for _, codes in bracket]),
-        np.stack([one.ravel()[chosen] for one in light]),
-        neighbours[:, chosen],
-        reference,
-        numbers,
-        np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
-    )
-
-
-def _ceiling(bracket: list[tuple[CaptureFrame, np.ndarray]]) -> float:
-    return max(float(codes.max()) for _, codes in bracket)
 
 
 def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
