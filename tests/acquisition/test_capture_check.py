@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from matcam.acquisition.capture_check import check_capture, coverage_remarks, dark_disc, mirror_normal
-from matcam.files.capture import LampGuess, read_capture
+from matcam.files.capture import read_capture
+from matcam.files.capture_frames import LampGuess
 from tests.acquisition.drawn import VIEW, changed, small, surface
 from tests.oracle.capture import Faults, direction, draw, lamp_angle
 from tests.oracle.sphere_picture import backlit, mirror_angle

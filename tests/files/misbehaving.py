@@ -14,6 +14,11 @@ def hang(path: Path):
     time.sleep(1e4)
 
 
+def wait(path: Path):
+    time.sleep(1.2)
+    return "read"
+
+
 def spin(path: Path):
     while True:
         pass

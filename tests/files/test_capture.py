@@ -144,6 +144,19 @@ def test_extra_pictures_are_named(tmp_path):
     assert "extra.tif: is not listed" in str(problem)
 
 
+def test_many_files_of_one_fault_are_one_remark(tmp_path):
+    folder = write(tmp_path)
+    for number in range(9):
+        write_tiff(folder / f"frames/extra{number}.tif", np.zeros((6, 8), np.uint16))
+    absent = [row(f"frames/none{number}.tif", "L1", "20", "90", "E1", "0.01") for number in range(17)]
+    write(folder, rows=[*ROWS, *absent], frames=False)
+    missing, extra = (str(problem) for problem in read_capture(folder).problems)
+    assert "frames/none0.tif, frames/none1.tif" in missing
+    assert "and 11 more: no such files" in missing
+    assert "9 files are not listed" in extra
+    assert "frames/extra0.tif" in extra
+
+
 @pytest.mark.parametrize("what", ["frame", "folder", "list"])
 def test_links_out_of_the_folder_are_not_followed(tmp_path, what):
     outside = write(tmp_path / "outside")

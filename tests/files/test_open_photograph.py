@@ -116,7 +116,7 @@ def test_damaged_exif_says_nothing(tmp_path):
         (tmp_path / "a.tif").write_bytes(block[:cut])
         read_exif(tmp_path / "a.tif")
     (tmp_path / "a.tif").write_bytes(b"II*\0\x08\0\0\0\xff\xff")
-    assert read_exif(tmp_path / "a.tif") == ("", None, False)
+    assert read_exif(tmp_path / "a.tif") == ("", None, False, None)
 
 
 def test_what_is_refused(tmp_path, monkeypatch):

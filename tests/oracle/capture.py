@@ -25,7 +25,8 @@ METALS = {  # n and k about 610, 550, 465 nm, rounded: only their size matters h
 
 class Sensor(NamedTuple):
     """full well, e-; gain, DN per e-; read noise, e-; black level, DN; bits of the converter; sensitivity of the channels, no
-    unit. cfa None: grey. clip "well": the charge is limited before read noise; "converter": the code is."""
+    unit. cfa None: grey. clip "well": the charge is limited before read noise; "converter": the code is. prnu:
+    relative scatter of the pixels' sensitivity; vignetting: loss of light in the corners."""
 
     full_well: float = 30000.0
     gain: float = 0.5
@@ -35,6 +36,8 @@ class Sensor(NamedTuple):
     cfa: str | None = "RGGB"
     sensitivity: tuple = (0.6, 1.0, 0.7)
     clip: str = "well"
+    prnu: float = 0.0
+    vignetting: float = 0.0
 
 
 class Faults(NamedTuple):
@@ -46,6 +49,18 @@ class Faults(NamedTuple):
     gain: float = 0.005
     exposure: float = 0.05
     shift_within: float = 0.0
+
+
+class Patch(NamedTuple):
+    """A white patch beside the sphere. depth: before the sphere's centre, towards the camera, radii; tilt: x and y of its
+    normal over z. *_std: of what is stated of each; the tilt's is stated, but not its value."""
+
+    reflectance: float = 0.98
+    reflectance_std: float = 0.003
+    depth: float = 0.1
+    depth_std: float = 0.02
+    tilt: tuple = (0.003, -0.003)
+    tilt_std: float = np.radians(0.3)
 
 
 @dataclass
@@ -96,13 +111,16 @@ def draw(
     distance_std=(0.005, 0.005),
     motion="arc",
     fine=1,
+    patch=None,
+    flats=0,
 ):
     """Draw a capture.
 
     theta_d: of the lamp positions at the mirror point, rad; default: 18 from 5 to 82 degrees. azimuth: of the arc, rad, or one
     for each lamp. step: between exposures. peak_fill: the brightest pixel of all in the shortest exposure, in full wells: above
-    1 it is clipped. darks: of each exposure. backlight: rad by which it reaches beyond the limb. reference: "monitor" (its
-    light does not depend on where the lamp is), "diffuse" (a white patch that faces the camera) or None.
+    1 it is clipped. darks: of each exposure. flats: of an even field. backlight: rad by which it reaches beyond the limb.
+    reference: "monitor" (its light does not depend on where the lamp is), "diffuse" (a white patch that faces the camera,
+    `patch`) or None.
     """
     surface, view = surface or Surface(), view or View()
     sensor, faults = sensor or Sensor(), faults or Faults()
@@ -116,7 +134,8 @@ def draw(
     table_azimuth = azimuths + faults.lamps * rng.standard_normal(len(angles)) / np.maximum(np.sin(angles), 0.05)
     names = [f"L{i:02d}" for i in range(len(angles))]
     channel = _channels(view.shape, sensor)
-    pattern = _Reference(reference, view)
+    pattern = _Reference(reference, view, patch or Patch())
+    even = response(view.shape, sensor, seed)
     sensitivity = np.asarray(sensor.sensitivity if sensor.cfa else (1.0,))
     relative = step ** np.arange(exposures)
     nominal = relative / 1000 * np.exp(faults.exposure * rng.standard_normal(exposures))
@@ -136,9 +155,12 @@ def draw(
             if faults.shift_within:
                 light = _moved(clean, faults.shift_within * rng.standard_normal(2))
             electrons = scale * ratio * gain * light
-            pattern.add(electrons, ratio / relative[-1] * gain, angle, at, 0.6 * sensor.full_well, view)
+            if reference == "diffuse":
+                pattern.add_patch(electrons, scale * ratio * gain, direction(angle, at), view, sensitivity[channel])
+            else:
+                pattern.add(electrons, ratio / relative[-1] * gain, 0.6 * sensor.full_well)
             file = f"frames/{name}_{exposure}.tif"
-            drawn.frames[file] = _expose(electrons, sensor, rng)
+            drawn.frames[file] = _expose(electrons * even, sensor, rng)
             drawn.rows.append(_row(file, name, np.degrees(said), np.degrees(turned), exposure, nominal[k]))
     for k, exposure in enumerate(ids):
         for i in range(darks):
@@ -148,14 +170,20 @@ def draw(
     for i in range(outlines):
         bright = backlit(view, backlight, surface)
         file = f"outline/O{i}.tif"
-        drawn.frames[file] = _expose(0.6 * sensor.full_well * bright * sensitivity[channel], sensor, rng)
+        drawn.frames[file] = _expose(0.6 * sensor.full_well * bright * sensitivity[channel] * even, sensor, rng)
         drawn.rows.append(_row(file, "", None, None, ids[0], nominal[0]))
+    for i in range(flats):
+        file = f"flat/F{i}.tif"
+        drawn.frames[file] = _expose(0.6 * sensor.full_well * sensitivity[channel] * even, sensor, rng)
+        drawn.rows.append(_row(file, "", None, None, ids[-1], nominal[-1]))
     sigma_said = view.sigma * np.exp(lens_std * rng.standard_normal()) if lens_std else view.sigma
     distances = [
         d * (1 + s * rng.standard_normal()) for d, s in zip((view.camera, view.lamp), distance_std, strict=True)
     ]
     drawn.profile = _profile(sigma_said, lens_std, view, sensor)
     drawn.settings = _settings(view, sensor, faults, distances, distance_std, pattern, motion)
+    if reference == "diffuse":
+        drawn.settings["reference"] |= _stated_patch(pattern.patch, rng)
     drawn.truth = {
         "surface": surface._asdict(),
         "view": view._asdict(),
@@ -170,6 +198,7 @@ def draw(
         "clip_dn": min(sensor.full_well * sensor.gain + sensor.black, 2.0**sensor.bits - 1),
         "gain_dn_per_electron": sensor.gain,
         "backlight_rad": backlight,
+        "patch": pattern.patch._asdict() if reference == "diffuse" else None,
         "centre_px": [view.column, view.row],
         "radius_px": view.radius,
     }  # fmt: skip
@@ -188,23 +217,44 @@ def noiseless(drawn, lamp, surface=None, fine=1):
     return drawn.truth["electrons_per_radiance"] * one["gain"] * _of_channel(colours, channel) * sensitivity[channel]
 
 
+def response(shape, sensor, seed):
+    """Relative response of every pixel: its own sensitivity, and light that falls off from the middle as the radius squared."""
+    scatter = np.random.default_rng(seed + 10_000).standard_normal(shape)
+    y, x = (np.linspace(-1, 1, n) for n in shape)
+    return (1 + sensor.prnu * scatter) * (1 - sensor.vignetting * (x[None] ** 2 + y[:, None] ** 2) / 2)
+
+
 class _Reference:
     """A square of 40 px in the first corner."""
 
     region = (8, 8, 40, 40)  # column, row, width, height
 
-    def __init__(self, kind, view):
-        self.kind = kind
+    def __init__(self, kind, view, patch):
+        self.kind, self.patch = kind, patch
         assert kind is None or view.column + view.row - 96 > np.sqrt(2) * (view.radius + 4), (
             "the reference is on the sphere"
         )
 
-    def add(self, electrons, exposure, angle, azimuth, level, view):
+    def add(self, electrons, exposure, level):
         if self.kind is None:
             return
         column, row, width, height = self.region
-        light = 1.0 if self.kind == "monitor" else max(np.cos(angle), 0.0)
-        electrons[row : row + height, column : column + width] = level * exposure * light
+        electrons[row : row + height, column : column + width] = level * exposure
+
+    def add_patch(self, electrons, exposure, towards, view, sensitivity):
+        """Lambert's law in every pixel: reflectance / pi times the irradiance at that point of the patch."""
+        column, row, width, height = self.region
+        x, y = np.meshgrid(np.arange(column, column + width) - view.column, view.row - np.arange(row, row + height))
+        focal = view.radius * np.sqrt(view.camera**2 - 1)
+        shrink = (view.camera - self.patch.depth) / focal
+        place = np.stack([x * shrink, y * shrink, np.full(x.shape, self.patch.depth)], -1)
+        way = view.lamp * towards - place  # radii
+        far = np.sqrt((way**2).sum(-1))
+        normal = np.array([*self.patch.tilt, 1.0])
+        cosine = np.maximum(way @ (normal / np.linalg.norm(normal)) / far, 0)
+        radiance = self.patch.reflectance / np.pi * cosine * (view.lamp / far) ** 2
+        here = np.s_[row : row + height, column : column + width]
+        electrons[here] = exposure * radiance * sensitivity[here]
 
 
 def _channels(shape, sensor):
@@ -286,9 +336,15 @@ def _settings(view, sensor, faults, distances, distance_std, pattern, motion):
     }
     if pattern.kind:
         settings["reference"] = {"kind": pattern.kind, "region_px": list(pattern.region)}
-        if pattern.kind == "diffuse":
-            settings["reference"]["reflectance"] = [0.98, 0.003]
     return settings
+
+
+def _stated_patch(patch, rng, radius=25.0):
+    return {
+        "reflectance": [patch.reflectance + patch.reflectance_std * rng.standard_normal(), patch.reflectance_std],
+        "depth_mm": [radius * (patch.depth + patch.depth_std * rng.standard_normal()), radius * patch.depth_std],
+        "tilt_std_deg": float(np.degrees(patch.tilt_std)),
+    }
 
 
 def _listed(value):

@@ -23,8 +23,9 @@ class BracketSample(NamedTuple):
         codes: their codes as read, float32 (k, n), DN.
         light: the same without dark, float32 (k, n), DN.
         around: mean of the neighbours in each exposure without dark, float32 (k, n), DN.
-        reference: mean of the reference region in each exposure without dark, (k,), DN; NaN: none, or clipped.
-        reference_pixels: how many pixels it is the mean of.
+        reference: mean of the reference region in each exposure and channel without dark, (k, channels), DN; NaN: none, or
+            clipped.
+        reference_pixels: how many pixels of each channel it is the mean of, (channels,).
         median: median code of each frame, (k,), DN.
     """
 
@@ -34,8 +35,13 @@ class BracketSample(NamedTuple):
     light: np.ndarray
     around: np.ndarray
     reference: np.ndarray
-    reference_pixels: int
+    reference_pixels: np.ndarray
     median: np.ndarray
+
+    @property
+    def reference_total(self) -> np.ndarray:
+        """Return the sum over the reference region in each exposure, (k,), DN; NaN: none, or clipped."""
+        return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
 
 def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
@@ -47,12 +53,13 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
     """
     padded = np.pad(light, step, mode="reflect" if min(light.shape) > step else "edge")
     height, width = light.shape
-    total = np.zeros_like(light)
-    for row in (0, step, 2 * step):
-        for column in (0, step, 2 * step):
-            if (row, column) != (step, step):
-                total += padded[row : row + height, column : column + width]
-    return total / 8
+    rows = padded[:height] + padded[step : step + height]
+    rows += padded[2 * step :]
+    total = rows[:, :width] + rows[:, step : step + width]
+    total += rows[:, 2 * step :]
+    total -= light
+    total /= 8
+    return np.asarray(total)
 
 
 def noise_correlation(light: np.ndarray, around: np.ndarray, noise: float) -> tuple[float, float]:

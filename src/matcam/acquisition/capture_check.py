@@ -17,7 +17,8 @@ from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture, CaptureFrame, LampGuess
+from matcam.files.capture import Capture
+from matcam.files.capture_frames import CaptureFrame, LampGuess
 
 _WHOLE = 4
 """Lamp positions of which all exposures are read."""

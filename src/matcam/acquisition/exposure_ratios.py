@@ -264,11 +264,12 @@ def _groups(
             one_count[:, k] = np.bincount(place, use[i], len(names))
         sums.append(one_sum)
         counts.append(one_count)
-        good = np.isfinite(sample.reference)
+        reference = sample.reference_total
+        good = np.isfinite(reference)
         if good.sum() > 1:
             one_sum, one_count = np.zeros((1, len(exposures))), np.zeros((1, len(exposures)))
-            one_sum[0, sample.exposures[good]] = sample.reference[good] * sample.reference_pixels
-            one_count[0, sample.exposures[good]] = sample.reference_pixels
+            one_sum[0, sample.exposures[good]] = reference[good]
+            one_count[0, sample.exposures[good]] = sample.reference_pixels.sum()
             sums.append(one_sum)
             counts.append(one_count)
     all_sums, all_counts = np.concatenate(sums), np.concatenate(counts)

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from matcam.acquisition.bracket_sample import same_colour_neighbours
+from matcam.acquisition.light.bracket_reading import in_order
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
@@ -28,17 +29,18 @@ _BRIGHT = 30.0
 
 
 def merge(
-    capture: Capture, region: Region | None = None, progress: Progress | None = None
+    capture: Capture, region: Region | None = None, progress: Progress | None = None, *, workers: int = 1
 ) -> tuple[list[MergedPicture], Radiometry]:
     """Measure a capture's radiometry, and merge the exposures of every lamp position.
 
-    One lamp position is in memory at a time.
+    The frames of as many lamp positions as there are workers are in memory at a time.
 
     Args:
         capture: where the frames lie.
         region: first column, first row, width, height of the part that is used, px; the first two even. None: the capture's
             own, or all. Default: None.
         progress: called after each lamp position of both passes. Default: None.
+        workers: lamp positions that are read at a time. Default: 1.
 
     Returns:
         The merged pictures in the order of the lamps, and the radiometry.
@@ -46,25 +48,25 @@ def merge(
     Raises:
         FitError: no lamp position has a frame that can be read.
     """
-    radiometry = measure_radiometry(capture, region, progress)
+    radiometry = measure_radiometry(capture, region, progress, workers=workers)
     pictures = []
-    for number, picture in enumerate(merged_pictures(capture, radiometry)):
+    for number, picture in enumerate(merged_pictures(capture, radiometry, workers)):
         pictures.append(picture)
         if progress:
             progress("merging", number + 1, len(radiometry.used))
     return pictures, radiometry
 
 
-def merged_pictures(capture: Capture, radiometry: Radiometry) -> Iterator[MergedPicture]:
+def merged_pictures(capture: Capture, radiometry: Radiometry, workers: int = 1) -> Iterator[MergedPicture]:
     """Yield the merged picture of each lamp position, one at a time.
 
     Args:
         capture: where the frames lie.
         radiometry: what their codes mean, as from `measure_radiometry`.
+        workers: lamp positions that are merged at a time. Default: 1.
     """
     reader = MosaicReader(capture)
-    for lamp in radiometry.used:
-        yield merge_position(capture, lamp, radiometry, reader)
+    yield from in_order(lambda lamp: merge_position(capture, lamp, radiometry, reader), list(radiometry.used), workers)
 
 
 def merge_position(
@@ -106,10 +108,17 @@ def merge_position(
     flux = np.where(none, floor, flux)
     variance = np.where(none, (gain * floor * relative[0] + noise**2) / relative[0] ** 2, variance)
     values, std = (flux / gain).astype(np.float32), (np.sqrt(variance) / gain).astype(np.float32)
+    flat = radiometry.flat
+    channel = reader.channel_map(
+        (values.shape[0], values.shape[1]), (0, 0) if region is None else (region[1], region[0])
+    )
+    if flat is not None:
+        values, std = values / flat.response, std / flat.response
+        std = np.hypot(std, values * flat.std.astype(np.float32)[channel])
+        hot |= np.isnan(flat.response)
     values[hot], std[hot] = np.nan, np.nan
     origin = (0, 0) if region is None else (region[1], region[0])
-    shape = (values.shape[0], values.shape[1])
-    return MergedPicture(lamp, values, std, none & ~hot, reader.channel_map(shape, origin), radiometry.channels, origin)
+    return MergedPicture(lamp, values, std, none & ~hot, channel, radiometry.channels, origin)
 
 
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
@@ -121,7 +130,11 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
     noise = radiometry.read_noise.value
     gain = radiometry.gain.value if math.isfinite(radiometry.gain.value) else 1.0
     total, count = 0.0, 0
-    steep = np.nan_to_num(picture.values) * gain
+    flat, std = radiometry.flat, picture.std
+    response = np.ones_like(std) if flat is None else np.nan_to_num(flat.response)
+    if flat is not None:  # what is not known of the pixels is common to all exposures
+        std = np.sqrt(np.maximum(std**2 - (picture.values * flat.std[picture.channel]) ** 2, 0))
+    steep = np.nan_to_num(picture.values) * response * gain
     for frame in radiometry.used[lamp]:
         relative = radiometry.exposures[frame.exposure].value
         dark = radiometry.darkness[frame.exposure].level
@@ -131,7 +144,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
         rest = (code - dark)[good] - mean[good]
         # the mean contains this frame: its share of the information is no residual
-        own = (gain * mean[good] + noise**2) - (relative * picture.std[good] * gain) ** 2
+        own = (gain * mean[good] + noise**2) - (relative * (std * response)[good] * gain) ** 2
         kept = own > 0.05 * (gain * mean[good] + noise**2)
         total += float(np.sum(rest[kept] ** 2 / own[kept]))
         count += int(kept.sum())
@@ -174,19 +187,23 @@ def _usable(
 def _weighted(
     light: list[np.ndarray], use: np.ndarray, relative: np.ndarray, gain: float, noise: float, step: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the flux of every pixel (DN at the reference exposure) and its variance."""
-    top, under = np.zeros(light[0].shape), np.zeros(light[0].shape)
-    for one, d, e in zip(use, light, relative, strict=True):
-        top += np.where(one, d, 0)
-        under += np.where(one, e, 0)
+    """Return the flux of every pixel (DN at the reference exposure) and its variance, float32."""
+    top, under, own = (np.zeros(light[0].shape, np.float32) for _ in range(3))
+    for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):
+        top += np.multiply(d, one, out=own)
+        under += np.multiply(one, e, out=own)
     flux = top / np.maximum(under, 1e-30)
     # a dim pixel's own noise would weigh against what made it bright: its neighbours say what variance to expect
     around = same_colour_neighbours(flux, step)
-    flux = np.maximum(np.where(around * relative[-1] < _DIM * noise, around, flux), 0)
-    top, information = np.zeros(light[0].shape), np.zeros(light[0].shape)
-    for one, d, e in zip(use, light, relative, strict=True):
-        weight = np.where(one, e / (gain * e * flux + noise**2), 0)
-        top += weight * d
-        information += weight * e
-    flux = top / np.maximum(information, 1e-30)
-    return flux, 1 / np.maximum(information, 1e-30)
+    flux = np.maximum(np.where(around * np.float32(relative[-1]) < _DIM * noise, around, flux), 0)
+    top[:], under[:] = 0, 0
+    for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):
+        np.multiply(flux, np.float32(gain) * e, out=own)
+        own += np.float32(noise**2)
+        weight = np.divide(e, own, out=own)
+        weight *= one
+        under += weight * e
+        weight *= d
+        top += weight
+    np.maximum(under, 1e-30, out=under)
+    return top / under, 1 / under

@@ -12,7 +12,8 @@ import numpy as np
 
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture, CaptureFrame, Region
+from matcam.files.capture import Capture, Region
+from matcam.files.capture_frames import CaptureFrame
 from matcam.files.photographs import Photograph
 from matcam.files.tone_curve import decoded
 

@@ -52,7 +52,7 @@ class PinholeTable:
         ball: MirrorBall,
         lamp: np.ndarray,
         lamp_distance: float = np.inf,
-        irradiance: float = 1.0,
+        irradiance: float | np.ndarray = 1.0,
     ) -> None:
         """Add the pixels of one picture. Clipped ones are counted and left out.
 
@@ -61,7 +61,8 @@ class PinholeTable:
             ball: the sphere in this frame.
             lamp: direction from the sphere's centre (3,): x right, y up, z to the camera.
             lamp_distance: of the lamp from the centre, radii. Default: infinite.
-            irradiance: at the sphere's centre, across the light: value of a pixel over BRDF and cosine. Default: 1.
+            irradiance: at the sphere's centre, across the light: value of a pixel over BRDF and cosine; one number, or one for
+                each channel. Default: 1.
         """
         if picture.channels != self.channels:
             raise ArgumentError(f"{picture.name}: its colours are {picture.channels}; the table takes {self.channels}")
@@ -81,7 +82,8 @@ class PinholeTable:
             seen = np.isfinite(normals[..., 0]) & (cos_i > self.least) & (cos_o > self.least)
         self.clipped += int(np.count_nonzero(seen & clipped))
         seen &= np.isfinite(values) & ~clipped
-        brdf = values[seen] * far[seen] ** 2 / (cos_i[seen] * irradiance)
+        light_of = np.broadcast_to(np.asarray(irradiance, float), len(self.channels))[channel[seen]]
+        brdf = values[seen] * far[seen] ** 2 / (cos_i[seen] * light_of)
         cells = self._cells(normals[seen], light[seen], view[seen])
         for k in range(len(self.channels)):
             of = channel[seen] == k

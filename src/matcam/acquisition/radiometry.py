@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
+from matcam.acquisition.bracket_sample import BracketSample
 from matcam.acquisition.darkness import Darkness, measure_darkness
 from matcam.acquisition.exposure_ratios import (
     ClipLevel,
@@ -25,20 +25,22 @@ from matcam.acquisition.exposure_ratios import (
     fit_ratios,
     measure_clip_level,
 )
+from matcam.acquisition.light.bracket_reading import BracketReading, in_order
+from matcam.acquisition.light.flat_field import FlatField, measure_flat
+from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import clip_remarks, correlation_remarks, exposure_remarks, linearity_remarks
+from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
-from matcam.core.remark import Remark
-from matcam.files.capture import Capture, CaptureFrame, Region, Stated
+from matcam.core.remark import Remark, some_of
+from matcam.files.capture import Capture, Region, Stated
+from matcam.files.capture_frames import CaptureFrame
 
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how many of it, and of how many."""
 
 _ROUNDING = 1 / 12
 """Variance of a rounded code, DN^2."""
-_GRAZING = 0.2
-"""Cosine below which a diffuse reference is not used."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class Radiometry:
         read_noise: DN, with standard deviation.
         lamp_output: light of each lamp position by the reference, relative to their mean, with standard deviation; NaN where
             there is no reference. Merged values are not divided by it: it is the prior of a picture's gain.
+        reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN where it
+            is clipped.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
         misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
@@ -62,6 +66,7 @@ class Radiometry:
         channels: names of the colours.
         region: part of the frames that is used; None: all of it.
         remarks: what a reader should know, frames named.
+        flat: how evenly the pixels see; None: there are no flat frames.
     """
 
     exposures: dict[str, Stated]
@@ -70,6 +75,7 @@ class Radiometry:
     gain: Stated
     read_noise: Stated
     lamp_output: dict[str, Stated]
+    reference_light: dict[str, tuple[Stated, ...]]
     linearity: np.ndarray
     misfit: float
     darkness: dict[str, Darkness]
@@ -77,6 +83,7 @@ class Radiometry:
     channels: tuple[str, ...]
     region: Region | None = None
     remarks: tuple[Remark, ...] = field(default=())
+    flat: FlatField | None = None
 
     @property
     def clip_level(self) -> float:
@@ -101,6 +108,7 @@ class Radiometry:
             "linearity": self.linearity.tolist(),
             "misfit": self.misfit,
             "channels": list(self.channels),
+            "flat": None if self.flat is None else {"frames": self.flat.frames, "prnu": self.flat.prnu},
             "remarks": [remark.to_dict() for remark in self.remarks],
         }
 
@@ -127,6 +135,8 @@ def measure_radiometry(
     region: Region | None = None,
     progress: Progress | None = None,
     lamps: Sequence[str] | None = None,
+    *,
+    workers: int = 1,
 ) -> Radiometry:
     """Measure what the codes of a capture's frames mean.
 
@@ -136,6 +146,7 @@ def measure_radiometry(
             own, or all. Default: None.
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
+        workers: lamp positions that are read at a time. Default: 1.
 
     Returns:
         The radiometry; frames that cannot be used are named in its remarks.
@@ -146,30 +157,33 @@ def measure_radiometry(
     region = capture.region if region is None else region
     reader, remarks = MosaicReader(capture), list(capture.problems)
     names = capture.exposures
-    shapes: dict[str, tuple[int, ...]] = {}
     levels = _frame_levels(capture, reader, region, names)
-    darkness, found = measure_darkness(reader, capture, region, names, levels)
-    remarks += found
+    darkness, said = measure_darkness(reader, capture, region, names, levels)
+    remarks += said
     noise = _read_noise(darkness)
-    step = 1 if reader.cfa is None else 2
     samples: list[BracketSample] = []
+    missing: dict[tuple[str, ...], list[str]] = {}
     used: dict[str, tuple[CaptureFrame, ...]] = {}
     largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
-    for number, lamp in enumerate(wanted):
-        bracket = _bracket(capture, reader, region, lamp, names, shapes, remarks)
-        if progress:
-            progress("radiometry", number + 1, len(wanted))
-        if not bracket:
-            continue
-        used[lamp] = tuple(frame for frame, _ in bracket)
-        largest = max(largest, *(float(codes.max()) for _, codes in bracket))
-        smallest = min(smallest, *(float(codes.min()) for _, codes in bracket))
-        samples.append(_sample(capture, reader, lamp, bracket, names, darkness, noise, step, number))
-        if number == 0:
-            frame, codes = bracket[0]
-            light = codes - np.asarray(darkness[frame.exposure].level, np.float32)
-            remarks += correlation_remarks(capture.folder / frame.file, light, step, noise)
+    reading = BracketReading(capture, reader, region, names, darkness, noise)
+    say = progress or (lambda step, done, total: None)
+    for number, found in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
+        remarks += found.remarks
+        if found.lacking:
+            missing.setdefault(found.lacking, []).append(wanted[number])
+        if found.sample is not None:
+            used[wanted[number]] = found.used
+            largest, smallest = max(largest, found.largest), min(smallest, found.smallest)
+            samples.append(found.sample)
+        say("radiometry", number + 1, len(wanted))
+    remarks += [
+        Remark(
+            "missing-frame",
+            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}",
+        )
+        for lacking, of in missing.items()
+    ]
     if not samples:
         raise FitError(
             f"{capture.folder}: no frame of any lamp position can be read: {remarks[0] if remarks else 'see frames.csv'}"
@@ -208,7 +222,13 @@ def measure_radiometry(
     remarks += exposure_remarks(names, ratios, nominal)
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)
-    output = _lamp_output(capture, samples, value, gain, noise)
+    output = lamp_output(capture, samples, value, gain, noise)
+    scale = gain.value if math.isfinite(gain.value) else 1.0
+    flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
+    remarks += said
+    seen = reference_light(
+        samples, value, gain, noise, np.ones(len(reader.channels)) if flat is None else flat.reference
+    )
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -216,6 +236,7 @@ def measure_radiometry(
         gain,
         Stated(noise, noise * _noise_error(darkness)),
         output,
+        seen,
         ratios.curve,
         ratios.misfit,
         darkness,
@@ -223,6 +244,7 @@ def measure_radiometry(
         reader.channels,
         region,
         tuple(remarks),
+        flat,
     )
 
 
@@ -239,93 +261,6 @@ def _frame_levels(
                 continue
             break
     return found
-
-
-def _bracket(
-    capture: Capture,
-    reader: MosaicReader,
-    region: Region | None,
-    lamp: str,
-    names: Sequence[str],
-    shapes: dict[str, tuple[int, ...]],
-    remarks: list[Remark],
-) -> list[tuple[CaptureFrame, np.ndarray]]:
-    """Return the frames of one lamp position that can be used, with their codes, in the order of `names`."""
-    found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
-    for frame in capture.of("frames", lamp=lamp):
-        path = capture.folder / frame.file
-        if frame.exposure in found:
-            text = f"{path}: is a second frame of lamp {lamp}, exposure {frame.exposure}; it was left out"
-            remarks.append(Remark("extra-frame", text))
-            continue
-        try:
-            codes = reader.read(frame, region)
-        except FileFormatError as error:
-            remarks.append(Remark("bad-frame", str(error)))
-            continue
-        shape = shapes.setdefault("frames", codes.shape)
-        if codes.shape != shape:
-            text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the frames before {shape[1]} x {shape[0]}"
-            remarks.append(Remark("other-size", f"{text}; it was left out"))
-            continue
-        if not np.isfinite(codes).all():
-            remarks.append(Remark("bad-frame", f"{path}: holds values that are not finite; it was left out"))
-            continue
-        found[frame.exposure] = frame, codes
-    missing = [name for name in names if name not in found]
-    if missing:
-        text = f"lamp {lamp} has no usable frame of exposure {', '.join(missing)}"
-        remarks.append(Remark("missing-frame", text))
-    return [found[name] for name in names if name in found]
-
-
-def _sample(
-    capture: Capture,
-    reader: MosaicReader,
-    lamp: str,
-    bracket: list[tuple[CaptureFrame, np.ndarray]],
-    names: Sequence[str],
-    darkness: dict[str, Darkness],
-    noise: float,
-    step: int,
-    seed: int,
-) -> BracketSample:
-    hot = np.zeros(bracket[0][1].shape, bool)
-    around, light = [], []
-    for frame, codes in bracket:
-        dark = darkness[frame.exposure]
-        if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
-            hot |= dark.hot
-        light.append(codes - np.asarray(dark.level, np.float32))
-        around.append(same_colour_neighbours(light[-1], step).ravel())
-    neighbours = np.stack(around)
-    neighbours[:, hot.ravel()] = 0
-    order = np.argsort(neighbours.mean(1))
-    chosen = choose_pixels(neighbours[order], noise, seed)
-    reference, pixels = np.full(len(bracket), np.nan), 0
-    if capture.reference_region is not None:
-        for i, (frame, _) in enumerate(bracket):
-            level = darkness[frame.exposure].level
-            patch = reader.read(frame, capture.reference_region)
-            base = float(np.mean(level))
-            pixels = patch.size
-            reference[i] = (
-                float(patch.mean(dtype=np.float64)) - base if patch.max() < 0.9 * _ceiling(bracket) else np.nan
-            )
-    return BracketSample(
-        lamp,
-        np.array([list(names).index(frame.exposure) for frame, _ in bracket]),
-        np.stack([codes.ravel()[chosen] for _, codes in bracket]),
-        np.stack([one.ravel()[chosen] for one in light]),
-        neighbours[:, chosen],
-        reference,
-        pixels,
-        np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
-    )
-
-
-def _ceiling(bracket: list[tuple[CaptureFrame, np.ndarray]]) -> float:
-    return max(float(codes.max()) for _, codes in bracket)
 
 
 def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
@@ -378,37 +313,3 @@ def _gain_without_brackets(
         Remark("gain-unknown", "the frames do not determine the gain, and no profile states it: 1 DN per electron")
     )
     return Stated(float("nan"), float("inf"))
-
-
-def _lamp_output(
-    capture: Capture, samples: Sequence[BracketSample], exposures: np.ndarray, gain: Stated, noise: float
-) -> dict[str, Stated]:
-    """Return the lamps' light by the reference, relative to its mean."""
-    diffuse = capture.settings["reference"] is not None and capture.settings["reference"]["kind"] == "diffuse"
-    found: dict[str, Stated] = {}
-    scale = gain.value if math.isfinite(gain.value) else 1.0
-    for sample in samples:
-        good = np.isfinite(sample.reference)
-        value, std = math.nan, math.nan
-        if good.any() and sample.reference_pixels:
-            relative = exposures[sample.exposures[good]]
-            light, pixels = sample.reference[good], sample.reference_pixels
-            value = float(light.sum() / relative.sum())
-            std = math.sqrt(float(np.sum(np.maximum(light, 0) * scale + noise**2)) / pixels) / float(relative.sum())
-            if diffuse:  # a white patch that faces the camera
-                angle = capture.lamps[sample.lamp].angle
-                cosine = math.cos(angle)
-                if not cosine > _GRAZING:
-                    value = math.nan
-                else:
-                    value, std = value / cosine, std / cosine
-                    std = math.hypot(std, value * math.tan(angle) * capture.direction_std)
-            if not value > 3 * std:
-                value = math.nan
-        found[sample.lamp] = Stated(value, std)
-    known = [v.value for v in found.values() if math.isfinite(v.value)]
-    mean = float(np.mean(known)) if known else math.nan
-    return {
-        lamp: Stated(v.value / mean, v.std / mean) if math.isfinite(v.value) else Stated(math.nan, math.nan)
-        for lamp, v in found.items()
-    }

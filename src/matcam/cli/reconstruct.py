@@ -102,12 +102,11 @@ def _print(result: Any, document: dict[str, Any]) -> None:
         [(name, f"{value:.5g}", f"{std:.2g}") for name, (value, std) in result.parameters.items()],
     )
     budget = result.budget
+    columns = [("ratio", "F at grazing, %"), ("level", "absolute F, %"), ("roughness", "roughness, %")]
+    columns = [column for column in columns if column[0] in budget["total"]]
     show.table(
-        ("source of error", "F at grazing, %", "roughness, %"),
-        [
-            (source, f"{100 * parts['ratio']:.2g}", f"{100 * parts['roughness']:.2g}")
-            for source, parts in budget.items()
-        ],
+        ("source of error", *(words for _, words in columns)),
+        [(source, *(f"{100 * parts[key]:.2g}" for key, _ in columns)) for source, parts in budget.items()],
     )
     show.say(document["verdict"])
     for one in document["remarks"]:

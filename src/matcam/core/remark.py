@@ -33,6 +33,25 @@ class Remark(NamedTuple):
         return {"code": self.code, "text": self.text}
 
 
+def some_of(names: Iterable[str], most: int = 6) -> str:
+    """Name things in one line, the first of them where they are many.
+
+    Args:
+        names: of the things.
+        most: how many are named at most, no unit. Default: 6.
+
+    Returns:
+        "a, b and 3 more", or "a, b".
+
+    Example:
+        >>> some_of(["a.tif", "b.tif", "c.tif", "d.tif"], most=2)
+        'a.tif, b.tif and 2 more'
+    """
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
+
+
 def texts(remarks: Iterable[Remark]) -> list[str]:
     """Return the remarks' texts.
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _SHOWN = 18  # pictures whose highlights are drawn
 _BUDGET = (
     ("ratio", "F at grazing angles over F at 10 to 45°, %", 100.0),
+    ("level", "F at 10 to 45°, absolute, %", 100.0),
     ("roughness", "roughness, %", 100.0),
     ("radius_px", "outline's radius, px", 1.0),
     ("lens", "lens, %", 100.0),
@@ -56,14 +57,15 @@ def write_reconstruction_page(
     ]
     if overview is not None:
         figures.insert(0, ("Outline and highlights that were found", overview_figure(result, overview)))
+    columns = [column for column in _BUDGET if column[0] in result.budget["total"]]
     content = {
         "name": name,
         "verdict": result.verdict,
         "remarks": texts(result.remarks),
         "parameters": [(key, *pair) for key, pair in result.parameters.items()],
-        "budget_columns": [words for _, words, _ in _BUDGET],
+        "budget_columns": [words for _, words, _ in columns],
         "budget": [
-            (source, [scale * parts[key] for key, _, scale in _BUDGET]) for source, parts in result.budget.items()
+            (source, [scale * parts[key] for key, _, scale in columns]) for source, parts in result.budget.items()
         ],
         "lobes": list(result.tried.items()),
         "not_determined": [(*one.names, one.correlation) for one in result.not_determined],
@@ -111,8 +113,9 @@ def reflectance_figure(result: Reconstruction) -> Figure:
     """Draw the strength of every picture with its error, and the curve through them, for each channel."""
     fit = result.fit
     theta = fit.solution.theta_d
-    strengths = fit.strengths / result.unit.value
-    std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / result.unit.value
+    units = np.array([one.value for one in result.units])
+    strengths = fit.strengths / units
+    std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / units
     fine = np.linspace(theta.min(), theta.max(), 200)
     with styled():
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
@@ -121,9 +124,9 @@ def reflectance_figure(result: Reconstruction) -> Figure:
             axes.errorbar(
                 np.degrees(theta), strengths[:, c], std[:, c], color=colour, fmt="o", ms=4, label=f"{channel}, ± 1 std"
             )
-            axes.plot(np.degrees(fine), result.curves[c].at(fine) / result.unit.value, color=colour, lw=1.2)
+            axes.plot(np.degrees(fine), result.curves[c].at(fine) / units[c], color=colour, lw=1.2)
         degrees_axis(axes, r"difference angle $\theta_d$")
-        axes.set_ylabel("F [-]" if np.isfinite(result.unit.std) else "F, relative [-]")
+        axes.set_ylabel("F [-]" if result.absolute else "F, relative [-]")
         axes.set_ylim(0, None)
         axes.legend(loc="lower left")
     return figure

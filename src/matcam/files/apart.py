@@ -44,19 +44,23 @@ _KINDS = "biufcSU"
 """NumPy's kinds of numbers and text that an answer may hold."""
 _LONGEST_ANSWER = 64 << 20  # bytes of JSON
 _SECONDS, _BYTES_A_SECOND = 10.0, 20e6
-"""Time that a file may take to be decoded: so many seconds, and one more for so many bytes."""
+"""Processor time that a file may take to be decoded: so many seconds, and one more for so many bytes."""
+_PATIENCE = 30.0
+"""Wall-clock time over processor time: a busy machine or a slow disk is no fault of the file."""
 
 
 class Limits(NamedTuple):
     """Say what reading one file may cost.
 
     Attributes:
-        seconds: wall-clock time; None: 10 s, and 1 s more for every 20 MB of the file. Default: None.
+        seconds: processor time; None: 10 s, and 1 s more for every 20 MB of the file. Default: None.
         memory: bytes beyond what the decoder's process has at its start; None: half of what is available now. Default: None.
+        wall: wall-clock time, s; None: 30 times the processor time. Default: None.
     """
 
     seconds: float | None = None
     memory: int | None = None
+    wall: float | None = None
 
 
 _NORMAL = Limits()
@@ -102,11 +106,12 @@ def read_apart(decoder: str, path: Path, *, libraries: tuple[str, ...] = (), **o
     if seconds is None:
         with reading(path):
             seconds = _SECONDS + path.stat().st_size / _BYTES_A_SECOND
+    wall = _PATIENCE * seconds if limits.wall is None else limits.wall
     # half at most: this process will hold the answer too, and work on it
     memory = limits.memory if limits.memory is not None else available_memory() // 2
     folder = path.anchor or str(Path.cwd())
     request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options,
-               "seconds": seconds, "memory": memory, "libraries": libraries}  # fmt: skip
+               "seconds": seconds, "wall": wall, "memory": memory, "libraries": libraries}  # fmt: skip
     begin = time.monotonic()
     try:
         if not _CAN_FORK:
@@ -115,11 +120,16 @@ def read_apart(decoder: str, path: Path, *, libraries: tuple[str, ...] = (), **o
         with ours:
             with theirs:
                 _nursery.send(request, theirs)
-            return _answer(_from_socket(ours, begin + seconds + 1.0), path, memory)
+            return _answer(_from_socket(ours, begin + wall + 1.0), path, memory)
     except EOFError:
-        if time.monotonic() - begin >= seconds:
+        taken = time.monotonic() - begin
+        if taken >= wall:
             raise FileFormatError(
-                f"{path}: reading takes more than {seconds:.3g} s: damaged, or made to be slow"
+                f"{path}: reading takes more than {wall:.3g} s: damaged, or on a disk that does not answer"
+            ) from None
+        if taken >= seconds:
+            raise FileFormatError(
+                f"{path}: reading takes more than {seconds:.3g} s of processor time: damaged, or made to be slow"
             ) from None
         raise FileFormatError(
             f"{path}: damaged: its decoder crashed, or needs more than {memory / 2**20:.0f} MiB"
@@ -216,7 +226,7 @@ def _from_process(request: dict[str, Any]) -> Callable[[int], bytearray]:
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], input=json.dumps(request).encode(), stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, timeout=request["seconds"] + 5.0, env=_environment(), check=False,
+            stderr=subprocess.DEVNULL, timeout=request["wall"] + 5.0, env=_environment(), check=False,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise EOFError from None
@@ -244,7 +254,7 @@ def _written(write: Callable[[Any], Any], message: dict[str, Any], arrays: list[
 
 def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     """Decode one file under its limits, and write the answer."""
-    _limit(request["seconds"], request["memory"])
+    _limit(request["seconds"], request["wall"], request["memory"])
     arrays: list[np.ndarray] = []
     try:
         os.chdir(request["folder"])  # the caller's: messages name the file as it does
@@ -261,14 +271,18 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     _written(write, message, arrays)
 
 
-def _limit(seconds: float, memory: int) -> None:
+def _limit(seconds: float, wall: float, memory: int) -> None:
     try:
         import resource
         import signal
     except ImportError:  # not a Unix: the reader of the answer kills this process
         return
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    for timer, number, limit in (
+        (signal.ITIMER_PROF, signal.SIGPROF, seconds),
+        (signal.ITIMER_REAL, signal.SIGALRM, wall),
+    ):
+        signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(timer, limit)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # a decoder writes nothing
     if sys.platform == "linux":

@@ -30,7 +30,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat,
 from matcam.core.errors import FileFormatError
 from matcam.core.io import checked_version, first_problem, reading
 from matcam.core.registry import CFAS
-from matcam.core.remark import Remark
+from matcam.core.remark import Remark, some_of
+from matcam.files.capture_frames import CaptureFrame, LampGuess
 from matcam.files.photographs import PICTURES, Photograph, open_photograph
 
 FORMAT, VERSION = "matcam capture", 1
@@ -75,6 +76,7 @@ def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJs
 _Positive = Annotated[list[float], *_stated(1e-12)]
 _Share = Annotated[list[float], *_stated(0.0, 1.0)]
 _NotNegative = Annotated[list[float], *_stated(0.0)]
+_Either = Annotated[list[float], *_stated(-1e6)]
 _Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
 
 
@@ -112,6 +114,8 @@ class _LampSection(_Strict):
 class _Reference(_Strict):
     kind: Literal["diffuse", "monitor"]
     reflectance: _Share | None = None
+    depth_mm: _Either | None = None
+    tilt_std_deg: Annotated[FiniteFloat, Field(ge=0, le=45)] = 1.0
     region_px: _Box | None = None
 
 
@@ -128,42 +132,6 @@ class _Settings(_Strict):
     lamp: _LampSection = _LampSection()
     reference: _Reference | None = None
     outline: _Outline = _Outline()
-
-
-class CaptureFrame(NamedTuple):
-    """Name one picture of a capture.
-
-    Attributes:
-        file: name inside the folder, such as "frames/L05_E2.tif".
-        kind: "frames", "dark", "flat", "outline" or "reference": the folder in which it lies.
-        lamp: the lamp position; empty where there is none.
-        exposure: which exposure; pictures of one exposure share their time.
-        time: nominal exposure time, s; NaN: not stated.
-    """
-
-    file: str
-    kind: str
-    lamp: str
-    exposure: str
-    time: float
-
-
-class LampGuess(NamedTuple):
-    """State where a lamp position is thought to be, seen from the sample's centre.
-
-    Attributes:
-        angle: between lamp and optical axis, rad; NaN: not stated.
-        azimuth: about the axis from +x (right) towards +y (up), rad; NaN: not stated.
-    """
-
-    angle: float
-    azimuth: float
-
-    @property
-    def direction(self) -> np.ndarray:
-        """Return the unit vector (x, y, z) to the lamp; NaN where an angle is not stated."""
-        sin = math.sin(self.angle)
-        return np.array([sin * math.cos(self.azimuth), sin * math.sin(self.azimuth), math.cos(self.angle)])
 
 
 @dataclass(frozen=True)
@@ -366,6 +334,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     lamps: dict[str, LampGuess] = {}
     problems: list[Remark] = []
     seen: set[str] = set()
+    absent: list[str] = []
     header = lines[0][1]
     for number, cells in lines[1:]:
         if len(cells) != len(COLUMNS):
@@ -375,14 +344,21 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             continue
         row = dict(zip(header, cells, strict=True))
         try:
-            frame, guess = _frame(folder, row, seen, lamps)
+            found = _frame(folder, row, seen, lamps)
         except FileFormatError as error:
             problems.append(Remark("bad-frame", f"{error} (line {number} of {LIST})"))
             continue
+        if found is None:
+            absent.append(row["file"])
+            continue
+        frame, guess = found
         seen.add(frame.file)
         frames.append(frame)
         if frame.lamp and guess is not None:
             lamps[frame.lamp] = guess
+    if absent:
+        where = folder / absent[0] if len(absent) == 1 else f"{folder}: {some_of(absent)}"
+        problems.append(Remark("bad-frame", f"{where}: no such file{'s' * (len(absent) > 1)}, though {LIST} lists it"))
     times: dict[str, float] = {}
     for frame in frames:
         if not math.isnan(frame.time) and frame.time != times.setdefault(frame.exposure, frame.time):
@@ -394,8 +370,8 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
 
 def _frame(
     folder: Path, row: dict[str, str], seen: set[str], lamps: dict[str, LampGuess]
-) -> tuple[CaptureFrame, LampGuess | None]:
-    """Return one line's frame and lamp; FileFormatError where it cannot be used."""
+) -> tuple[CaptureFrame, LampGuess | None] | None:
+    """Return one line's frame and lamp; None where there is no such file, FileFormatError where it cannot be used."""
     name = row["file"]
     if not name or not name.isprintable() or len(name) > 200:
         raise FileFormatError(f"{folder}: frame {name[:40]!r} has no name that is plain text")
@@ -406,7 +382,7 @@ def _frame(
     if name in seen:
         raise FileFormatError(f"{path}: is listed twice")
     if not path.is_file():
-        raise FileFormatError(f"{path}: no such file")
+        return None
     if path.suffix.lower() not in PICTURES:
         raise FileFormatError(f"{path}: is no picture by its suffix")
     values = {}
@@ -437,7 +413,7 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
     """Name the pictures of the folder that frames.csv does not list."""
     listed = {frame.file for frame in frames}
     texts = " ".join(str(problem) for problem in problems)
-    found = []
+    extra: list[str] = []
     for kind in KINDS:
         place = folder / kind
         if not place.is_dir() or not place.resolve().is_relative_to(folder.resolve()):
@@ -445,5 +421,11 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
         for path in sorted(place.iterdir()):
             name = f"{kind}/{path.name}"
             if path.suffix.lower() in PICTURES and name not in listed and str(path) not in texts:
-                found.append(Remark("unlisted-frame", f"{path}: is not listed in {LIST} and was not read"))
-    return found
+                extra.append(name)
+    if not extra:
+        return []
+    if len(extra) == 1:
+        text = f"{folder / extra[0]}: is not listed in {LIST} and was not read"
+    else:
+        text = f"{folder}: {len(extra)} files are not listed in {LIST} and were not read: {some_of(extra)}"
+    return [Remark("unlisted-frame", text)]

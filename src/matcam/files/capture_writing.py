@@ -47,7 +47,8 @@ direction_std_deg = 1.0              # how well angle_deg and azimuth_deg of fra
 
 # [reference]                        # something in every frame whose light is known
 # kind = "diffuse"                   # diffuse: a white patch that faces the camera | monitor: light that follows the lamp's
-# reflectance = [0.98, 0.003]
+# reflectance = [0.98, 0.003]        # of a diffuse one: F is then absolute
+# depth_mm = [0, 2]                  # of a diffuse one: how far it stands before the sphere's centre, towards the camera
 # region_px = [10, 10, 60, 60]       # first column, first row, width, height, in the whole frame
 
 [outline]

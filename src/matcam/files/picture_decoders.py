@@ -30,7 +30,7 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     with path.open("rb") as file:
         start = file.read(_START)
     try:
-        picture = _decoded(path, start, there)
+        picture = _decoded(path, start, there, in_part=region is not None)
     except FileFormatError:
         raise
     except Exception as error:  # decoders raise what they like on damaged files
@@ -46,7 +46,7 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     return cut(picture, region, path)
 
 
-def _decoded(path: Path, start: bytes, there: int) -> np.ndarray:
+def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> np.ndarray:
     if start[:4] in _TIFF:
         import tifffile
 
@@ -62,7 +62,9 @@ def _decoded(path: Path, start: bytes, there: int) -> np.ndarray:
             ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
             if page.nbytes > DEFLATE_LIMIT * size or max(ends, default=0) > size:
                 raise FileFormatError(f"{path}: header says {page.shape}, more than its {size} bytes can hold: damaged")
-            picture = np.asarray(page.asarray())
+            # of a picture that lies in the file as it is, only the pages of the region are read
+            mapped = in_part and page.is_memmappable
+            picture = page.asarray(out="memmap") if mapped else np.asarray(page.asarray())
             planar = page.planarconfig == 2 and picture.ndim == 3
         return np.moveaxis(picture, 0, -1) if planar else picture
     import imagecodecs

@@ -33,6 +33,7 @@ _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xC
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """PNG's colour types."""
 _MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
+_WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
 _ASCII, _LONGEST_TEXT = 2, 200
 _MOST_ENTRIES = 500
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
@@ -121,11 +122,13 @@ class Exif(NamedTuple):
         camera: maker and model; empty if the file does not say.
         f_number: f-number of the picture; None: the file does not say.
         dng: whether the file is a digital negative: camera raw, though it looks like a TIFF.
+        size: width and height that a TIFF's first directory states, px; None: it does not.
     """
 
     camera: str = ""
     f_number: float | None = None
     dng: bool = False
+    size: tuple[int, int] | None = None
 
 
 def read_exif(path: str | Path) -> Exif:
@@ -180,7 +183,17 @@ def _directory(file: BinaryIO, base: int) -> Exif:
         f_number = over / under if over and under else None
     # many models repeat their maker's name
     named = model if model.lower().startswith(make.lower()) else f"{make} {model}"
-    return Exif(named.strip(), f_number, _DNG in first)
+    return Exif(named.strip(), f_number, _DNG in first, _size(first, order))
+
+
+def _size(entries: dict[int, tuple[int, int, bytes]], order: str) -> tuple[int, int] | None:
+    if _WIDTH not in entries or _HEIGHT not in entries:
+        return None
+    width, height = (
+        struct.unpack(order + ("I" if kind == _LONG else "Hxx"), value)[0]
+        for kind, _, value in (entries[_WIDTH], entries[_HEIGHT])
+    )
+    return width, height
 
 
 def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tuple[int, int, bytes]]:

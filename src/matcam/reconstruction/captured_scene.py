@@ -10,6 +10,7 @@ import numpy as np
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import find_highlights, lamp_angles_apart, lamp_from_highlight
+from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
@@ -20,7 +21,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture, CaptureFrame, Region, Stated
+from matcam.files.capture import Capture, Region, Stated
+from matcam.files.capture_frames import CaptureFrame
 from matcam.reconstruction.sphere_scene import Known, SphereScene, lens_std
 
 Progress = Callable[[str, int, int], None]
@@ -34,8 +36,8 @@ _MARGIN = 0.12
 _SHIFT = 0.3
 """px; how far the sphere may move between pictures where its limb does not say."""
 _FEWEST = 3
-_PATCH_DEPTH = 0.5
-"""Radii by which a diffuse reference may stand before or behind the sphere's centre."""
+_SEEN = float(np.radians(0.5))
+"""How well the highlights tell a lamp's direction where its light on a patch is not yet grazing, rad."""
 INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
 """Codes of the remarks on what could not be used."""
 
@@ -51,6 +53,8 @@ class CapturedScene(NamedTuple):
         outline: the sphere's outline.
         left_out: names of the lamp positions that cannot be used.
         remarks: what a reader should know.
+        units: of each channel, value of the pictures per radiance under unit irradiance, with relative standard deviation;
+            None: there is no reference of known reflectance.
     """
 
     pictures: list[MergedPicture]
@@ -60,6 +64,7 @@ class CapturedScene(NamedTuple):
     outline: Outline
     left_out: tuple[str, ...]
     remarks: tuple[Remark, ...]
+    units: tuple[Known, ...] | None = None
 
 
 def captured_scene(capture: Capture, progress: Progress | None = None) -> CapturedScene:
@@ -126,7 +131,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     centres = np.tile([outline.column, outline.row], (len(seen), 1)) if centres is None else centres[seen]
     stated, stds = _stated_lamps(capture, [one.name for one in pictures], lamps, remarks)
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    gain, gain_std = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, far)
+    light = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, lamp_nearness, remarks)
     lamp_radius = _lamp_radius(capture)
     scene = SphereScene(
         camera=camera,
@@ -140,10 +145,17 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
         lamps=stated,
         lamp_std=stds,
         lamp_radius=lamp_radius,
-        gain_std=gain_std,
-        gain=gain,
+        gain_std=np.sqrt(np.diag(light.covariance)),
+        gain=light.gain,
+        gain_correlation=_correlation(light.covariance),
     )
-    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, tuple(dict.fromkeys(remarks)))
+    units = None if light.units is None else tuple(Known(*one) for one in light.units)
+    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, tuple(dict.fromkeys(remarks)), units)
+
+
+def _correlation(covariance: np.ndarray) -> np.ndarray:
+    std = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(std, std))
 
 
 def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
@@ -248,26 +260,54 @@ def _stated_lamps(
 
 
 def _gains(
-    capture: Capture, radiometry: Radiometry, names: Sequence[str], lamps: np.ndarray, ball: MirrorBall, far: float
-) -> tuple[np.ndarray | None, np.ndarray]:
-    """Return each picture's light by the reference and its relative standard deviation; where there is none, what is stated."""
-    drift = float(capture.settings["lamp"]["gain_std"])
+    capture: Capture,
+    radiometry: Radiometry,
+    names: Sequence[str],
+    lamps: np.ndarray,
+    ball: MirrorBall,
+    nearness: Known,
+    remarks: list[Remark],
+) -> PatchLight:
+    """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
+    count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
+    stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
+    reference, region = capture.settings["reference"], capture.reference_region
+    if reference is not None and reference["kind"] == "diffuse" and region is not None:
+        found = patch_light(
+            _patch(capture, region),
+            [radiometry.reference_light[name] for name in names],
+            lamps,
+            ball,
+            Stated(*nearness),
+            lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
+            gain_std=drift,
+            exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
+        )
+        if found is None:
+            text = "the diffuse reference is dark, clipped or lit at grazing in every picture: F is relative"
+            remarks.append(Remark("no-reference", text))
+        elif found.units is None:
+            text = "reference.reflectance is not stated: F is relative"
+            remarks.append(Remark("no-reflectance", text))
+        return found or stated
     output = [radiometry.lamp_output.get(name) for name in names]
-    known = [one is not None and np.isfinite(one.value) and one.value > 0 for one in output]
-    if not any(known):
-        return None, np.full(len(names), drift)
+    known = np.array([one is not None and np.isfinite(one.value) and one.value > 0 for one in output])
+    if not known.any():
+        return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    region = capture.reference_region
-    if capture.settings["reference"]["kind"] == "diffuse" and region is not None and np.isfinite(far):
-        # the radiometry takes the lamp as distant; a near one lights a patch beside the sphere otherwise
-        column, row, width, height = region
-        patch = np.array([column + width / 2 - ball.column, ball.row - row - height / 2, 0.0]) / ball.radius
-        way = lamps - patch / far
-        length = np.linalg.norm(way, axis=1)
-        stated = np.array([capture.lamps[name].direction[2] for name in names])
-        gain /= way[:, 2] / length**3 / np.where(np.isfinite(stated), stated, lamps[:, 2])
-        std = np.hypot(std, 2 * np.abs(lamps[:, 2]) / far * _PATCH_DEPTH)
-    return gain / gain.mean(), np.maximum(std, 1e-5)
+    return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
+
+
+def _patch(capture: Capture, region: Region) -> ReferencePatch:
+    """Return the diffuse reference as the capture states it."""
+    reference, radius = capture.settings["reference"], capture.radius_mm
+    patch = ReferencePatch(region, tilt_std=float(np.radians(reference["tilt_std_deg"])))
+    if reference["reflectance"] is not None:
+        patch = patch._replace(reflectance=Stated(*reference["reflectance"]))
+    if reference["depth_mm"] is not None and radius is not None:
+        depth, std = reference["depth_mm"]
+        patch = patch._replace(depth=Stated(depth / radius.value, std / radius.value))
+    return patch

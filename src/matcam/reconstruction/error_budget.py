@@ -13,6 +13,8 @@ from matcam.reconstruction.sphere_fit import SphereFit
 
 NOISE = "noise"
 """What is left where everything that was stated is exact: photons, read noise, and what the model does not explain."""
+REFERENCE = "reference"
+"""The unit of the pictures' values by a white patch: its reflectance, its place, its noise."""
 _EXACT = 1e6  # a source that is taken as exact has its information multiplied by this
 _APART = 0.95
 """Correlation from which two parameters are not told apart by the pictures."""
@@ -61,16 +63,32 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
         covariance: of that channel's strengths.
         theta_d: angle, rad.
     """
-    seen = fit.solution.theta_d
-    normal = np.array([angle for angle in _NORMAL if seen.min() <= angle <= seen.max()])
-    normal = normal if normal.size else np.array([seen.min()])
-    at = np.append(normal, theta_d)
+    at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
     mean = value[:-1].mean()
     ratio = value[-1] / mean
     row = ratio * (slopes[-1] / value[-1] - slopes[:-1].mean(axis=0) / mean)
     variance = row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row
     return Ratio(theta_d, float(ratio), float(np.sqrt(max(variance, 0.0))))
+
+
+def mean_level_std(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray) -> float:
+    """Return the relative standard deviation of F's mean from 10 to 45 degrees, without that of the unit.
+
+    Args:
+        fit: the fit.
+        curve: F of one channel.
+        covariance: of that channel's strengths.
+    """
+    at = _normal_angles(fit)
+    row = curve.slopes(at).mean(axis=0) / curve.at(at).mean()
+    return float(np.sqrt(max(row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row, 0.0)))
+
+
+def _normal_angles(fit: SphereFit) -> np.ndarray:
+    seen = fit.solution.theta_d
+    normal = np.array([angle for angle in _NORMAL if seen.min() <= angle <= seen.max()])
+    return normal if normal.size else np.array([seen.min()])
 
 
 def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | None = None) -> np.ndarray:
@@ -80,7 +98,9 @@ def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | No
     return whole[np.ix_(pick, pick)]
 
 
-def error_budget(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d: float) -> dict[str, dict[str, float]]:
+def error_budget(
+    fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d: float, unit_std: float = float("nan")
+) -> dict[str, dict[str, float]]:
     """Return how much each source adds to the standard deviation of the results.
 
     A source's part is the root of the variance that would go if what it states were exact.
@@ -90,31 +110,40 @@ def error_budget(fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d:
         curve: F of one channel.
         channel: its index.
         theta_d: angle at which F is judged, rad.
+        unit_std: relative standard deviation of the pictures' unit, by a reference. Default: NaN, F is relative.
 
     Returns:
         Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees, relative),
-        "roughness" (of the logarithm of the lobe's first parameter), "radius_px", "lens" (relative). "total" has all sources.
+        "level" (that mean, relative; only where F is absolute), "roughness" (of the logarithm of the lobe's first parameter),
+        "radius_px", "lens" (relative). "total" has all sources, "reference" is the unit's part.
     """
+    absolute = bool(np.isfinite(unit_std))
     solution = fit.solution
 
     def stds(covariance: np.ndarray) -> dict[str, float]:
         ratio = reflectance_ratio(fit, curve, channel_covariance(fit, channel, covariance), theta_d)
         scene = np.sqrt(np.maximum(np.diag(covariance)[fit.layout.scene], 0))
+        level = {"level": mean_level_std(fit, curve, channel_covariance(fit, channel, covariance))} if absolute else {}
         return {
             "ratio": ratio.std / abs(ratio.value),
+            **level,
             "roughness": float(np.sqrt(max(covariance[0, 0], 0))),
             "radius_px": float(scene[SCENE.index("radius")]),
             "lens": float(scene[SCENE.index("lens")]),
         }
 
     total = stds(solution.covariance)
-    budget = {"total": total}
+    budget = {"total": dict(total)}
+    if absolute:
+        budget["total"]["level"] = float(np.hypot(total["level"], unit_std))
     everything = np.zeros_like(solution.covariance)
     for source in dict.fromkeys(solution.problem.prior_sources):
         change = _EXACT * solution.problem.information_of(source)
         everything += change
         without = stds(solution.covariance_with(change))
         budget[source] = {name: float(np.sqrt(max(total[name] ** 2 - without[name] ** 2, 0.0))) for name in total}
+    if absolute:
+        budget[REFERENCE] = dict.fromkeys(total, 0.0) | {"level": unit_std}
     budget[NOISE] = stds(solution.covariance_with(everything))
     return budget
 

@@ -16,6 +16,7 @@ from matcam.material.material import shading_at
 from matcam.material.microfacet import Microfacet
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.sphere_fit import SphereFit
+from matcam.reconstruction.sphere_scene import Known
 
 _BEYOND = np.radians(2.0)
 """theta_d beyond the pictures' own range up to which an entry may be supported."""
@@ -26,14 +27,14 @@ _ATTRIBUTES = {
 }
 
 
-def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], unit: float, unit_std: float) -> xr.Dataset:
+def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
     """Return the table of a joint fit.
 
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the fit's own unit.
-        unit: values per radiance under unit irradiance: what a strength is divided by to be F.
-        unit_std: its relative standard deviation.
+        units: of each channel, value per radiance under unit irradiance: what a strength is divided by to be F, with relative
+            standard deviation; NaN: F is relative.
 
     Returns:
         Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over the MERL grid. A grey capture has three equal channels.
@@ -48,6 +49,7 @@ def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], unit: flo
     values, stds = [], []
     for channel, curve in enumerate(curves):
         reading = rows[channel :: layout.channels]
+        unit, unit_std = units[channel].value, np.nan_to_num(units[channel].std)
         turn = np.concatenate([np.eye(layout.lobe, layout.size), curve.gain @ reading])
         joint = turn @ solution.covariance @ turn.T
         joint[layout.lobe :, layout.lobe :] += curve.own

@@ -13,13 +13,13 @@ from matcam.acquisition.pinhole_table import PinholeTable
 from matcam.reconstruction.sphere_fit import SphereFit
 
 
-def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, unit: float) -> xr.DataArray:
+def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np.ndarray) -> xr.DataArray:
     """Bin the pixels of all pictures as if the camera were perfect.
 
     Args:
         pictures: in the order of the fit.
         fit: its outline, lamps and distances are used, and each picture's gain.
-        unit: values per radiance under unit irradiance at the sphere's centre.
+        units: of each channel, value per radiance under unit irradiance at the sphere's centre.
 
     Returns:
         A table on the MERL grid, 1/sr, NaN where no pixel fell.
@@ -31,5 +31,5 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, unit: flo
     for k, (picture, direction) in enumerate(zip(pictures, fit.lamps, strict=True)):
         column, row = p[layout.own(k)][:2]
         ball = MirrorBall(float(row), float(column), float(radius), float(distance))
-        table.add(picture, ball, direction, float(far), irradiance=unit * float(np.exp(p[layout.gain(k)])))
+        table.add(picture, ball, direction, float(far), irradiance=units * float(np.exp(p[layout.gain(k)])))
     return table.table()

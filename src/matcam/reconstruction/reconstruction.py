@@ -53,8 +53,8 @@ class Reconstruction:
         pinhole: what binning the same pictures as a perfect camera gives, 1/sr; None: not made.
         fit: the joint fit.
         curves: F of each channel over theta_d.
-        unit: values of the pictures per radiance under unit irradiance, and its relative standard deviation; the latter is NaN
-            where there was no reference: F is then relative.
+        units: of each channel, value of the pictures per radiance under unit irradiance, and its relative standard deviation;
+            the latter is NaN where there was no reference: F is then relative.
         budget: source -> result -> standard deviation.
         not_determined: parameters that the pictures alone do not tell apart.
         tried: unexplained share of the light by lobe.
@@ -66,7 +66,7 @@ class Reconstruction:
     pinhole: xr.DataArray | None
     fit: SphereFit
     curves: tuple[ReflectanceCurve, ...]
-    unit: Known
+    units: tuple[Known, ...]
     budget: dict[str, dict[str, float]]
     not_determined: tuple[Inseparable, ...]
     tried: dict[str, float]
@@ -97,7 +97,8 @@ class Reconstruction:
                 found[f"{name}_{channel}"] = pair
             place = fit.layout.diffuse.start + index
             if not fit.solution.problem.fixed[place]:
-                found[f"diffuse_{channel}"] = float(p[place]) / self.unit.value, float(std[place]) / self.unit.value
+                unit = self.units[index].value
+                found[f"diffuse_{channel}"] = float(p[place]) / unit, float(std[place]) / unit
         return found
 
     @property
@@ -168,7 +169,7 @@ class Reconstruction:
                 f"The pictures alone do not tell {pair.names[0]} from {pair.names[1]} (correlation {pair.correlation:.3f}): "
                 "the result rests on what was stated of it."
             )
-        if not np.isfinite(self.unit.std):
+        if not self.absolute:
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
         return " ".join(words)
 
@@ -178,6 +179,11 @@ class Reconstruction:
         if self.captured is None:
             return []
         return [*self.captured.left_out, *(p.name for p in self.captured.pictures if p.name not in self.fit.names)]
+
+    @property
+    def absolute(self) -> bool:
+        """Say whether F is absolute: a reference of known reflectance stood in the pictures."""
+        return all(np.isfinite(one.std) for one in self.units)
 
     @property
     def complete(self) -> bool:
@@ -196,8 +202,9 @@ class Reconstruction:
             The document described in docs/reconstruct.md.
         """
         fit, solution = self.fit, self.fit.solution
-        strengths = fit.strengths / self.unit.value
-        std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / self.unit.value
+        units = np.array([one.value for one in self.units])
+        strengths = fit.strengths / units
+        std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / units
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -211,7 +218,8 @@ class Reconstruction:
                 "value": strengths.tolist(),
                 "std": std.tolist(),
                 "model": [curve.model for curve in self.curves],
-                "absolute": bool(np.isfinite(self.unit.std)),
+                "absolute": self.absolute,
+                "unit_std": [one.std for one in self.units] if self.absolute else None,
             },
             "budget": self.budget,
             "unexplained": solution.unexplained,
@@ -279,11 +287,14 @@ def reconstruct(
         found.pictures,
         found.scene,
         found.lamps,
+        units=found.units,
         family=ndf,
         masking=masking,
         diffuse=diffuse,
         remarks=found.remarks,
-        pinhole=lambda fit, unit: pinhole_reading([one for one in found.pictures if one.name in fit.names], fit, unit),
+        pinhole=lambda fit, units: pinhole_reading(
+            [one for one in found.pictures if one.name in fit.names], fit, units
+        ),
         progress=lambda line: say(f"fitting ({line})", next(steps), 0),
     )
     return replace(result, captured=found)
@@ -293,13 +304,13 @@ def reconstructed(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
     lamps: np.ndarray,
-    unit: Known | None = None,
+    units: Sequence[Known] | None = None,
     family: str = AUTO,
     *,
     masking: Masking = "smith",
     diffuse: bool = True,
     remarks: Sequence[Remark] = (),
-    pinhole: Callable[[SphereFit, float], xr.DataArray] | None = None,
+    pinhole: Callable[[SphereFit, np.ndarray], xr.DataArray] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Reconstruction:
     """Reconstruct a material from merged pictures whose geometry is roughly known.
@@ -308,7 +319,8 @@ def reconstructed(
         pictures: merged pictures, one per lamp position.
         scene: what is known of camera, outline, lamps and distances.
         lamps: directions to the lamps as the highlights say, (pictures, 3).
-        unit: values per radiance under unit irradiance, with its relative standard deviation. Default: None, not known.
+        units: of each channel, value per radiance under unit irradiance, with its relative standard deviation. Default: None,
+            not known.
         family: family of the lobe. Default: "auto".
         masking: the lobe's G. Default: "smith".
         diffuse: whether there is a Lambertian part. Default: True.
@@ -320,14 +332,14 @@ def reconstructed(
     fit = chosen.fit
     theta = fit.solution.theta_d
     curves = tuple(
-        reflectance_curve(theta, fit.strengths[:, c], channel_covariance(fit, c), unit)
+        reflectance_curve(theta, fit.strengths[:, c], channel_covariance(fit, c), None if units is None else units[c])
         for c in range(fit.layout.channels)
     )
-    if unit is None:
+    if units is None:
         # a scale that keeps F within 1 everywhere: F is relative, and said to be
         low, high = theta.min(), theta.max()
         top = max(float(curve.at(np.linspace(low, high, 60)).max()) for curve in curves)
-        unit = Known(max(top, 1e-300), np.nan)
+        units = (Known(max(top, 1e-300), np.nan),) * fit.layout.channels
     middle = fit.layout.channels // 2
     judged = min(_JUDGED, float(theta.max()))
     every = [*remarks, *chosen.remarks]
@@ -346,14 +358,13 @@ def reconstructed(
                 f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; errors contain it",
             )
         )
-    spread = max(unit.std, 0.0) if np.isfinite(unit.std) else 0.0
     return Reconstruction(
-        table=material_table(fit, curves, unit.value, spread),
-        pinhole=None if pinhole is None else pinhole(fit, unit.value),
+        table=material_table(fit, curves, units),
+        pinhole=None if pinhole is None else pinhole(fit, np.array([one.value for one in units])),
         fit=fit,
         curves=curves,
-        unit=unit,
-        budget=error_budget(fit, curves[middle], middle, judged),
+        units=tuple(units),
+        budget=error_budget(fit, curves[middle], middle, judged, units[middle].std),
         not_determined=pairs,
         tried=chosen.tried,
         remarks=tuple(every),

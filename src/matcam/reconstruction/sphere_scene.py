@@ -41,6 +41,8 @@ class SphereScene:
         lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
         gain_std: standard deviation of ln of each picture's gain, () or (pictures,).
         gain: light of each picture relative to their mean, as a reference says, (pictures,). Default: None, 1 each.
+        gain_correlation: of the errors of ln gain between pictures, (pictures, pictures): where a reference stands is one error
+            of all. Default: None, each is its own.
     """
 
     camera: Camera
@@ -56,6 +58,7 @@ class SphereScene:
     lamp_radius: float = 0.0
     gain_std: float | np.ndarray = 0.005
     gain: np.ndarray | None = None
+    gain_correlation: np.ndarray | None = None
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
@@ -68,6 +71,7 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
         lamp_std=np.broadcast_to(scene.lamp_std, count)[keep],
         gain_std=np.broadcast_to(scene.gain_std, count)[keep],
         gain=None if scene.gain is None else scene.gain[keep],
+        gain_correlation=None if scene.gain_correlation is None else scene.gain_correlation[np.ix_(keep, keep)],
     )
 
 
@@ -122,7 +126,13 @@ def prior_of(
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
             unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
-        unit("gain", layout.gain(i), float(gain_stds[i]), float(gains[i]))
+    root = np.eye(k)
+    if scene.gain_correlation is not None:
+        root = np.linalg.inv(np.linalg.cholesky(scene.gain_correlation + 1e-9 * np.eye(k)))
+    for line in root / gain_stds:
+        row = np.zeros(layout.size)
+        row[[layout.gain(i) for i in range(k)]] = line
+        add("gain", row, float(line @ gains))
     if bend:
         smooth = smoothness(KNOTS)
         for line in smooth:

@@ -1,0 +1,181 @@
+"""Read the exposures of a lamp position, once for what codes mean; several lamp positions at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
+from matcam.acquisition.darkness import Darkness
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.radiometry_remarks import correlation_remarks
+from matcam.core.errors import FileFormatError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Region
+from matcam.files.capture_frames import CaptureFrame
+
+T, U = TypeVar("T"), TypeVar("U")
+
+
+class ReadBracket(NamedTuple):
+    """Hold what is kept of a lamp position's frames.
+
+    Attributes:
+        used: frames that can be used, in the order of the exposures.
+        lacking: exposures that have none.
+        sample: chosen pixels; None: no frame can be used.
+        largest: code of all its frames, DN.
+        smallest: likewise.
+        remarks: what a reader should know, frames named.
+    """
+
+    used: tuple[CaptureFrame, ...]
+    lacking: tuple[str, ...]
+    sample: BracketSample | None
+    largest: float
+    smallest: float
+    remarks: tuple[Remark, ...]
+
+
+def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
+    """Yield what `work` returns for each item, in their order, several at a time in threads.
+
+    The first is done alone: it decides what the others are compared with. Threads suffice: files are decoded in processes of
+    their own, and NumPy computes outside of Python's lock.
+
+    Args:
+        work: what is done with an item.
+        items: any number.
+        workers: items that are worked on at a time.
+
+    Example:
+        >>> list(in_order(abs, [-1, -2, -3], 2))
+        [1, 2, 3]
+    """
+    yield from map(work, items[:1])
+    if workers < 2 or len(items) < 3:
+        yield from map(work, items[1:])
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = [pool.submit(work, item) for item in items[1 : workers + 1]]
+        try:
+            for number in range(1, len(items)):
+                result = waiting.pop(0).result()
+                if number + workers < len(items):  # no more than that many results lie about
+                    waiting.append(pool.submit(work, items[number + workers]))
+                yield result
+        finally:
+            for one in waiting:
+                one.cancel()
+
+
+@dataclass
+class BracketReading:
+    """Read brackets of one capture.
+
+    Attributes:
+        capture: where the frames lie.
+        reader: how they are read.
+        region: part of the frames that is used; None: all of it.
+        names: of the exposures.
+        darkness: of each exposure.
+        noise: standard deviation of one pixel's read noise, DN.
+    """
+
+    capture: Capture
+    reader: MosaicReader
+    region: Region | None
+    names: Sequence[str]
+    darkness: dict[str, Darkness]
+    noise: float
+    _shape: tuple[int, ...] | None = None
+
+    def read(self, numbered: tuple[int, str]) -> ReadBracket:
+        """Return what is kept of a lamp position, given its number and name."""
+        number, lamp = numbered
+        remarks: list[Remark] = []
+        bracket = self._bracket(lamp, remarks)
+        lacking = tuple(name for name in self.names if name not in {frame.exposure for frame, _ in bracket})
+        if not bracket:
+            return ReadBracket((), lacking, None, -np.inf, np.inf, tuple(remarks))
+        sample = self._sample(lamp, bracket, number)
+        if number == 0:
+            frame, codes = bracket[0]
+            light = codes - np.asarray(self.darkness[frame.exposure].level, np.float32)
+            remarks += correlation_remarks(self.capture.folder / frame.file, light, self._step, self.noise)
+        largest, smallest = max(_most(codes) for _, codes in bracket), min(float(codes.min()) for _, codes in bracket)
+        return ReadBracket(tuple(f for f, _ in bracket), lacking, sample, largest, smallest, tuple(remarks))
+
+    @property
+    def _step(self) -> int:
+        return 1 if self.reader.cfa is None else 2
+
+    def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
+        """Return the frames of one lamp position that can be used, with their codes, in the order of `names`."""
+        found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
+        for frame in self.capture.of("frames", lamp=lamp):
+            path = self.capture.folder / frame.file
+            if frame.exposure in found:
+                text = f"{path}: is a second frame of lamp {lamp}, exposure {frame.exposure}; it was left out"
+                remarks.append(Remark("extra-frame", text))
+                continue
+            try:
+                codes = self.reader.read(frame, self.region)
+            except FileFormatError as error:
+                remarks.append(Remark("bad-frame", str(error)))
+                continue
+            shape = self._shape = self._shape or codes.shape
+            if codes.shape != shape:
+                text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the frames before {shape[1]} x {shape[0]}"
+                remarks.append(Remark("other-size", f"{text}; it was left out"))
+                continue
+            if not np.isfinite(codes).all():
+                remarks.append(Remark("bad-frame", f"{path}: holds values that are not finite; it was left out"))
+                continue
+            found[frame.exposure] = frame, codes
+        return [found[name] for name in self.names if name in found]
+
+    def _sample(self, lamp: str, bracket: list[tuple[CaptureFrame, np.ndarray]], seed: int) -> BracketSample:
+        reader, darkness = self.reader, self.darkness
+        hot = np.zeros(bracket[0][1].shape, bool)
+        around, light = [], []
+        for frame, codes in bracket:
+            dark = darkness[frame.exposure]
+            if isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
+                hot |= dark.hot
+            light.append(codes - np.asarray(dark.level, np.float32))
+            around.append(same_colour_neighbours(light[-1], self._step).ravel())
+        neighbours = np.stack(around)
+        neighbours[:, hot.ravel()] = 0
+        order = np.argsort(neighbours.mean(1))
+        chosen = choose_pixels(neighbours[order], self.noise, seed)
+        channels = len(reader.channels)
+        reference, numbers = np.full((len(bracket), channels), np.nan), np.zeros(channels, int)
+        patch_region = self.capture.reference_region
+        if patch_region is not None:
+            ceiling = max(_most(codes) for _, codes in bracket)
+            for i, (frame, _) in enumerate(bracket):
+                patch = reader.read(frame, patch_region)
+                of = reader.channel_map((patch.shape[0], patch.shape[1]), (patch_region[1], patch_region[0])).ravel()
+                numbers = np.bincount(of, minlength=channels)
+                if patch.max() < 0.9 * ceiling:
+                    total = np.bincount(of, patch.ravel().astype(np.float64), channels)
+                    reference[i] = total / np.maximum(numbers, 1) - float(np.mean(darkness[frame.exposure].level))
+        return BracketSample(
+            lamp,
+            np.array([list(self.names).index(frame.exposure) for frame, _ in bracket]),
+            np.stack([codes.ravel()[chosen] for _, codes in bracket]),
+            np.stack([one.ravel()[chosen] for one in light]),
+            neighbours[:, chosen],
+            reference,
+            numbers,
+            np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
+        )
+
+
+def _most(codes: np.ndarray) -> float:
+    return float(codes.max())

@@ -1,0 +1,198 @@
+"""How evenly the pixels see: vignetting and pixel response non-uniformity, from frames of an evenly lit field.
+
+The mean of the flat frames, without dark, is of each colour a smooth field (vignetting, shadows of dust) times what each pixel
+departs from it. The departure is shrunk by the flat frames' own noise: two frames of 15,000 electrons know a pixel to 0.6 %,
+and a sensor's pixels differ by 1 % (James and Stein, as in darkness.py). What remains uncertain of it widens the merged values'
+errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from matcam.acquisition.darkness import Darkness, dark_of
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.errors import FileFormatError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Region
+from matcam.files.capture_frames import CaptureFrame
+from matcam.files.picture_header import read_exif
+
+_MOST = 16
+"""Flat frames that are used."""
+_DARK = 100.0
+"""Read noises above dark that a flat frame has at least."""
+_CLIPPED = 1e-3
+"""Share of clipped pixels from which a flat frame is left out."""
+_SMOOTH = 33
+"""Width of the square over which the smooth field is averaged, twice, px."""
+_LEAST = 0.1
+"""Response below which a pixel is not corrected but left out."""
+_ROBUST = 1.4826
+
+
+@dataclass(frozen=True)
+class FlatField:
+    """Hold the response of the pixels, about 1 in the middle of the frames.
+
+    Attributes:
+        response: of each pixel over the usual one of its colour, float32 (height, width); NaN: too small to be corrected.
+        std: its relative standard deviation, one for all pixels of a colour, (channels,).
+        reference: mean response over the reference region, by channel; 1 where there is none, (channels,).
+        prnu: relative scatter of the pixels about the smooth field, no unit.
+        frames: how many frames it is from.
+    """
+
+    response: np.ndarray
+    std: np.ndarray
+    reference: np.ndarray
+    prnu: float
+    frames: int
+
+
+def measure_flat(
+    reader: MosaicReader,
+    capture: Capture,
+    region: Region | None,
+    darkness: dict[str, Darkness],
+    *,
+    clip: float,
+    gain: float,
+    noise: float,
+) -> tuple[FlatField | None, list[Remark]]:
+    """Return how evenly the pixels see, and what was noticed.
+
+    Args:
+        reader: how frames are read.
+        capture: where they lie.
+        region: part of the frames that is used; None: all of it.
+        darkness: of the exposures of the sample.
+        clip: code from which a pixel is clipped, DN.
+        gain: DN per electron.
+        noise: read noise, DN.
+
+    Returns:
+        The flat field; None where no flat frame can be used.
+    """
+    total: np.ndarray | None = None
+    patch: np.ndarray | None = None
+    count, remarks = 0, []
+    for frame in capture.of("flat")[:_MOST]:
+        path = capture.folder / frame.file
+        try:
+            codes = reader.read(frame, region)
+            light = codes - _dark(reader, capture, frame, region, darkness)
+            beside = _beside(reader, capture, frame, darkness)
+        except (FileFormatError, ValueError) as error:
+            text = (
+                str(error) if isinstance(error, FileFormatError) else f"{path}: is of another size than its dark frames"
+            )
+            remarks.append(Remark("bad-flat", text))
+            continue
+        wrong = _wrong(capture, frame, codes, light, clip, noise, None if total is None else total.shape)
+        if wrong:
+            remarks.append(Remark("bad-flat", f"{path}: {wrong}; it was left out"))
+            continue
+        total = light.astype(np.float64) if total is None else total + light
+        patch = beside if patch is None or beside is None else patch + beside
+        count += 1
+    if total is None:
+        return None, remarks
+    origin = (0, 0) if region is None else (region[1], region[0])
+    channel = reader.channel_map((total.shape[0], total.shape[1]), origin)
+    response, stds, spreads, levels = np.ones(total.shape, np.float32), [], [], []
+    for c in range(len(reader.channels)):
+        of = channel == c
+        field, level = smooth_field(total, of)
+        departure = total[of] / field - 1
+        chance = float(np.mean((gain * field + count * noise**2) / field**2))
+        scatter = (_ROBUST * float(np.median(np.abs(departure)))) ** 2
+        own = max(scatter - chance, 0.0)
+        share = own / max(own + chance, 1e-30)
+        response[of] = field / level * (1 + share * departure)
+        stds.append(np.sqrt(own * chance / max(own + chance, 1e-30)))
+        spreads.append(np.sqrt(own))
+        levels.append(level)
+    response[response < _LEAST] = np.nan
+    beside = np.ones(len(levels)) if patch is None else patch / np.array(levels)
+    return FlatField(response, np.array(stds), beside, float(np.mean(spreads)), count), remarks
+
+
+def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the smooth part of a flat frame at one colour's pixels, and its level in the middle of the frame.
+
+    Args:
+        total: flat frame without dark, (height, width).
+        of: pixels of the colour, same shape.
+    """
+    powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
+    places = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]
+    pairs = [(i, j) for i in range(5) for j in range(5 - i)]
+    a = np.stack([powers[0][places[:, 0], i] * powers[1][places[:, 1], j] for i, j in pairs], axis=-1)
+    b = total[places[:, 0], places[:, 1]]
+    usual = np.ones(len(b), bool)
+    for _ in range(3):
+        found = np.linalg.lstsq(a[usual], b[usual], rcond=None)[0]
+        rest = b - a @ found
+        usual = np.abs(rest) <= 5 * _ROBUST * np.median(np.abs(rest)) + 1e-12
+    coefficients = np.zeros((5, 5))
+    coefficients[tuple(np.transpose(pairs))] = found
+    trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
+    # what is left of it locally: dust, and what a polynomial does not follow
+    local, weight = np.where(of, total / trend, 0.0), of.astype(float)
+    for _ in range(2):
+        local, weight = (uniform_filter(one, _SMOOTH, mode="constant") for one in (local, weight))
+    field = np.maximum(trend[of] * local[of] / np.maximum(weight[of], 1e-9), 1e-9)
+    row, column = (np.linspace(-1, 1, size) for size in total.shape)
+    middle = np.hypot(row[:, None], column)[of] < 0.5
+    return field, float(np.mean(field[middle] if middle.any() else field))
+
+
+def _dark(
+    reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None, darkness: dict[str, Darkness]
+) -> np.ndarray | float:
+    if frame.exposure in darkness:
+        return np.asarray(darkness[frame.exposure].level, np.float32)
+    own = [reader.read(one, region) for one in capture.of("dark", exposure=frame.exposure)]
+    if own:
+        return np.asarray(dark_of(own).level, np.float32)
+    return float(np.mean([np.mean(one.level) for one in darkness.values()]))
+
+
+def _beside(
+    reader: MosaicReader, capture: Capture, frame: CaptureFrame, darkness: dict[str, Darkness]
+) -> np.ndarray | None:
+    """Return the mean light of a flat frame where the reference stands in the others, by channel."""
+    region = capture.reference_region
+    if region is None:
+        return None
+    codes = reader.read(frame, region)
+    of = reader.channel_map((codes.shape[0], codes.shape[1]), (region[1], region[0])).ravel()
+    level = darkness.get(frame.exposure, next(iter(darkness.values()))).level
+    total = np.bincount(of, codes.ravel().astype(np.float64), len(reader.channels))
+    return np.asarray(total / np.maximum(np.bincount(of, minlength=len(reader.channels)), 1) - float(np.mean(level)))
+
+
+def _wrong(
+    capture: Capture,
+    frame: CaptureFrame,
+    codes: np.ndarray,
+    light: np.ndarray,
+    clip: float,
+    noise: float,
+    shape: Sequence[int] | None,
+) -> str:
+    """Return what is wrong with a flat frame; empty: nothing."""
+    sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
+    if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
+        return "a flat frame of another size than the frames of the sample"
+    if np.mean(codes >= clip) > _CLIPPED:
+        return f"{np.mean(codes >= clip):.1%} of the flat frame's pixels are clipped: expose it less"
+    level = float(np.median(light))
+    if level < _DARK * max(noise, 0.3):
+        return f"a flat frame of {level:.0f} DN above dark is too dark: expose it more"
+    return ""

@@ -1,0 +1,168 @@
+"""The unit of merged values, and each picture's light, from a white patch beside the sphere that faces the camera.
+
+A patch of reflectance R at p, with normal n, sends the radiance R/pi E g under a lamp that makes the irradiance E at the
+sphere's centre: g = n.w / |w|^3, w = l - p/Q, l the lamp's direction and Q its distance (docs/model.md 10). So its recorded
+value is U G R/pi g: U the value per radiance under unit irradiance, G the picture's light over the usual. All ln G are 0 within
+what is stated of the lamp. Where the patch stands and how it is tilted is one error of all pictures; the lamps' directions are
+each their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.files.capture import Region, Stated
+
+_GRAZING = 0.2
+"""Cosine of the light on the patch below which it is not used."""
+_STEP = 1e-5
+_UNKNOWN_DEPTH = Stated(0.0, 0.5)
+"""Radii; where a capture does not state how far the patch stands before the sphere's centre."""
+
+
+class ReferencePatch(NamedTuple):
+    """Describe a white patch beside the sphere.
+
+    Attributes:
+        region: first column, first row, width, height in the whole frame, px.
+        reflectance: no unit; None: not known.
+        depth: how far it stands before the sphere's centre, towards the camera, radii. Default: 0 +- 0.5.
+        tilt_std: standard deviation of its normal from the camera's axis, along each of two axes, rad. Default: 1 degree.
+    """
+
+    region: Region
+    reflectance: Stated | None = None
+    depth: Stated = _UNKNOWN_DEPTH
+    tilt_std: float = float(np.radians(1.0))
+
+    def place(self, ball: MirrorBall, depth: float) -> np.ndarray:
+        """Return where it stands (3,), from the sphere's centre in radii: x right, y up, z to the camera."""
+        column, row, width, height = self.region
+        across = np.array([column + (width - 1) / 2 - ball.column, ball.row - row - (height - 1) / 2]) / ball.radius
+        q = 1 / ball.distance
+        return np.append(across * (1 - q * depth) / np.sqrt(1 - q**2), depth)
+
+
+class PatchLight(NamedTuple):
+    """Hold what a white patch says of the pictures' light.
+
+    Attributes:
+        gain: light of each picture over the usual, (pictures,).
+        covariance: of ln gain, (pictures, pictures).
+        units: of each channel, merged value per radiance under unit irradiance at the sphere's centre, with relative standard
+            deviation; None: the patch's reflectance is not stated.
+        used: in which pictures it could be used, (pictures,).
+    """
+
+    gain: np.ndarray
+    covariance: np.ndarray
+    units: tuple[Stated, ...] | None
+    used: np.ndarray
+
+
+def patch_geometry(
+    lamps: np.ndarray, nearness: float, place: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the irradiance on a patch over that at the sphere's centre across the light, and the cosine on the patch.
+
+    Args:
+        lamps: unit vectors from the sphere's centre, (n, 3).
+        nearness: one over the lamp's distance, radii; 0: distant.
+        place: of the patch, radii, (3,).
+        tilt: x and y of its normal over z, no unit. Default: it faces the camera.
+
+    Example:
+        >>> patch_geometry(np.array([[0.0, 0.0, 1.0]]), 0.0, np.array([1.5, 0.0, 0.0]))
+        (array([1.]), array([1.]))
+    """
+    normal = np.array([*tilt, 1.0]) / np.sqrt(1 + tilt[0] ** 2 + tilt[1] ** 2)
+    way = lamps - nearness * place
+    far = np.linalg.norm(way, axis=1)
+    cosine = way @ normal / far
+    return cosine / far**2, cosine
+
+
+def patch_light(
+    patch: ReferencePatch,
+    light: Sequence[Sequence[Stated]],
+    lamps: np.ndarray,
+    ball: MirrorBall,
+    lamp_nearness: Stated,
+    *,
+    lamp_std: np.ndarray,
+    gain_std: float,
+    exposure_std: float = 0.0,
+) -> PatchLight | None:
+    """Return the pictures' light and the unit of their values from the patch in them.
+
+    Args:
+        patch: the patch.
+        light: its merged value in each picture and channel with standard deviation; NaN: not usable there.
+        lamps: directions to the lamps, (pictures, 3).
+        ball: the sphere, which the patch's place is counted from.
+        lamp_nearness: one over the lamp's distance, radii.
+        lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
+        gain_std: scatter of a picture's light by what is stated of the lamp, relative.
+        exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
+
+    Returns:
+        Gains, their covariance, and units; None where the patch can be used in no picture.
+    """
+    value = np.array([[one.value for one in channels] for channels in light])
+    std = np.array([[one.std for one in channels] for channels in light])
+    count, errors = len(lamps), np.array([patch.depth.std, patch.tilt_std, patch.tilt_std, lamp_nearness.std])
+
+    def log_of(lamps: np.ndarray, depth: float, right: float, up: float, nearness: float) -> np.ndarray:
+        geometry, cosine = patch_geometry(lamps, nearness, patch.place(ball, depth), (right, up))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(cosine > _GRAZING / 2, np.log(geometry), np.nan)
+
+    start = np.array([patch.depth.value, 0.0, 0.0, lamp_nearness.value])
+    _, cosine = patch_geometry(lamps, start[3], patch.place(ball, start[0]))
+    used = np.isfinite(value).all(1) & (value > 3 * std).all(1) & (cosine > _GRAZING)
+    if not used.any():
+        return None
+    mean = value[used].mean(1)
+    noise = np.sqrt((std[used] ** 2).sum(1)) / value.shape[1] / mean
+    at = lamps[used]
+    usual = log_of(at, *start)
+    slopes = [(log_of(at, *(start + s)) - log_of(at, *(start - s))) / (2 * _STEP) for s in _STEP * np.eye(4)]
+    own = noise**2
+    for tangent in _tangents(at):
+        own = own + (lamp_std[used] * (log_of(_turned(at, tangent), *start) - usual) / _STEP) ** 2
+    # unknowns: ln G of every picture, the patch's and the lamp's common errors, ln U
+    size = count + len(errors) + 1
+    rows = np.zeros((used.sum(), size))
+    rows[np.arange(len(rows)), np.flatnonzero(used)] = 1.0
+    rows[:, count:-1] = np.column_stack(slopes)
+    rows[:, -1] = 1.0
+    weight = 1 / np.maximum(own, 1e-12)
+    prior = np.append(np.full(count, 1 / max(gain_std, 1e-5) ** 2), 1 / np.maximum(errors, 1e-9) ** 2)
+    covariance = np.linalg.inv((rows.T * weight) @ rows + np.diag(np.append(prior, 0.0)))
+    found = covariance @ (rows.T @ (weight * (np.log(mean) - usual)))
+    units = None
+    if patch.reflectance is not None and patch.reflectance.value > 0:
+        share = value[used].sum(0) / value[used].mean(1).sum()
+        own_noise = np.sqrt((std[used] ** 2).sum(0)) / value[used].sum(0)
+        spread = covariance[-1, -1] + (patch.reflectance.std / patch.reflectance.value) ** 2 + exposure_std**2
+        level = np.exp(found[-1]) * np.pi / patch.reflectance.value
+        units = tuple(
+            Stated(float(level * s), float(np.sqrt(spread + n**2))) for s, n in zip(share, own_noise, strict=True)
+        )
+    return PatchLight(np.exp(found[:count]), covariance[:count, :count], units, used)
+
+
+def _tangents(lamps: np.ndarray) -> list[np.ndarray]:
+    helper = np.where(np.abs(lamps[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    first = np.cross(lamps, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return [first, np.cross(lamps, first)]
+
+
+def _turned(lamps: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    turned = lamps + _STEP * tangent
+    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
