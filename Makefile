@@ -7,7 +7,7 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo test test-all pytest-test pytest-test-all lint format bench tables docs clean
+.PHONY: demo fuzz test test-all pytest-test pytest-test-all lint format bench tables docs clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
@@ -40,6 +40,10 @@ lint: $(VENV)/.installed-test
 format: $(VENV)/.installed-test
 	$(RUN) ruff check --fix .
 	$(RUN) ruff format .
+
+# An hour; MATCAM_FUZZ_SECONDS says how long instead. `make test` runs a fixed share
+fuzz: $(VENV)/.installed-test
+	PYTHONPATH=. $(RUN) tests.files.fuzz
 
 # Two of the scripts import tests.oracle, which is not installed
 bench: $(VENV)/.installed-test

@@ -130,3 +130,14 @@ def test_provenance_is_kept():
     camera = Camera(GaussianOptics(0.5), provenance=Provenance(source="a slanted edge", notes="f/8"))
     assert camera.provenance.source == "a slanted edge"
     assert camera.provenance.notes == "f/8"
+
+
+@pytest.mark.parametrize("sigma", [1e-12, 1e-3, 0.05, 0.0624, 0.0626, 0.2, 1e3, 1e6])
+def test_a_windowed_gaussian_of_any_width_has_unit_area(sigma):
+    """Narrower than the nodes of its rule too; a narrow one is the Gaussian itself, a wide one the box."""
+    pixel = WindowedGaussianPixel(sigma, 0.5)
+    assert float(pixel.mtf(0.0)) == pytest.approx(1, abs=1e-12)
+    if sigma < 0.06:
+        assert float(pixel.mtf(1.5)) == pytest.approx(np.exp(-2 * (np.pi * sigma * 1.5) ** 2), rel=1e-12)
+    if sigma > 100:
+        assert float(pixel.mtf(0.7)) == pytest.approx(np.sinc(0.7), rel=1e-6)

@@ -55,7 +55,7 @@ def test_a_rig_file_stands_for_options(matcam, rig_file):
 @pytest.mark.parametrize(
     ("text", "command", "words"),
     [
-        ("x = [", "predict", "no TOML"),
+        ("x = [", "predict", "not TOML"),
         ('schema = "other"', "predict", 'does not begin with schema = "matcam-rig-1"'),
         (RIG + "[lamp]\ncolour = 3\n", "predict", "unknown entry lamp.colour; it has camera, sample.shape"),
         (RIG.replace("100", '"wide"'), "predict", "sample.radius_px must be a number, got 'wide'"),

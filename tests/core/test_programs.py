@@ -1,5 +1,7 @@
 """Programs that are kept on disk: found again by what they are made of, and never run when damaged."""
 
+import os
+import pickle
 from collections import namedtuple
 
 import numpy as np
@@ -9,7 +11,7 @@ from matcam import GGX, Beckmann
 from matcam.core import programs
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
-from matcam.core.sealed import CompiledFunctions
+from matcam.core.sealed import CompiledFunctions, read_sealed, write_sealed
 
 X = np.linspace(0.0, 1.0, 5)
 
@@ -86,9 +88,43 @@ def test_a_damaged_or_foreign_program_is_made_again(folder, caplog, monkeypatch)
         np.testing.assert_allclose(counted(traces)(X, 3)[0], X**3)
     assert len(traces) == 6
     assert "is damaged" in caplog.text
-    monkeypatch.setattr(programs.pickle, "loads", lambda stored: ("no program",))
+    monkeypatch.setattr(programs, "read_sealed", lambda path, key: b"no program")
     np.testing.assert_allclose(counted(traces)(X, 3)[0], X**3)
     assert "cannot be used" in caplog.text
+
+
+class _Order:
+    """What a pickle may hold: a call of anything."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.folder),)
+
+
+FORGED = {
+    "any call": lambda folder: pickle.dumps(_Order(folder)),
+    "a call in place of trees": lambda folder: b"[0, 1]\n" + pickle.dumps(_Order(folder)),
+    "by way of a library": lambda folder: b"[0, 1]\n" + b"cnumpy\nos.mkdir\n(V" + str(folder).encode() + b"\ntR.",
+    "from a library": lambda folder: b"[0, 1]\n" + b"cnumpy.testing._private.utils\nrundocs\n(tR.",
+    "trees without end": lambda folder: b"[" * 100_000 + b"\n",
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_program_calls_nothing(folder, caplog, monkeypatch, name):
+    """Its seal is right: it was made by somebody who knows how."""
+    keys = []
+    monkeypatch.setattr(programs, "write_sealed", lambda *given: keys.append(given) or write_sealed(*given))
+    traces = []
+    counted(traces)(X, 3)
+    ((path, key, _),) = keys
+    write_sealed(path, key, FORGED[name](folder / "made"))
+    np.testing.assert_allclose(counted(traces)(X, 3)[0], X**3)
+    assert not (folder / "made").exists()
+    assert "cannot be used" in caplog.text
+    assert len(traces) == 2
 
 
 def test_another_source_is_another_program(folder, monkeypatch):
@@ -118,3 +154,21 @@ def test_jaxs_own_cache_is_passed_by(tmp_path):
     with CompiledFunctions.passed_by():
         assert kept.get("a") is None
     assert kept.get("a") == b"1"
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners here")
+def test_what_others_may_write_is_not_read(folder, monkeypatch, caplog):
+    path = folder / "a"
+    write_sealed(path, b"key", b"content")
+    assert read_sealed(path, b"key") == b"content"
+    path.chmod(0o666)
+    assert read_sealed(path, b"key") is None
+    path.chmod(0o664)  # many systems give every user a group
+    assert read_sealed(path, b"key") == b"content"
+    owner = path.stat().st_uid
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    assert (read_sealed(path, b"key") is None) == (owner != 0)
+    path.unlink()
+    os.mkfifo(path)
+    assert read_sealed(path, b"key") is None
+    assert "another user's" in caplog.text

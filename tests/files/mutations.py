@@ -1,5 +1,6 @@
 """Damaged files: what a reader has to survive."""
 
+import re
 import time
 import tracemalloc
 
@@ -28,9 +29,10 @@ def mutated(content, count, seed, header):
         yield bytes(data[: len(content)])
 
 
-def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20):
+def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20, clock=time.perf_counter):
     """How many were refused, how many read. Anything but an error of the family or a result, more than `seconds`, or more
-    memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here."""
+    memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here. `clock` may count processor
+    time, where nothing can wait."""
     refused = accepted = 0
     contents = list(contents)
     path.write_bytes(contents[0])
@@ -39,9 +41,9 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
     for k, content in enumerate(contents):
         path.write_bytes(content)
         tracemalloc.reset_peak()
-        before, start = tracemalloc.get_traced_memory()[0], time.perf_counter()
+        before, start = tracemalloc.get_traced_memory()[0], clock()
         message = refusal(read, path)
-        took = time.perf_counter() - start
+        took = clock() - start
         used = tracemalloc.get_traced_memory()[1] - before
         refused, accepted = refused + (message is not None), accepted + (message is None)
         assert "\n" not in (message or ""), (k, message)
@@ -58,3 +60,41 @@ def refusal(read, path):
     except MatcamError as error:
         return str(error)
     return None
+
+
+_TOKEN = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]{0,60}"|[A-Za-z_]\w*|[\[\]{},=:\n]')
+_NASTY_TOKENS = [
+    b"0", b"-1", b"1e999", b"-1e999", b"1e-320", b"nan", b"NaN", b"inf", b"Infinity", b"null", b"true", b"1" * 400, b"9" * 5000,
+    b'""', b'"\\u0000"', b'"../x"', b'"\\ud800"', b'"' + b"x" * 5000 + b'"', b"[]", b"{}", b"[[1]]", b"\n", b"\x1b[2J", b"\xff",
+    b"\xe2\x80\xae", b"=", b"]", b'"a\\nb"', b'"a\\u001b[2J"', b"a." * 800 + b"a",
+    b"1979-05-27T07:32:00Z", b"[" * 3000, b'{"a":' * 3000,
+]  # fmt: skip
+
+
+def mutated_text(content, count, seed):
+    """`count` damaged copies of a text: in half of them bytes are changed, in the others words: each is replaced by one that
+    is likely to hurt or by another of the text, doubled, or left out."""
+    random = np.random.default_rng(seed)
+    tokens = [(found.start(), found.end()) for found in _TOKEN.finditer(content)]
+    damaged = mutated(content, count - count // 2, seed, len(content))
+    for k in range(count):
+        if k % 2 == 0:
+            yield next(damaged)
+            continue
+        data = content
+        for at in sorted(random.integers(len(tokens), size=random.integers(1, 4)), reverse=True):
+            start, end = tokens[at]
+            other = slice(*tokens[random.integers(len(tokens))])
+            choice = random.random()
+            nasty = _NASTY_TOKENS[random.integers(len(_NASTY_TOKENS))]
+            new = (
+                nasty
+                if choice < 0.6
+                else content[other]
+                if choice < 0.8
+                else data[start:end] * 2
+                if choice < 0.9
+                else b""
+            )
+            data = data[:start] + new + data[end:]
+        yield data

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import threading
 import time
 import traceback
@@ -85,7 +84,7 @@ class Job:
             if self.key is None or run["settings"] != self.key:
                 return None
             whole = all((self.output.parent / name).stat().st_size == size for name, size in run["files"].items())
-        except (FileFormatError, OSError, KeyError, TypeError, AttributeError, json.JSONDecodeError):
+        except (FileFormatError, OSError, KeyError, TypeError, AttributeError, ValueError):
             return None
         return document if whole else None
 

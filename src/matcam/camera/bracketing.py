@@ -104,7 +104,7 @@ def merge_bracket(
         1.0
     """
     exposures, times = _exposures_and_times(exposures, times)
-    pictures = jnp.asarray(pictures, dtype=jnp.float64)
+    pictures = checks.numbers("pictures", pictures)
     if pictures.shape[:1] != (len(exposures),) or pictures.ndim not in (3, 4):
         raise ArgumentError(
             f"pictures must have shape ({len(exposures)}, H, W) or ({len(exposures)}, H, W, channels), one per exposure, "

@@ -59,8 +59,7 @@ class PixelNoise(NamedTuple):
             ArgumentError: a parameter is outside [0, 1) or not finite, or relative and floor are both 0.
         """
         for name, value in self._asdict().items():
-            if not 0 <= value < 1:
-                raise ArgumentError(f"noise.{name} must lie in [0, 1), got {value!r}")
+            checks.scalar(f"noise.{name}", checks.within(f"noise.{name}", value, 0, 1, open_high=True))
         if self.relative == self.floor == 0:
             raise ArgumentError("noise must not be zero altogether: no measurement is")
         return self
@@ -233,7 +232,7 @@ class Sensor(eqx.Module):
         Args:
             digital: the picture, DN, any shape.
         """
-        return (jnp.asarray(digital, dtype=jnp.float64) - self.black_level) / self.gain
+        return (checks.numbers("digital", digital) - self.black_level) / self.gain
 
     def variance(self, electrons: ArrayLike) -> jax.Array:
         """Return the variance of a pixel, e-^2.
@@ -246,7 +245,7 @@ class Sensor(eqx.Module):
             electrons: that the pixel expects, dark ones included, e-, any shape.
         """
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain**2)
-        return jnp.maximum(jnp.asarray(electrons, dtype=jnp.float64), 0) + self.read_noise**2 + rounding
+        return jnp.maximum(checks.numbers("electrons", electrons), 0) + self.read_noise**2 + rounding
 
     def _mosaic(self, radiance: jax.Array) -> jax.Array:
         if self.cfa is None:
@@ -277,7 +276,7 @@ def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.A
 
 
 def _checked_radiance(radiance: ArrayLike) -> jax.Array:
-    array = jnp.asarray(radiance, dtype=jnp.float64)
+    array = checks.numbers("radiance", radiance)
     if array.ndim not in (2, 3) or 0 in array.shape:
         raise ArgumentError(f"radiance must have shape (H, W) or (H, W, channels), got {array.shape}")
     if not is_concrete(array):

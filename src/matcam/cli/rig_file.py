@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.io import printable, read_toml
 
 SCHEMA = "matcam-rig-1"
 
@@ -60,7 +61,9 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
     for keys, value in entries.items():
         where = ".".join(keys)
         if keys not in _KEYS:
-            raise FileFormatError(f"{path}: unknown entry {where}; it has {', '.join('.'.join(k) for k in _KEYS)}")
+            raise FileFormatError(
+                f"{path}: unknown entry {printable(where):.60}; it has {', '.join('.'.join(k) for k in _KEYS)}"
+            )
         if keys in _MEANINGLESS and value == _MEANINGLESS[keys] and _KEYS[keys] not in known:
             continue
         if _KEYS[keys] not in known:
@@ -70,15 +73,7 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
 
 
 def _entries(path: Path) -> dict[tuple[str, ...], Any]:
-    import tomllib
-
-    try:
-        with path.open("rb") as file:
-            document = tomllib.loads(file.read(65_536).decode("utf-8"))
-    except OSError as error:
-        raise FileFormatError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileFormatError(f"{path}: no TOML: {' '.join(str(error).split())}") from error
+    document = read_toml(path, "a rig")
     if document.pop("schema", None) != SCHEMA:
         raise FileFormatError(f'{path}: does not begin with schema = "{SCHEMA}"')
     found: dict[tuple[str, ...], Any] = {}
@@ -95,12 +90,12 @@ def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
     where = ".".join(keys)
     if keys in (("camera",), ("sample", "shape")):
         if not isinstance(value, str):
-            raise FileFormatError(f"{path}: {where} must be text, got {value!r}")
+            raise FileFormatError(f"{path}: {where} must be text, got {value!r:.60}")
         if keys == ("sample", "shape"):
             return value
         if Path(value).name != value or (path.parent / value).is_symlink():
-            raise FileFormatError(f"{path}: camera must be the plain name of a profile beside it, got {value!r}")
+            raise FileFormatError(f"{path}: camera must be the plain name of a profile beside it, got {value!r:.60}")
         return path.parent / value
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FileFormatError(f"{path}: {where} must be a number, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+        raise FileFormatError(f"{path}: {where} must be a number, got {value!r:.60}")
     return float(value)

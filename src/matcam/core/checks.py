@@ -24,6 +24,11 @@ def number(name: str, value: ArrayLike) -> jax.Array:
     return jnp.asarray(array)
 
 
+def numbers(name: str, value: ArrayLike) -> jax.Array:
+    """Return `value` as a float64 array that may hold NaN where a value is missing; ArgumentError where it is not numeric."""
+    return jnp.asarray(_as_float64(name, value) if is_concrete(value) else value, dtype=jnp.float64)
+
+
 def within(
     name: str,
     value: ArrayLike,
@@ -86,7 +91,7 @@ def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     """Return `value` if it is one of `allowed`; ArgumentError otherwise."""
     if value not in allowed:
-        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {_shown(value)}")
     return value
 
 
@@ -101,9 +106,24 @@ def not_masked(name: str, value: Any) -> None:
 def _as_float64(name: str, value: ArrayLike) -> np.ndarray:
     not_masked(name, value)
     try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must be a number or an array of numbers, got {value!r:.60}") from None
+        array = np.asarray(value)
+        if (
+            array.dtype.kind not in "biufO"
+        ):  # NumPy takes times and texts for numbers, and the real part of complex ones
+            raise TypeError
+        if array.dtype.kind == "O" and any(one is None or isinstance(one, str | bytes) for one in array.flat):
+            raise TypeError
+        return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ArgumentError(f"{name} must be a number or an array of numbers, got {_shown(value)}") from None
+
+
+def _shown(value: Any) -> str:
+    """Return what was given in a few words, on one line."""
+    try:
+        return " ".join(repr(value).split())[:60]
+    except Exception:  # a whole number of ten thousand digits has no text, and foreign classes have what they like
+        return type(value).__name__
 
 
 def _first_bad(array: np.ndarray, fits: np.ndarray) -> str:

@@ -194,6 +194,8 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
         raise ArgumentError(f"a BRDF table must have dims {DIMS}, got {table.dims}")
     if table.shape[:3] != GRID_SHAPE or table.shape[3] < 1:
         raise ArgumentError(f"a BRDF table must have shape {GRID_SHAPE} x channels, got {table.shape}")
+    if table.dtype.kind not in "fiu":
+        raise ArgumentError(f"a BRDF table must hold real numbers, got {table.dtype}")
     sampling = sampling_of(table)
     for name, expected in merl_grid(sampling)._asdict().items():
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):

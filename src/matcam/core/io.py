@@ -259,6 +259,33 @@ def read_json(path: str | Path, what: str) -> Any:
         raise FileFormatError(f"{path}: not {what}: {error}") from None
 
 
+_LARGEST_TOML, _LONGEST_LINE = 64 << 10, 1000  # bytes, characters
+
+
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
+    """Read settings that people write; `what` says what they should be, such as "a rig".
+
+    FileFormatError naming the file, where it is not TOML, more than 64 KiB, or has lines of more than
+    1000 characters: a key of a thousand dots takes a second to read, and the time grows with their square.
+    """
+    import tomllib
+
+    path = Path(path)
+    try:
+        with reading(path, what):
+            if path.stat().st_size > _LARGEST_TOML:
+                raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
+            text = path.read_text(encoding="utf-8-sig")
+        for number, line in enumerate(text.split("\n"), 1):
+            if len(line) > _LONGEST_LINE:
+                raise FileFormatError(
+                    f"{path}: line {number} has {len(line)} characters; {_LONGEST_LINE} at most are read"
+                )
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number of too many digits is not TOMLDecodeError
+        raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
+
+
 def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
     """Return the version of a document of ours: {"format": form, "version": one of `versions`, ...}.
 
@@ -282,7 +309,7 @@ def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
-    return f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}"
+    return f"field {printable(field):.100}: {first['msg'][0].lower()}{first['msg'][1:]}"
 
 
 def plain(value: Any) -> Any:

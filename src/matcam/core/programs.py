@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import pickle
 from collections.abc import Callable, Hashable
 from functools import cache, wraps
 from pathlib import Path
@@ -19,9 +18,9 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 import equinox as eqx
 import jaxlib
 import numpy as np
-from jax.experimental import serialize_executable
 
 from matcam.core.jax import jax, program_folder
+from matcam.core.packed_programs import pack_program, unpack_program
 from matcam.core.sealed import CompiledFunctions, read_sealed, write_sealed
 
 P = ParamSpec("P")
@@ -114,7 +113,7 @@ class _Kept(NamedTuple):
         stored = read_sealed(path, key)
         if stored is not None:
             try:
-                program = serialize_executable.deserialize_and_load(*pickle.loads(stored))
+                program = unpack_program(stored)
                 result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults show only in running
             except Exception as error:  # whatever a backend may find wrong
                 _log.warning("matcam: %s in the cache cannot be used (%s): it is made again", path.name, error)
@@ -123,7 +122,7 @@ class _Kept(NamedTuple):
         with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
             program = jax.jit(self._of_arrays()).lower(*_arrays(self.leaves)).compile()
         try:
-            write_sealed(path, key, pickle.dumps(serialize_executable.serialize(program)))
+            write_sealed(path, key, pack_program(program))
         except Exception as error:  # what cannot be written down can be run
             _log.debug("matcam: %s is not kept: %s", name, error)
         return program, None

@@ -1,7 +1,8 @@
 """Files of a cache that are believed only whole: each ends in a SHA-256 of what it belongs to and of its content.
 
 What is damaged, or another's, is removed and made again; one line is logged. A file that cannot be written is not: a full disk
-must not stop any work. The seal finds damage; it does not find a forger.
+must not stop any work. The seal finds damage; it does not find a forger. Against forgers, only what this user or the system's
+own has written is read, where nobody else may change it.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import os
+import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +26,14 @@ _log = logging.getLogger("matcam")
 def read_sealed(path: Path, key: bytes) -> bytes | None:
     """Return the content that was written under this key; None where it is not there, or is damaged."""
     try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # a pipe would have no end
+            return None
+        if _is_foreign(status):
+            _log.warning(
+                "matcam: %s in the cache is another user's, or anybody may change it: it is not used", path.name
+            )
+            return None
         whole = path.read_bytes()
     except OSError:
         return None
@@ -39,6 +50,13 @@ def write_sealed(path: Path, key: bytes, content: bytes) -> None:
     """Write content under a key, whole or not at all."""
     with contextlib.suppress(OutputError), one_by_one(), replacing(path, force=True) as temporary:
         temporary.write_bytes(content + _seal(key, content))
+
+
+def _is_foreign(status: os.stat_result) -> bool:
+    """Tell whether somebody else could have written a file."""
+    if not hasattr(os, "getuid"):
+        return False
+    return status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & stat.S_IWOTH)
 
 
 def _seal(key: bytes, content: bytes) -> bytes:

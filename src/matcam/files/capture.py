@@ -18,7 +18,6 @@ import csv
 import io
 import math
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -28,7 +27,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError, WithJsonSchema
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import checked_version, first_problem, reading
+from matcam.core.io import check_within, checked_version, first_problem, read_toml, reading
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture_frames import CaptureFrame, LampGuess
@@ -39,7 +38,8 @@ SETTINGS, LIST = "capture.toml", "frames.csv"
 KINDS = ("frames", "dark", "flat", "outline", "reference")
 COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
 _WHAT = "a capture"
-_LARGEST = 4 << 20  # bytes of capture.toml or frames.csv
+_LARGEST = 4 << 20  # bytes of frames.csv
+_TOO_LARGE = 1e300
 _MOST = 20_000  # lines of frames.csv
 _NAME = re.compile(r"[\w.+-]{1,60}")
 
@@ -61,9 +61,9 @@ def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJs
         pair = value if isinstance(value, list) else [value, 0.0]
         if len(pair) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in pair):
             raise ValueError("must be a value or [value, standard deviation]")
-        number, std = map(float, pair)
-        if not (math.isfinite(number) and math.isfinite(std)) or std < 0:
+        if not all(abs(v) < _TOO_LARGE for v in pair) or pair[1] < 0:  # whole numbers may be too large for a float
             raise ValueError("must be finite, with a standard deviation of at least 0")
+        number, std = map(float, pair)
         if not low <= number <= high:
             raise ValueError(f"must lie in [{low:g}, {high:g}], got {number:g}")
         return [number, std]
@@ -275,10 +275,8 @@ def read_capture(folder: str | Path) -> Capture:
 
 def read_settings(path: Path) -> dict[str, Any]:
     """Read and check a `capture.toml`; FileFormatError names the field."""
-    try:
-        document = tomllib.loads(_text(path))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not TOML: {error}") from None
+    check_within(path, path.parent)
+    document = read_toml(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
     try:
         settings = _Settings.model_validate(document).model_dump()
@@ -299,8 +297,7 @@ def _text(path: Path) -> str:
     with reading(path, _WHAT):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a capture's description")
-        if not path.resolve().is_relative_to(path.parent.resolve()):
-            raise FileFormatError(f"{path}: is a link out of its folder: put the file itself there")
+        check_within(path, path.parent)
         return path.read_text(encoding="utf-8-sig", errors="replace")
 
 
@@ -308,6 +305,8 @@ def _inside(folder: Path, name: str) -> Path:
     """Return the path of a file of the folder; FileFormatError where it leads out of it."""
     pure = PurePosixPath(name)
     path = folder / name
+    if not name or not name.isprintable() or len(name) > 200:
+        raise FileFormatError(f"{folder}: file {name[:40]!r} has no name that is plain text")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
         raise FileFormatError(f"{path}: leads out of the capture's folder: give a name inside it")
     if not path.resolve().is_relative_to(folder.resolve()):
@@ -373,8 +372,6 @@ def _frame(
 ) -> tuple[CaptureFrame, LampGuess | None] | None:
     """Return one line's frame and lamp; None where there is no such file, FileFormatError where it cannot be used."""
     name = row["file"]
-    if not name or not name.isprintable() or len(name) > 200:
-        raise FileFormatError(f"{folder}: frame {name[:40]!r} has no name that is plain text")
     path = _inside(folder, name)
     kind = PurePosixPath(name).parts[0]
     if kind not in KINDS or len(PurePosixPath(name).parts) != 2:

@@ -106,6 +106,8 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
         bad = int(np.argmax(~(np.diff(values) >= 0)))
         raise ArgumentError(f"tone curve is not monotone: it falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
     at = np.arange(int(np.ceil(codes[-1])) + 1)
-    inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
-    slope = (values[1] - values[0]) / (codes[1] - codes[0])
-    return checked_curve(inside + np.minimum(at - codes[0], 0) * slope)
+    with np.errstate(all="ignore"):  # codes or values of 1e-300: what is not finite then is refused
+        inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
+        slope = (values[1] - values[0]) / (codes[1] - codes[0])
+        curve = inside + np.minimum(at - codes[0], 0) * slope
+    return checked_curve(curve)

@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, local_shading, vector
@@ -126,6 +127,8 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
         array([[0.5]])
     """
     angles = np.atleast_1d(np.asarray(checks.viewing_angle("theta", theta)))
+    if angles.ndim != 1:
+        raise ArgumentError(f"theta must have shape (n,), got {angles.shape}")
     u = ((np.arange(_NODES) + 0.5) / _NODES)[:, None]
     phi = ((np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS * 2 * np.pi)[None, :]
     theta_h = u**2 * np.pi / 2

@@ -12,6 +12,8 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 
+_LARGEST_INDEX = 1e6  # of any material at any wavelength; fourth powers of it are still exact enough
+
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
     """Return the unpolarised reflectance of a metal's surface in air.
@@ -37,7 +39,8 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
         0.04
     """
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
-    return _mean_of_polarisations(theta, checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True))
+    n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
+    return _mean_of_polarisations(theta, n, k)
 
 
 @jax.jit
@@ -92,7 +95,7 @@ class Conductor(Reflectance):
     k: jax.Array
 
     def __init__(self, n: ArrayLike, k: ArrayLike):
-        n, k = checks.positive("n", n), checks.within("k", k, 0, np.inf, open_high=True)
+        n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
         self.n, self.k = jnp.broadcast_arrays(per_channel("n", n), per_channel("k", k))
 
     def at(self, theta: jax.Array) -> jax.Array:
@@ -120,7 +123,7 @@ class Dielectric(Reflectance):
     eta: jax.Array
 
     def __init__(self, eta: ArrayLike):
-        self.eta = per_channel("eta", checks.within("eta", eta, 1, np.inf, open_low=True, open_high=True))
+        self.eta = per_channel("eta", checks.within("eta", eta, 1, _LARGEST_INDEX, open_low=True))
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Return the unpolarised reflectance: `fresnel_conductor` with k = 0."""

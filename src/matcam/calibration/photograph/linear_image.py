@@ -78,7 +78,12 @@ class LinearImage:
 
     def __post_init__(self) -> None:
         checks.not_masked("values", self.values)
-        values = np.asarray(self.values)
+        try:
+            values = np.asarray(self.values)
+        except ValueError:
+            raise ArgumentError(
+                f"values must be numbers of shape (height, width), got a {type(self.values).__name__} of uneven rows"
+            ) from None
         if values.ndim != 2 or values.dtype.kind not in "uif":
             raise ArgumentError(f"values must be numbers of shape (height, width), got {values.dtype} {values.shape}")
         if self.channel not in CHANNELS:

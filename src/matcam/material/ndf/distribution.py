@@ -22,6 +22,7 @@ from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 
+_SMOOTHEST = 1e-60  # roughness: far below any surface, and powers of it are still numbers
 _FLAT = 1e-30  # squared sine of a direction that is the normal itself
 
 
@@ -191,8 +192,8 @@ class StretchedSlopes(SlopeDistribution):
     alpha_across: jax.Array
 
     def __init__(self, alpha_along: ArrayLike, alpha_across: ArrayLike):
-        self.alpha_along = _roughness("alpha_along", alpha_along)
-        self.alpha_across = _roughness("alpha_across", alpha_across)
+        self.alpha_along = checked_roughness("alpha_along", alpha_along)
+        self.alpha_across = checked_roughness("alpha_across", alpha_across)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
@@ -242,9 +243,10 @@ class StretchedSlopes(SlopeDistribution):
         return max(along / across, across / along)
 
 
-def _roughness(name: str, alpha: ArrayLike) -> jax.Array:
-    """Return a roughness in (0, 1]; ArgumentError otherwise."""
-    return checks.scalar(name, checks.within(name, alpha, 0, 1, open_low=True))
+def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: str = "") -> jax.Array:
+    """Return a roughness in (0, largest]; ArgumentError otherwise, and where its square is no number any more."""
+    checks.within(name, value, 0, largest, unit, open_low=True)
+    return checks.scalar(name, checks.within(name, value, _SMOOTHEST, largest, unit))
 
 
 def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:

@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import tabulated_lambda
-from matcam.material.ndf.distribution import MixtureNDF
+from matcam.material.ndf.distribution import MixtureNDF, checked_roughness
 
 _SMALL = 1e-6  # squared slope below which its angle comes from a series: the root's slope is infinite at 0
 
@@ -39,7 +39,7 @@ class GaussianNDF(MixtureNDF):
     largest = 0.5  # rad; beyond, a Gaussian in theta_h does not die out before the horizon
 
     def __init__(self, width: ArrayLike):
-        self.width = checks.scalar("width", checks.within("width", width, 0, self.largest, "rad", open_low=True))
+        self.width = checked_roughness("width", width, self.largest, "rad")
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """Return D, 1/sr, proportional to exp(-theta_h^2 / (2 width^2))."""

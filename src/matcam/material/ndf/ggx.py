@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import cot_of
-from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes
+from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_roughness
 
 _MIXTURE_NODES = 56
 
@@ -39,7 +38,7 @@ class GGX(SlopeNDF, MixtureNDF):
     largest = 1.0
 
     def __init__(self, alpha: ArrayLike):
-        self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, self.largest, open_low=True))
+        self.alpha = checked_roughness("alpha", alpha, self.largest)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return alpha^2 / (pi (alpha^2 + slope^2)^2)."""

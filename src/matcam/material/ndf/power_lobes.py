@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.material.masking import tabulated_lambda
-from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF
+from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, checked_roughness
 
 _NORM_NODES = np.polynomial.legendre.leggauss(96)
 _MIXTURE_NODES = 96
@@ -47,7 +47,7 @@ class EPD(SlopeNDF):
     largest = 1.0
 
     def __init__(self, beta: ArrayLike, power: ArrayLike):
-        self.beta = checks.scalar("beta", checks.within("beta", beta, 0, self.largest, open_low=True))
+        self.beta = checked_roughness("beta", beta, self.largest)
         self.power = checks.scalar("power", checks.within("power", power, 0.25, 4))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
@@ -103,7 +103,7 @@ class SGD(SlopeNDF, MixtureNDF):
     published_over_ours: ClassVar[float] = 4 / np.pi
 
     def __init__(self, alpha: ArrayLike, power: ArrayLike):
-        self.alpha = checks.scalar("alpha", checks.within("alpha", alpha, 0, self.largest, open_low=True))
+        self.alpha = checked_roughness("alpha", alpha, self.largest)
         self.power = checks.scalar("power", checks.within("power", power, 0, 2, open_low=True))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:

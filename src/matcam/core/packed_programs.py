@@ -1,0 +1,70 @@
+"""A compiled program as bytes, and back, without letting those bytes name what Python shall run.
+
+JAX writes what it knows of a program as a pickle, and a pickle may call whatever it names. Here it may name a short list of
+JAX's descriptions of arrays, and nothing else. The program itself is machine code, which only its owner may be trusted with
+(sealed.py).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import Any
+
+from jax.experimental import serialize_executable
+
+from matcam.core.jax import jax
+
+_LIBRARIES = ("jax", "jaxlib", "numpy")
+_NAMES = {
+    "AbstractMesh", "AllArgsInfo", "ArgInfo", "AxisType", "DebugInfo", "DeviceList", "DeviceLocalLayout", "Format",
+    "GSPMDSharding", "HloSharding", "Layout", "ManualAxisType", "MemorySpace", "Mesh", "NamedSharding", "OpSharding",
+    "P", "PartitionSpec", "ShapedArray", "SingleDeviceSharding", "UnloadedMeshExecutable", "UnspecifiedValue",
+    "_unpickle_named_sharding", "_unpickle_single_device_sharding", "dtype",
+}  # fmt: skip
+"""What a program's description may name: kinds, shapes and places of arrays. None of them does anything but hold them."""
+
+
+class _Unpickler(serialize_executable._JaxPjrtUnpickler):
+    """JAX's own, which finds nothing but what describes arrays."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module.split(".")[0] not in _LIBRARIES or name not in _NAMES:
+            raise ValueError(f"it names {module[:40]}.{name[:40]}, which no program needs")
+        return super().find_class(module, name)
+
+
+def pack_program(program: Any) -> bytes:
+    """Return a compiled function of arrays as bytes.
+
+    Args:
+        program: the compiled function, which returns an array, or a tuple of arrays and tuples.
+
+    Raises:
+        ValueError: it cannot be written down, or could not be read again.
+    """
+    stored, _, output = serialize_executable.serialize(program)
+    places = jax.tree.unflatten(output, range(output.num_leaves))
+    if jax.tree.structure(_as_tuples(json.loads(json.dumps(places)))) != output:
+        raise ValueError("it returns something else than arrays and tuples of them")
+    packed = json.dumps(places).encode() + b"\n" + stored
+    unpack_program(packed)  # what this JAX names may not be among the names
+    return packed
+
+
+def unpack_program(packed: bytes) -> Any:
+    """Return the compiled function that `pack_program` wrote.
+
+    Raises:
+        Exception: the bytes are something else. What a backend may find wrong has no class of its own.
+    """
+    head, _, stored = packed.partition(b"\n")
+    output = jax.tree.structure(_as_tuples(json.loads(head)))
+    client = jax.devices()[0].client
+    unloaded, infos, no_kwargs = _Unpickler(io.BytesIO(stored), client, client.devices()).load()
+    inputs = jax.tree.structure(((0,) * len(infos), {}))
+    return jax.stages.Compiled(unloaded.load(), [], inputs.unflatten(infos), output, no_kwargs=no_kwargs)
+
+
+def _as_tuples(value: Any) -> Any:
+    return tuple(map(_as_tuples, value)) if isinstance(value, list) else int(value)
