@@ -3,8 +3,8 @@
 import math
 
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].roots().length"
-PREPARED = """(() => { const d = Bokeh.documents[0]; const s = d.get_model_by_name('sphere-true');
- return s.data.image[0].length > 100 && d.get_model_by_name('plan-status').text === '' })()"""
+PREPARED = """(() => { const d = Bokeh.documents[0]; const s = d.get_model_by_name('pictures');
+ return s.data['sphere true'][0].length > 100 && d.get_model_by_name('plan-status').text === '' })()"""
 EXACT = "Bokeh.documents[0].get_model_by_name('plan-numbers').text.includes('matcam predict')"
 
 # The boxes of all widgets and plots that are shown, as [name, left, top, right, bottom, overflow]
@@ -37,7 +37,29 @@ MOVE = """async ([name, place, sources]) => {
   await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
   return performance.now() - start;
 }"""
-PICTURES = ["curve", "sphere-true", "sphere-recorded", "close-true", "close-recorded"]
+# Many moves of a slider, one every few milliseconds, and what arrives of them until all is still:
+# [roughness that a fast curve shows, how many events had been sent when it came], and the same of the pictures
+DRAG = """async ([name, places, pause]) => {
+  const d = Bokeh.documents[0];
+  const field = d.get_model_by_name(name.replace('slider', 'field'));
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  let sent = 0, last = performance.now();
+  const shown = [], pictures = [], links = [];
+  const watch = (one, seen) => {
+    const model = d.get_model_by_name(one), heard = () => { last = performance.now(); seen(model.data) };
+    model.properties.data.change.connect(heard);
+    links.push(() => model.properties.data.change.disconnect(heard));
+  };
+  watch('curve', (data) => { if (data.theta[0].length < 100) shown.push([Number(data.roughness[0]), sent]) });
+  watch('pictures', () => pictures.push(sent));
+  for (const place of places) { d.get_model_by_name(name).value = place; sent += 1; await wait(pause) }
+  last = performance.now();
+  while (performance.now() - last < 3000) await wait(20);
+  links.forEach((end) => end());
+  return { shown, pictures, value: field.value, slider: d.get_model_by_name(name).value };
+}"""
+
+SHOWN = ["curve", "pictures"]
 
 FOCUSED = """(() => {
   let one = document.activeElement;
@@ -67,4 +89,4 @@ def faults(boxes, width):
 def latencies(page, moves=60, slider="slider-roughness", low=-2.7, high=-0.7):
     """Times from a slider's event to the paint of curve and pictures, ms."""
     places = [low + (high - low) * (0.5 + 0.5 * math.sin(0.37 * i)) for i in range(moves)]
-    return [page.evaluate(MOVE, [slider, place, PICTURES]) for place in places]
+    return [page.evaluate(MOVE, [slider, place, SHOWN]) for place in places]

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.app.browsing import BOXES, FOCUSED, READY, faults
+from tests.app.browsing import BOXES, DRAG, FOCUSED, PREPARED, READY, faults
 from tests.app.conftest import running
 
 SIZES = ((1280, 800), (1920, 1080))
@@ -54,6 +54,32 @@ def test_views_fit_and_nothing_leaves_the_machine(chromium):
         assert (
             faults([*boxes, ["x", boxes[0][1], boxes[0][2], 9999, boxes[0][4], 0]], size[0]) != []
         )  # the test can fail
+
+
+def test_the_last_value_of_a_fast_drag_wins(chromium):
+    """150 moves within about a second: few are computed, none is shown late, and the last one is what stays."""
+    with running() as app, opened(chromium, app) as page:
+        page.wait_for_function(PREPARED, timeout=300_000)
+        places = (np.log10(0.002) + (np.log10(0.2) - np.log10(0.002)) * np.arange(150) / 149).tolist()
+        found = page.evaluate(DRAG, ["slider-roughness", places, 5])
+        shown, when = np.array(found["shown"]).T
+        assert found["slider"] == places[-1]
+        assert shown[-1] == found["value"] == 0.2
+        assert len(shown) < len(places) / 2
+        assert (np.diff(shown) >= 0).all()  # the drag only rises: no earlier value is shown after a later one
+        assert (when == len(places)).sum() <= 2  # behind the last move: what was being computed, and the last value
+        assert sum(sent == len(places) for sent in found["pictures"]) <= 3  # and the exact picture
+        # the same of a mouse's drag of the handle
+        page.locator("[role=slider]").nth(6).hover()
+        handle = page.locator("[role=slider]").nth(6).bounding_box()
+        page.mouse.down()
+        page.mouse.move(handle["x"] - 120, handle["y"] + 5, steps=100)
+        page.mouse.up()
+        page.wait_for_function(f"{SHOWN} < 0.05 && {SHOWN} === {FIELD}", timeout=30_000)
+
+
+SHOWN = "Number(Bokeh.documents[0].get_model_by_name('curve').data.roughness[0])"
+FIELD = "Bokeh.documents[0].get_model_by_name('field-roughness').value"
 
 
 @pytest.mark.slow

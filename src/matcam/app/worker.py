@@ -7,6 +7,7 @@ asks. A result is shown before the next request is begun, so that neither reques
 from __future__ import annotations
 
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -34,18 +35,27 @@ class Newest:
         self._complain = complain
         self._wake = threading.Condition()
         self._job: tuple[Callable[[], Any], Callable[[Any], None]] | None = None
+        self._due = 0.0
         self._ended = False
         self.busy = False
         self._thread: threading.Thread | None = None
 
-    def ask(self, work: Callable[[], Any], show: Callable[[Any], None]) -> None:
-        """Ask for work; `show` gets its result in the page. A job that has not begun is replaced."""
+    def ask(self, work: Callable[[], Any], show: Callable[[Any], None], after: float = 0.0) -> None:
+        """Ask for work; a job that has not begun is replaced.
+
+        Args:
+            work: what to do.
+            show: gets the result in the page.
+            after: time for which nothing else is asked before the work begins, s. Default: 0.
+        """
         with self._wake:
-            self._job = (work, show)
+            waits = self._job is not None and self._due <= time.monotonic() + after
+            self._job, self._due = (work, show), time.monotonic() + after
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, daemon=True, name=THREAD)
                 self._thread.start()
-            self._wake.notify()
+            if not waits:  # a thread that waits for an earlier time finds this job then
+                self._wake.notify()
 
     def overtaken(self) -> bool:
         """Tell whether another job waits: a long one may stop."""
@@ -84,7 +94,8 @@ class Newest:
     def _run(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._job is not None or self._ended)
+                while not self._ended and (self._job is None or self._due > time.monotonic()):
+                    self._wake.wait(None if self._job is None else self._due - time.monotonic())
                 if self._ended or self._job is None:
                     return
                 (work, show), self._job, self.busy = self._job, None, True
