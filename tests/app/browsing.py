@@ -37,26 +37,28 @@ MOVE = """async ([name, place, sources]) => {
   await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
   return performance.now() - start;
 }"""
-# Many moves of a slider, one every few milliseconds, and what arrives of them until all is still:
-# [roughness that a fast curve shows, how many events had been sent when it came], and the same of the pictures
-DRAG = """async ([name, places, pause]) => {
+# Many moves of a slider, in bursts, and what arrives of them until all is still: the values whose fast curves are shown, how
+# many of them came after the server had answered the last move, and the value that number field and slider have in the end
+DRAG = """async ([name, places, burst, pause]) => {
   const d = Bokeh.documents[0];
-  const field = d.get_model_by_name(name.replace('slider', 'field'));
+  const slider = d.get_model_by_name(name), field = d.get_model_by_name(name.replace('slider', 'field'));
+  const curve = d.get_model_by_name('curve');
   const wait = (ms) => new Promise((done) => setTimeout(done, ms));
-  let sent = 0, last = performance.now();
-  const shown = [], pictures = [], links = [];
-  const watch = (one, seen) => {
-    const model = d.get_model_by_name(one), heard = () => { last = performance.now(); seen(model.data) };
-    model.properties.data.change.connect(heard);
-    links.push(() => model.properties.data.change.disconnect(heard));
+  let last = performance.now(), answered = 0, late = 0;
+  const shown = [];
+  const echo = () => { last = performance.now(); answered += 1; late = 0 };
+  const draw = () => {
+    last = performance.now();
+    if (curve.data.theta[0].length < 100) { shown.push(Number(curve.data.roughness[0])); late += 1 }
   };
-  watch('curve', (data) => { if (data.theta[0].length < 100) shown.push([Number(data.roughness[0]), sent]) });
-  watch('pictures', () => pictures.push(sent));
-  for (const place of places) { d.get_model_by_name(name).value = place; sent += 1; await wait(pause) }
+  field.properties.value.change.connect(echo);
+  curve.properties.data.change.connect(draw);
+  for (let i = 0; i < places.length; i++) { slider.value = places[i]; if (i % burst == burst - 1) await wait(pause) }
   last = performance.now();
   while (performance.now() - last < 3000) await wait(20);
-  links.forEach((end) => end());
-  return { shown, pictures, value: field.value, slider: d.get_model_by_name(name).value };
+  field.properties.value.change.disconnect(echo);
+  curve.properties.data.change.disconnect(draw);
+  return { shown, late, answered, value: field.value, slider: slider.value };
 }"""
 
 SHOWN = ["curve", "pictures"]

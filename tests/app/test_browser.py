@@ -41,8 +41,8 @@ def message(page):
     return page.evaluate("Bokeh.documents[0].get_model_by_name('message').text")
 
 
-def test_views_fit_and_nothing_leaves_the_machine(chromium):
-    with running() as app, opened(chromium, app) as page:
+def test_views_fit_and_nothing_leaves_the_machine(chromium, app):
+    with opened(chromium, app) as page:
         assert page.url == f"http://127.0.0.1:{app.port}/"
         for size in SIZES:
             page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -56,26 +56,26 @@ def test_views_fit_and_nothing_leaves_the_machine(chromium):
         )  # the test can fail
 
 
-def test_the_last_value_of_a_fast_drag_wins(chromium):
-    """150 moves within about a second: few are computed, none is shown late, and the last one is what stays."""
-    with running() as app, opened(chromium, app) as page:
+def test_the_last_value_of_a_fast_drag_wins(chromium, app):
+    """160 moves in bursts of 8: few are computed, none is shown late, and the last one is what stays."""
+    with opened(chromium, app) as page:
         page.wait_for_function(PREPARED, timeout=300_000)
-        places = (np.log10(0.002) + (np.log10(0.2) - np.log10(0.002)) * np.arange(150) / 149).tolist()
-        found = page.evaluate(DRAG, ["slider-roughness", places, 5])
-        shown, when = np.array(found["shown"]).T
+        places = np.linspace(np.log10(0.002), np.log10(0.2), 160).tolist()
+        found = page.evaluate(DRAG, ["slider-roughness", places, 8, 30])
         assert found["slider"] == places[-1]
-        assert shown[-1] == found["value"] == 0.2
-        assert len(shown) < len(places) / 2
-        assert (np.diff(shown) >= 0).all()  # the drag only rises: no earlier value is shown after a later one
-        assert (when == len(places)).sum() <= 2  # behind the last move: what was being computed, and the last value
-        assert sum(sent == len(places) for sent in found["pictures"]) <= 3  # and the exact picture
-        # the same of a mouse's drag of the handle
-        page.locator("[role=slider]").nth(6).hover()
-        handle = page.locator("[role=slider]").nth(6).bounding_box()
+        assert found["shown"][-1] == found["value"] == 0.2
+        assert found["answered"] > 100  # the number field follows every move that changes its three digits
+        assert len(found["shown"]) < len(places) / 2
+        assert (np.diff(found["shown"][1:]) >= 0).all()  # the drag only rises: no earlier value follows a later one
+        assert found["late"] <= 2  # behind the last move: what was being computed, and the last value
+        # the same of a mouse that drags the handle
+        handle = page.locator("[role=slider]").nth(6)
+        handle.hover()
+        box = handle.bounding_box()
         page.mouse.down()
-        page.mouse.move(handle["x"] - 120, handle["y"] + 5, steps=100)
+        page.mouse.move(box["x"] - 100, box["y"] + 5, steps=60)
         page.mouse.up()
-        page.wait_for_function(f"{SHOWN} < 0.05 && {SHOWN} === {FIELD}", timeout=30_000)
+        page.wait_for_function(f"{FIELD} < 0.1 && {SHOWN} === {FIELD}", timeout=30_000)
 
 
 SHOWN = "Number(Bokeh.documents[0].get_model_by_name('curve').data.roughness[0])"

@@ -30,7 +30,7 @@ from matcam.app.explored import (
 from matcam.app.opened import Openable, OpenedTable, entries_of
 from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, plain
 from matcam.app.transfers import Downloads, Upload
-from matcam.app.worker import Newest
+from matcam.app.worker import DRAINED, Newest
 from matcam.core.errors import ArgumentError, MatcamError
 
 SETTINGS = (
@@ -99,7 +99,7 @@ class ExploreView:
         if tables[0] is not None:
             angles = {name: control.value for name, control in self._controls.items()}
             channel, which, metal = self._channel.active, self._which.active, self._metal.value
-            self._fast.ask(lambda: _shown(tables, angles, channel, which, metal), self._show)
+            self._fast.ask(lambda: _shown(tables, angles, channel, which, metal), self._show, **DRAINED)
 
     def _knobs(self) -> Any:
         exports = []

@@ -26,7 +26,7 @@ from matcam.app.plots import (
     picture_columns,
 )
 from matcam.app.transfers import Downloads
-from matcam.app.worker import Newest
+from matcam.app.worker import DRAINED, Newest
 
 _REST = 0.5  # s without a change before the exact values are computed
 _PICTURE_ERROR = 0.01  # of the exact picture, of its peak
@@ -91,7 +91,7 @@ class PlanView:
         """Show the fast values of what the controls say now."""
         planned = self.planned
         if self._warm:
-            self._fast.ask(lambda: _fast(planned), self._show)
+            self._fast.ask(lambda: _fast(planned), self._show, **DRAINED)
             self._rest()
 
     def _rest(self) -> None:
