@@ -49,7 +49,7 @@ def page_times(browser, cache, kind):
 
 
 def run_of_1000():
-    from matcam.app.opened import entries_of
+    from matcam.app.exploring.opened import entries_of
 
     with tempfile.TemporaryDirectory() as folder:
         record = {"fit": {"params": {"alpha": 0.01}}, "supported_share": 0.5, "filling": list(range(3000))}

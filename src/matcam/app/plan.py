@@ -13,8 +13,8 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Span
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
-from matcam.app.controls import WIDTH, NumberControl
-from matcam.app.plan_settings import PRESETS, SETTINGS, Planned
+from matcam.app.controls import WIDTH, ConductorControl, NumberControl
+from matcam.app.plan_settings import PRESETS, SETTINGS, Planned, green_indices
 from matcam.app.plots import (
     COLOURS,
     GREY,
@@ -60,11 +60,17 @@ class PlanView:
         self._warm = False
         self._last: dict[str, Any] = {}
         self._controls = {one.name: NumberControl(one, self.refresh, self._rest) for one in SETTINGS}
-        self._metal = Select(title="metal", value="Cr", options=["Cr"], width=130, margin=(2, 8, 2, 8))
-        self._family = Select(title="lobe", value="ggx", options=["ggx", "beckmann", "gaussian"], width=130, margin=2)
+        self._metal = ConductorControl("metal, n and k (green)", self.refresh, green_indices)
+        self._family = Select(
+            title="lobe",
+            value="ggx",
+            options=["ggx", "beckmann", "gaussian"],
+            width=128,
+            margin=(2, 8, 2, 8),
+            name="lobe",
+        )
         self._shown = RadioButtonGroup(labels=list(_SHOWN), active=0, name="shown")
-        for select in (self._metal, self._family):
-            select.on_change("value", lambda attr, old, new: self.refresh())
+        self._family.on_change("value", lambda attr, old, new: self.refresh())
         self._shown.on_change("active", lambda attr, old, new: self._choose())
         self._status = Div(text="", name="plan-status", height=18, sizing_mode="stretch_width")
         self._numbers = Div(text="", name="plan-numbers", sizing_mode="stretch_width", styles={"font-size": "12px"})
@@ -85,7 +91,7 @@ class PlanView:
     def planned(self) -> Planned:
         """Return what the controls say."""
         numbers = {name: control.value for name, control in self._controls.items()}
-        return Planned(**numbers, metal=self._metal.value, family=self._family.value)
+        return Planned(**numbers, metal=self._metal.name.value, family=self._family.value, n_and_k=self._metal.n_and_k)
 
     def refresh(self) -> None:
         """Show the fast values of what the controls say now."""
@@ -108,7 +114,8 @@ class PlanView:
         return column(
             row(*presets),
             *(control.layout for control in self._controls.values()),
-            row(self._metal, self._family),
+            self._metal.layout,
+            self._family,
             width=WIDTH,
         )
 
@@ -137,7 +144,8 @@ class PlanView:
         self._curves.legend.location = "bottom_left"
         self._curves.legend.label_text_font_size = "10px"
         self._curves.legend.background_fill_alpha = 0.7
-        self._curves.legend.padding = self._curves.legend.spacing = 2
+        self._curves.legend.spacing = 2
+        self._curves.legend.padding = 5
         self._drawn = ColumnDataSource(no_pictures(*_PICTURES), name="pictures")
         self._changes = ColumnDataSource(no_pictures(*_DIFFERENCES), name="differences")
         self._colours = {
@@ -183,8 +191,7 @@ class PlanView:
     def _choose(self) -> None:
         for index, panel in enumerate(self._panels):
             panel.visible = index == self._shown.active
-        if self._last:
-            self._show(self._last)
+        self._show_pictures(self._last)
 
     def _preset(self, name: str) -> None:
         for one, control in self._controls.items():
@@ -213,7 +220,7 @@ class PlanView:
         return list(metals())
 
     def _started(self, names: list[str]) -> None:
-        self._metal.options = names
+        self._metal.offer(names)
         self._warm = True
         self._say("")
         self.refresh()
@@ -226,8 +233,7 @@ class PlanView:
         self._last = found
         if "curves" in found:
             self._show_curves(found["planned"], found["curves"])
-        if "close" in found or "sphere" in found:
-            self._show_pictures(found)
+        self._show_pictures(found)
 
     def _show_curves(self, planned: Planned, data: Any) -> None:
         count = data.sizes["roughness"]
@@ -258,6 +264,8 @@ class PlanView:
     def _show_pictures(self, found: dict[str, Any]) -> None:
         """Show the pictures that are chosen, all by one message."""
         parts = {name: found[name] for name in ("sphere", "close") if name in found}
+        if not parts:
+            return
         if self._shown.active == 2:
             if "close" in parts:
                 rows = parts["close"].isel(y=parts["close"].sizes["y"] // 2)

@@ -40,6 +40,15 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
     return plot
 
 
+def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
+    """Return a plot for pictures on black, `size` px of the screen wide and high, whose axes have names with units."""
+    plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
+    plain(plot)
+    plot.grid.visible = False
+    plot.background_fill_color = "#000000"
+    return plot
+
+
 def plain(plot: Any) -> None:
     """Give a plot the style of all."""
     plot.toolbar.logo = None
@@ -124,21 +133,11 @@ class PictureFigure:
         beside: PictureFigure | None = None,
     ):
         ranges = {} if beside is None else {"x_range": beside.plot.x_range, "y_range": beside.plot.y_range}
-        self.plot = figure(
-            title=title,
-            x_axis_label="x, towards the lamp [px]",
-            y_axis_label="y [px]",
-            frame_width=size,
-            frame_height=size,
-            match_aspect=True,
-            tools="pan,wheel_zoom,reset",
-            toolbar_location=None,
-            **ranges,
-        )
-        plain(self.plot)
-        self.plot.grid.visible = False
+        self.plot = picture_figure(
+            title, size, "x, towards the lamp [px]", "y [px]", match_aspect=True, tools="pan,wheel_zoom,reset",
+            toolbar_location=None, **ranges,
+        )  # fmt: skip
         self.plot.yaxis.visible = beside is None
-        self.plot.background_fill_color = "#000000"
         self.plot.axis.ticker = BasicTicker(desired_num_ticks=3)
         self.plot.yaxis.formatter = PrintfTickFormatter(format="%5.4g")
         self.plot.yaxis.major_label_text_font = "monospace"
@@ -181,6 +180,7 @@ __all__ = [
     "COLOURS",
     "GREY",
     "ORANGE",
+    "SKY",
     "VERMILION",
     "PictureColours",
     "PictureFigure",
@@ -188,5 +188,6 @@ __all__ = [
     "hover",
     "no_pictures",
     "picture_columns",
+    "picture_figure",
     "plain",
 ]
