@@ -13,6 +13,9 @@ from matcam.app.exploring.opened import entries_of
 from matcam.core.errors import FileFormatError
 from matcam.core.grid import brdf_table, merl_grid
 from matcam.files.datasets import write_netcdf
+from tests.app.browsing import BOXES, faults
+from tests.app.conftest import running
+from tests.app.test_browser import SIZES, message, opened
 
 GRID = merl_grid("centre")
 NAMES, SIDE = ("L00", "L01"), 33
@@ -145,3 +148,37 @@ def test_links_beside_a_result_are_refused(folder, tmp_path):
     (tmp_path / "inner" / "a.nc").symlink_to(folder / "chrome.nc")
     with pytest.raises(FileFormatError, match="link"):
         entries_of(tmp_path / "inner" / "a.json")
+
+
+SHOT = "Bokeh.documents[0].get_model_by_name('shot-image').data"
+
+
+@pytest.mark.slow
+def test_overlays_stand_in_the_page(chromium, folder):
+    for files in ((folder / "chrome.nc",), (folder / "shots", folder / "chrome.nc")):
+        with running(*files) as app, opened(chromium, app) as page:
+            page.wait_for_function("Bokeh.documents[0].get_model_by_name('looked-at').visible", timeout=60_000)
+            page.get_by_role("button", name="photographs").click()
+            page.wait_for_function(
+                "Bokeh.documents[0].get_model_by_name('fitted-outline').data.x.length", timeout=60_000
+            )
+            outline = page.evaluate("Bokeh.documents[0].get_model_by_name('fitted-outline').data")
+            assert [outline[key][0] for key in ("x", "y", "radius")] == [50.2, 48.1, 40.5]
+            if len(files) == 1:
+                page.wait_for_timeout(500)
+                assert "the photographs are not open" in message(page)
+                assert page.evaluate(f"{SHOT}.image.length") == 0
+                continue
+            page.wait_for_function(f"{SHOT}.image.length", timeout=60_000)
+            assert message(page) == ""
+            for size in SIZES:
+                page.set_viewport_size({"width": size[0], "height": size[1]})
+                page.wait_for_timeout(400)
+                assert faults(page.evaluate(BOXES), size[0]) == []
+            # the other lamp position by the keyboard alone
+            page.get_by_label("lamp position").focus()
+            page.keyboard.press("ArrowDown")
+            page.wait_for_function("Bokeh.documents[0].get_model_by_name('fitted-outline').data.x[0] === 50.3")
+            (folder / "shots" / "frames" / "L01_E0.tif").unlink()
+            page.evaluate("Bokeh.documents[0].get_model_by_name('shot').value = '1'")
+            page.wait_for_function("Bokeh.documents[0].get_model_by_name('message').text.includes('L01_E0.tif')")
