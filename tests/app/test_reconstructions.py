@@ -10,7 +10,7 @@ import xarray as xr
 from matcam.app.exploring.explored import slice_of
 from matcam.app.exploring.fitted_pictures import fitted_pictures, is_capture, opened_captures, shots_of
 from matcam.app.exploring.opened import entries_of
-from matcam.core.errors import FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import brdf_table, merl_grid
 from matcam.files.datasets import write_netcdf
 from tests.app.browsing import BOXES, faults
@@ -102,7 +102,7 @@ def test_no_photograph_is_read_that_was_not_opened(folder, monkeypatch):
     captures, _ = opened_captures([folder / "chrome.nc"])
     assert captures == []
     monkeypatch.setattr("matcam.files.capture.open_photograph", lambda *_: pytest.fail("read without being opened"))
-    with pytest.raises(FileFormatError, match="give the capture's folder"):
+    with pytest.raises(ArgumentError, match="give the capture's folder"):
         shots_of(fitted_pictures("chrome.nc", windows())[0], captures)
 
 

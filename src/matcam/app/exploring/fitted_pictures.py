@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.app.calibrated import drawn_values
-from matcam.core.errors import FileFormatError, MatcamError
+from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
 from matcam.files.capture import LIST, SETTINGS, Capture, read_capture
 
 WINDOWS = ("window_recorded", "window_fitted", "window_residual")
@@ -137,10 +137,11 @@ def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
     """Return the photographs of a picture's lamp position in the opened captures, the longest exposure first.
 
     Raises:
-        FileFormatError: no capture is open, or none has this lamp position's photographs.
+        ArgumentError: no capture is open.
+        FileFormatError: none has this lamp position's photographs.
     """
     if not captures:
-        raise FileFormatError(
+        raise ArgumentError(
             "the photographs are not open: give the capture's folder, too (`matcam app CAPTURE RESULT.nc`)"
         )
     found = [Shot(frame.file, one, frame) for one in captures for frame in one.of("frames", lamp=picture.name)]

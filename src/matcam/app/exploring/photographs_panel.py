@@ -15,7 +15,7 @@ from bokeh.palettes import Greys256, RdBu11
 from matcam.app.exploring.fitted_pictures import WINDOWS, FittedPicture, Shot, shots_of
 from matcam.app.plots import ORANGE, SKY, VERMILION, hover, picture_figure
 from matcam.app.worker import Newest
-from matcam.core.errors import FileFormatError
+from matcam.core.errors import MatcamError
 from matcam.files.capture import Capture
 
 _SIDE = 400  # px of the screen
@@ -146,7 +146,7 @@ class PhotographsPanel:
         )
         try:
             self._shots = shots_of(one, self._captures)
-        except FileFormatError as error:
+        except MatcamError as error:
             self._shots = []
             self._complain(str(error))
         else:
