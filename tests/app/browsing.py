@@ -3,8 +3,8 @@
 import math
 
 READY = "window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].roots().length"
-PREPARED = """(() => { const d = Bokeh.documents[0]; const s = d.get_model_by_name('sphere-true');
- return s.data.image[0].length > 100 && d.get_model_by_name('plan-status').text === '' })()"""
+PREPARED = """(() => { const d = Bokeh.documents[0]; const s = d.get_model_by_name('pictures');
+ return s.data['sphere true'][0].length > 100 && d.get_model_by_name('plan-status').text === '' })()"""
 EXACT = "Bokeh.documents[0].get_model_by_name('plan-numbers').text.includes('matcam predict')"
 
 # The boxes of all widgets and plots that are shown, as [name, left, top, right, bottom, overflow]
@@ -37,7 +37,31 @@ MOVE = """async ([name, place, sources]) => {
   await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
   return performance.now() - start;
 }"""
-PICTURES = ["curve", "sphere-true", "sphere-recorded", "close-true", "close-recorded"]
+# Many moves of a slider, in bursts, and what arrives of them until all is still: the values whose fast curves are shown, how
+# many of them came after the server had answered the last move, and the value that number field and slider have in the end
+DRAG = """async ([name, places, burst, pause]) => {
+  const d = Bokeh.documents[0];
+  const slider = d.get_model_by_name(name), field = d.get_model_by_name(name.replace('slider', 'field'));
+  const curve = d.get_model_by_name('curve');
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  let last = performance.now(), answered = 0, late = 0;
+  const shown = [];
+  const echo = () => { last = performance.now(); answered += 1; late = 0 };
+  const draw = () => {
+    last = performance.now();
+    if (curve.data.theta[0].length < 100) { shown.push(Number(curve.data.roughness[0])); late += 1 }
+  };
+  field.properties.value.change.connect(echo);
+  curve.properties.data.change.connect(draw);
+  for (let i = 0; i < places.length; i++) { slider.value = places[i]; if (i % burst == burst - 1) await wait(pause) }
+  last = performance.now();
+  while (performance.now() - last < 3000) await wait(20);
+  field.properties.value.change.disconnect(echo);
+  curve.properties.data.change.disconnect(draw);
+  return { shown, late, answered, value: field.value, slider: slider.value };
+}"""
+
+SHOWN = ["curve", "pictures"]
 
 FOCUSED = """(() => {
   let one = document.activeElement;
@@ -67,4 +91,4 @@ def faults(boxes, width):
 def latencies(page, moves=60, slider="slider-roughness", low=-2.7, high=-0.7):
     """Times from a slider's event to the paint of curve and pictures, ms."""
     places = [low + (high - low) * (0.5 + 0.5 * math.sin(0.37 * i)) for i in range(moves)]
-    return [page.evaluate(MOVE, [slider, place, PICTURES]) for place in places]
+    return [page.evaluate(MOVE, [slider, place, SHOWN]) for place in places]

@@ -1,13 +1,17 @@
 """The page in a real browser."""
 
 import contextlib
+import json
 import re
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from tests.app.browsing import BOXES, FOCUSED, READY, faults
+from matcam.cli.app import app as cli
+from tests.app.browsing import BOXES, DRAG, EXACT, FOCUSED, PREPARED, READY, faults
 from tests.app.conftest import running
+from tests.app.test_calibrate import edge_picture
 
 SIZES = ((1280, 800), (1920, 1080))
 
@@ -41,8 +45,8 @@ def message(page):
     return page.evaluate("Bokeh.documents[0].get_model_by_name('message').text")
 
 
-def test_views_fit_and_nothing_leaves_the_machine(chromium):
-    with running() as app, opened(chromium, app) as page:
+def test_views_fit_and_nothing_leaves_the_machine(chromium, app):
+    with opened(chromium, app) as page:
         assert page.url == f"http://127.0.0.1:{app.port}/"
         for size in SIZES:
             page.set_viewport_size({"width": size[0], "height": size[1]})
@@ -54,6 +58,32 @@ def test_views_fit_and_nothing_leaves_the_machine(chromium):
         assert (
             faults([*boxes, ["x", boxes[0][1], boxes[0][2], 9999, boxes[0][4], 0]], size[0]) != []
         )  # the test can fail
+
+
+def test_the_last_value_of_a_fast_drag_wins(chromium, app):
+    """160 moves in bursts of 8: few are computed, none is shown late, and the last one is what stays."""
+    with opened(chromium, app) as page:
+        page.wait_for_function(PREPARED, timeout=300_000)
+        places = np.linspace(np.log10(0.002), np.log10(0.2), 160).tolist()
+        found = page.evaluate(DRAG, ["slider-roughness", places, 8, 30])
+        assert found["slider"] == places[-1]
+        assert found["shown"][-1] == found["value"] == 0.2
+        assert found["answered"] > 100  # the number field follows every move that changes its three digits
+        assert len(found["shown"]) < len(places) / 2
+        assert (np.diff(found["shown"][1:]) >= 0).all()  # the drag only rises: no earlier value follows a later one
+        assert found["late"] <= 2  # behind the last move: what was being computed, and the last value
+        # the same of a mouse that drags the handle
+        handle = page.locator("[role=slider]").nth(6)
+        handle.hover()
+        box = handle.bounding_box()
+        page.mouse.down()
+        page.mouse.move(box["x"] - 100, box["y"] + 5, steps=60)
+        page.mouse.up()
+        page.wait_for_function(f"{FIELD} < 0.1 && {SHOWN} === {FIELD}", timeout=30_000)
+
+
+SHOWN = "Number(Bokeh.documents[0].get_model_by_name('curve').data.roughness[0])"
+FIELD = "Bokeh.documents[0].get_model_by_name('field-roughness').value"
 
 
 @pytest.mark.slow
@@ -95,6 +125,55 @@ def test_the_keyboard_reaches_everything(chromium):
         before = page.evaluate("Bokeh.documents[0].get_model_by_name('field-sigma').value")
         page.keyboard.press("ArrowRight")
         page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('field-sigma').value > {before}")
+
+
+@pytest.mark.slow
+def test_displayed_numbers_are_the_commands(chromium, app, tmp_path, monkeypatch):
+    """A rig's table is `matcam predict --json`'s, by its command and its rig file; an edge is `matcam edge --json`'s."""
+    monkeypatch.chdir(tmp_path)
+    edge_picture(tmp_path / "edge.tif")
+    with opened(chromium, app) as page:
+        page.wait_for_function(PREPARED, timeout=300_000)
+        for name, value in {"sigma": 0.7, "roughness": 0.013}.items():
+            page.evaluate(f"Bokeh.documents[0].get_model_by_name('field-{name}').value = {value}")
+        shown = "Bokeh.documents[0].get_model_by_name('plan-copy').text.includes('predict 0.013')"
+        page.wait_for_function(f"{EXACT} && {shown}", timeout=300_000)
+        cells = re.findall("<td>(.*?)</td>", page.evaluate("Bokeh.documents[0].get_model_by_name('plan-numbers').text"))
+        copied = page.evaluate("Bokeh.documents[0].get_model_by_name('plan-copy').text")
+        for address, name in re.findall('href="(.*?)" download="(.*?)"', copied):
+            (tmp_path / name).write_text(page.evaluate(f"fetch('{address}').then((answer) => answer.text())"))
+        words = re.search("<code>matcam (.*?)</code>", copied)[1].split()
+        by_command = said([*words, "--json"])
+        assert cells == [
+            text
+            for alpha, response, angle in zip(
+                by_command["roughness"], by_command["response"], by_command["loss_angle_deg"], strict=True
+            )
+            for text in (f"{alpha:g}", f"{response[0]:.1%}", f"{angle:.1f}°" if angle < 90 else "-")
+        ]
+        by_file = said(["predict", *map(str, by_command["roughness"]), "--rig", "rig.toml", "--json"])
+        np.testing.assert_allclose(by_file["response"], by_command["response"], rtol=1e-12)
+        view(page, "Calibrate")
+        page.locator("input[type=file]:visible").first.set_input_files(str(tmp_path / "edge.tif"))
+        page.wait_for_function(
+            "Bokeh.documents[0].get_model_by_name('about').text.includes('edge.tif')", timeout=60_000
+        )
+        for name, value in {"x": 10, "y": 10, "width": 76, "height": 76}.items():
+            page.evaluate(f"Bokeh.documents[0].get_model_by_name('region-{name}').value = {value}")
+        page.get_by_role("button", name="measure the region's edge").click()
+        page.wait_for_function("Bokeh.documents[0].get_model_by_name('result').text !== ''", timeout=300_000)
+        text = page.evaluate("Bokeh.documents[0].get_model_by_name('result').text")
+        edge = said(["edge", "edge.tif", "--roi", "10", "10", "76", "76", "--json"])
+        assert f"MTF50 {edge['mtf50_cycles_per_px']:.4f} ± {edge['mtf50_std']:.4f} cycles/px" in text
+        about = page.evaluate("Bokeh.documents[0].get_model_by_name('about').text")
+        assert "tone curve: auto" in about
+
+
+def said(words):
+    """What a command prints."""
+    result = CliRunner().invoke(cli, words)
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
 
 
 def bombs():

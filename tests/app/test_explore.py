@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
-from matcam.app.explored import as_csv, as_exr, as_pbrt, fresnel_of, on_screen, range_of, slice_of, sphere_of
-from matcam.app.opened import OpenedTable, entries_of, read_opened
+from matcam.app.exploring.explored import as_csv, as_exr, as_pbrt, fresnel_of, on_screen, range_of, slice_of, sphere_of
+from matcam.app.exploring.opened import OpenedTable, entries_of, read_opened
 from matcam.app.transfers import safe_name
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import brdf_table, merl_grid

@@ -78,3 +78,23 @@ def test_cos_bounds_the_loss_of_a_point_lamp_only():
     assert DEFAULTS.loses_at_most_cos
     assert not replace(DEFAULTS, lamp_radius=0.1).loses_at_most_cos
     assert not replace(DEFAULTS, distance=20.0).loses_at_most_cos
+
+
+def test_a_metal_shows_its_indices_and_typed_ones_are_custom():
+    from matcam.app.controls import CUSTOM, ConductorControl
+    from matcam.app.plan_settings import green_indices
+    from matcam.core.grid import CHANNEL_WAVELENGTHS
+    from matcam.material.optical_constants import metal
+
+    changes = []
+    control = ConductorControl("metal", lambda: changes.append(control.n_and_k), green_indices)
+    control.offer(["Cr", "Au"])
+    assert (control.name.options, control.n_and_k, changes) == (["Cr", "Au", CUSTOM], None, [])
+    control.name.value = "Au"
+    n, k, _ = metal("Au", [CHANNEL_WAVELENGTHS[1]])
+    assert [field.value for field in control.numbers] == [pytest.approx(v[0], rel=1e-3) for v in (n, k)]
+    control.numbers[0].value = 1.5
+    assert (control.name.value, control.n_and_k[0], len(changes)) == (CUSTOM, 1.5, 2)
+    assert DEFAULTS.material().fresnel.n == metal("Cr", [CHANNEL_WAVELENGTHS[1]])[0]
+    material = replace(DEFAULTS, metal=CUSTOM, n_and_k=(1.5, 0.0)).material()
+    assert (float(material.fresnel.n[0]), float(material.fresnel.k[0])) == (1.5, 0.0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from matcam import read_merl
+from matcam.app.exploring.fitted_pictures import fitted_pictures
 from matcam.core.grid import merl_grid
 from matcam.io import read_netcdf
 from tests.oracle.capture import METALS, Sensor, draw
@@ -75,6 +76,19 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
     near = np.isfinite(ring).any(axis=1)
     assert near.any()
     assert np.all(np.nanmean(ring[near], axis=1) < 0.95 * truth[:8][near])
+    # the pictures by which a reader can doubt it: outline and highlight where they are, residuals of the size of the noise
+    shown = fitted_pictures("chrome.nc", table)
+    assert [one.name for one in shown] == [lamp["name"] for lamp in found["geometry"]["lamps"]]
+    for one, lamp in zip(shown, found["geometry"]["lamps"], strict=True):
+        assert one.outline == (*lamp["centre_px"], found["geometry"]["radius_px"][0])
+        half = np.add(lamp["direction"], (0, 0, 1))  # the mirror's normal, all but for the camera's distance
+        x, y, _ = half / np.linalg.norm(half)
+        mirror = one.outline[0] + VIEW.radius * x, one.outline[1] - VIEW.radius * y
+        assert np.hypot(*np.subtract(one.highlight, mirror)) < 2.5
+        residual = one.windows["window_residual"]
+        assert 0.7 < np.nanstd(residual) < 1.3
+        left = one.windows["window_recorded"] - one.windows["window_fitted"]
+        np.testing.assert_array_equal(np.sign(left[np.isfinite(residual)]), np.sign(residual[np.isfinite(residual)]))
     page = (tmp_path / "chrome.html").read_text()
     assert "Error budget" in page
     assert "http" not in page.replace("http://www.w3.org", "")

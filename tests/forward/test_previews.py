@@ -96,13 +96,24 @@ def test_blocks_are_means_of_pixels():
 
 
 def test_one_program_serves_all_numbers(caplog):
+    """A slider that moves must not wait for a compiler, whatever it moves: camera, lamp, lobe, metal or the sphere's size."""
     from matcam.core.jax import jax
 
-    response_preview(matcam.rigs.merl(), matcam.GGX(0.01), np.array([0.1, 0.2]))
+    def show(rig, alpha, n):
+        material = matcam.Microfacet(matcam.GGX(alpha), matcam.Conductor([n], [3.3]))
+        response_preview(rig, matcam.GGX(alpha), np.array([0.1, 0.2]))
+        highlight_preview(material, rig, 0.5, points=21)
+        return sphere_preview(material, rig, 0.5, side=32)
+
+    show(matcam.rigs.merl(), 0.01, 3.0)
+    camera = rig_of(HALO).camera
+    rigs = [rig_of(HALO), rig_of(lamp=matcam.NearLamp(20.0, 0.1)), rig_of(lamp_radius=0.01)]
+    rigs += [matcam.Rig(camera, matcam.Sphere(radius, 20.0)) for radius in (20.0, 47.0, 2000.0)]
     with jax.log_compiles(), caplog.at_level("WARNING"):
-        for rig in (rig_of(HALO), rig_of(lamp=matcam.NearLamp(20.0, 0.1)), rig_of(lamp_radius=0.01)):
-            response_preview(rig, matcam.GGX(0.02), np.array([0.1, 0.2]))
-    assert not [record for record in caplog.records if "_responses" in record.getMessage()]
+        shapes = {show(rig, 0.02 + 0.01 * i, 1.0 + i)["true"].shape for i, rig in enumerate(rigs)}
+    assert len(shapes) > 1
+    compiled = [record.getMessage() for record in caplog.records if "ompil" in record.getMessage()]
+    assert not [line for line in compiled if any(name in line for name in ("_responses", "_closeup", "_sphere"))]
 
 
 def test_bad_arguments():

@@ -14,11 +14,20 @@ from bokeh.layouts import column, row
 from bokeh.models import BoxSelectTool, ColorBar, ColumnDataSource, LinearColorMapper, Range1d
 from bokeh.models.widgets import Button, Div, NumericInput, Select
 from bokeh.palettes import Viridis256
-from bokeh.plotting import figure
 
-from matcam.app.calibrated import OpenedPicture, calibrated, edges_in, measured_edge, opened_or_why, profiles
+from matcam.app.calibrated import (
+    OpenedPicture,
+    calibrated,
+    edges_in,
+    is_chart,
+    measured_edge,
+    opened_or_why,
+    profiles,
+    target_columns,
+    targets_in,
+)
 from matcam.app.controls import WIDTH
-from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, plain
+from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, picture_figure
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
@@ -41,11 +50,15 @@ class CalibrateView:
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
         self._downloads, self._complain = downloads, complain
-        self._files = [path for path in files if is_picture(path)]
+        self._files = [path for path in files if is_picture(path) or is_chart(path)]
         self._work = Newest(document, self._failed)
         self._pictures: list[OpenedPicture] = []
         self._found: Any = None
-        self._upload = Upload("open: drop a picture here", self._dropped, complain, name="upload-picture")
+        self._chart: Path | None = None
+        self._samples: dict[Path, list[Any]] = {}
+        self._upload = Upload(
+            "open: drop a picture, or a chart's .json, here", self._dropped, complain, name="upload-picture"
+        )
         self._picture = Select(
             title="picture", options=[], value="", width=WIDTH - 16, margin=(2, 8, 2, 8), name="picture"
         )
@@ -73,6 +86,9 @@ class CalibrateView:
         self._edge.on_click(self._measure)
         self._all.on_click(self._calibrate)
         self._picture.on_change("value", lambda attr, old, new: self._draw())
+        self._targets_of = Div(
+            text="chart: none; edges are measured", name="chart", width=WIDTH - 16, margin=(2, 8, 2, 8)
+        )
         self._status = Div(
             text="Nothing is open: drop photographs of slanted edges or a chart.",
             name="calibrate-status",
@@ -98,7 +114,7 @@ class CalibrateView:
         return column(
             self._upload.layout, self._picture, self._tone, row(self._model, self._half),
             Div(text="one region: draw it, or", margin=(4, 8, 0, 8)), row(*self._region), self._edge,
-            Div(text="all pictures:", margin=(4, 8, 0, 8)), self._all, self._saved, width=WIDTH,
+            Div(text="all pictures:", margin=(4, 8, 0, 8)), self._targets_of, self._all, self._saved, width=WIDTH,
         )  # fmt: skip
 
     def _plots(self) -> Any:
@@ -107,15 +123,11 @@ class CalibrateView:
             {name: [] for name in ("x", "y", "x0", "y0", "x1", "y1", "mtf50", "mtf50_std")}, name="edges"
         )
         self._box = ColumnDataSource({"x": [], "y": [], "width": [], "height": []}, name="region")
-        self._plot = figure(
-            title="picture", toolbar_location="above",
-            x_axis_label="x [px]", y_axis_label="y [px]", frame_width=_SIDE, frame_height=_SIDE,
-            match_aspect=True,
+        self._plot = picture_figure(
+            "picture", _SIDE, "x [px]", "y [px]", toolbar_location="above", match_aspect=True,
             x_range=Range1d(-0.5, 1), y_range=Range1d(1, -0.5),
             tools="pan,wheel_zoom,box_zoom,reset", active_scroll="wheel_zoom",
         )  # fmt: skip
-        plain(self._plot)
-        self._plot.grid.visible = False
         self._plot.image(
             "image",
             x=-0.5,
@@ -133,6 +145,22 @@ class CalibrateView:
             self._plot,
             [dots],
             [("MTF50", "@mtf50{0.0000} ± @mtf50_std{0.0000} cycles/px"), ("x, y", "@x{0}, @y{0} px")],
+        )
+        self._targets = ColumnDataSource(target_columns([]), name="targets")
+        marks = self._plot.scatter(
+            "x",
+            "y",
+            source=self._targets,
+            marker="diamond_cross",
+            size=16,
+            fill_alpha=0,
+            line_color=VERMILION,
+            line_width=2,
+        )
+        hover(
+            self._plot,
+            [marks],
+            [("target", "@kind"), ("MTF", "@mtf{0.000} ± @mtf_std{0.000} at @frequency{0.000} cycles/px")],
         )
         self._plot.rect(
             "x",
@@ -175,6 +203,15 @@ class CalibrateView:
             source=self._mtf,
             legend_label="lens model",
         )
+        self._points = ColumnDataSource({"frequency": [], "mtf": []}, name="target-samples")
+        self._curve.scatter(
+            "frequency",
+            "mtf",
+            source=self._points,
+            color=VERMILION,
+            size=4,
+            legend_label="other targets, all directions",
+        )
         self._curve.line([0.5, 0.5], [-0.1, 1.1], color=GREY, line_width=1, legend_label="Nyquist")
         hover(self._curve, [lines], [("frequency", "@frequency{0.000} cycles/px"), ("MTF", "@mtf{0.0000}")])
         self._curve.legend.label_text_font_size = "10px"
@@ -194,11 +231,14 @@ class CalibrateView:
         todo = list(dict.fromkeys(waiting))
         self._work.ask(lambda: [opened_or_why(one) for one in todo], self._add)
 
-    def _add(self, opened: list[OpenedPicture | MatcamError]) -> None:
+    def _add(self, opened: list[OpenedPicture | tuple[Path, str] | MatcamError]) -> None:
         self._status.text = ""
         for one in opened:
             if isinstance(one, MatcamError):
                 self._complain(str(one))
+            elif isinstance(one, tuple):
+                self._chart, words = one
+                self._targets_of.text = escape(f"chart: {self._chart.name}: {words}")
             else:
                 self._pictures.append(one)
         self._files = []
@@ -273,10 +313,20 @@ class CalibrateView:
         if not self._pictures:
             self._complain("nothing is open: drop a picture first")
             return
-        paths = [picture.path for picture in self._pictures]
+        pictures, chart = list(self._pictures), self._chart
+        paths = [picture.path for picture in pictures]
         model, tone, half = self._model.value, self._tone.value, float(self._half.value or 0.5)
-        self._begin(f"finding and measuring all edges of {len(paths)} picture(s) ...")
-        self._work.ask(lambda: calibrated(paths, model, tone, half), self._show_camera)
+        self._begin(
+            f"finding and measuring all {'edges' if chart is None else 'targets'} of {len(paths)} picture(s) ..."
+        )
+
+        def measure() -> tuple[Any, dict[Path, list[Any]]]:
+            found = calibrated(paths, model, tone, half, chart)
+            if chart is None:
+                return found, {}
+            return found, {one.path: targets_in(one, chart, tone, half, found.channel) for one in pictures}
+
+        self._work.ask(measure, lambda result: self._show_camera(*result))
 
     def _begin(self, words: str) -> None:
         self._complain("")
@@ -286,9 +336,9 @@ class CalibrateView:
         self._status.text = ""
         self._complain(line)
 
-    def _show_camera(self, found: Any) -> None:
+    def _show_camera(self, found: Any, samples: dict[Path, list[Any]]) -> None:
         self._status.text = ""
-        self._found = found
+        self._found, self._samples = found, samples
         fit = found.channels[found.channel]
         curve = fit.curve
         self._curves(curve.frequency, curve.mtf, curve.mtf_std, curve.camera_mtf)
@@ -299,8 +349,8 @@ class CalibrateView:
                 for label, value, std in zip(one.names, one.values, one.std, strict=True)
             )
             lines.append(
-                f"{name}: {numbers} ({0 if one.edges is None else one.edges.x.size} edges), "
-                f"{'explains the edges' if one.consistent else 'does NOT explain the edges'}"
+                f"{name}: {numbers} ({_counted(one.measurements)}), "
+                f"{'explains them' if one.consistent else 'does NOT explain them'}"
             )
         lines += [f"left out: {name}: {why}" for name, why in found.failed.items()]
         self._result.text = "<br>".join(escape(line) for line in lines)
@@ -311,6 +361,11 @@ class CalibrateView:
         self._overlay()
 
     def _overlay(self) -> None:
+        samples = [] if self._current is None else self._samples.get(self._current.path, [])
+        self._targets.data = target_columns(samples)
+        self._points.data = {
+            name: [float(v) for one in samples for v in getattr(one, name)] for name in ("frequency", "mtf")
+        }
         if self._found is not None and self._current is not None:
             columns = edges_in(self._found, self._current)
             self._edges.data = columns
@@ -319,6 +374,15 @@ class CalibrateView:
 
     def _curves(self, frequency: Any, mtf: Any, std: Any, lens: Any) -> None:
         self._mtf.data = {"frequency": frequency, "mtf": mtf, "low": mtf - std, "high": mtf + std, "lens": lens}
+
+
+def _counted(measurements: dict[str, int]) -> str:
+    """Return how much was measured, by kind."""
+    counts: dict[str, int] = {}
+    for name, count in measurements.items():
+        kind = name[name.rfind("(") + 1 :].rstrip(")")
+        counts[kind] = counts.get(kind, 0) + count
+    return ", ".join(f"{count} {kind}" for kind, count in counts.items())
 
 
 def is_picture(path: Path) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.core.errors import FileFormatError, MatcamError
+from matcam.core.errors import FileFormatError, FitError, MatcamError
 
 _LARGEST = 120_000_000
 """Most pixels of a picture that is shown."""
@@ -57,17 +57,26 @@ def open_picture(path: Path) -> OpenedPicture:
         raise FileFormatError(
             f"{path.name}: {megapixels:.0f} megapixels: a part of at most {_LARGEST // 10**6} can be shown"
         )
-    step = max(1, -(-max(height, width) // _ON_SCREEN))
-    few = np.nan_to_num(np.asarray(values[::step, ::step], dtype=np.float32))
-    grey = few.mean(axis=-1) if few.ndim == 3 else few
-    low, high = np.quantile(grey, (0.001, 0.999))
-    shown = np.clip((grey - low) / max(float(high - low), 1e-12), 0, 1)
-    if photograph.linear:
-        shown = shown ** (1 / 2.2)
+    shown, step = drawn_values(values, linear=photograph.linear)
     kind = f"mosaic {photograph.cfa}" if photograph.cfa else "colour" if values.ndim == 3 else "grey"
     codes = "linear by its format" if photograph.linear else f"codes of {values.dtype.itemsize * 8} bits"
     thinned = f"; every {step}th pixel is drawn" if step > 1 else ""
     return OpenedPicture(path, photograph, shown, f"{path.name}: {width} x {height} px, {kind}, {codes}{thinned}")
+
+
+def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
+    """Return a picture for the page: grey, 0 to 1, thinned and encoded for a screen; and the step of the thinning, px.
+
+    Args:
+        values: (height, width) or (height, width, channel).
+        linear: whether they are proportional to light.
+    """
+    step = max(1, -(-max(values.shape[:2]) // _ON_SCREEN))
+    few = np.nan_to_num(np.asarray(values[::step, ::step], dtype=np.float32))
+    grey = few.mean(axis=-1) if few.ndim == 3 else few
+    low, high = np.quantile(grey, (0.001, 0.999))
+    shown = np.clip((grey - low) / max(float(high - low), 1e-12), 0, 1)
+    return (shown ** (1 / 2.2) if linear else shown), step
 
 
 def measured_edge(
@@ -79,11 +88,59 @@ def measured_edge(
     return edge_mtf(picture.photograph, region, tone=tone, half_width=half_width)
 
 
-def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float) -> Any:
-    """Return the camera of these pictures, as `matcam calibrate` finds it."""
+def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, chart: Path | None = None) -> Any:
+    """Return the camera of these pictures, as `matcam calibrate` finds it; `chart` is the description of what they show."""
     from matcam.calibration.camera.calibration import calibrate
 
-    return calibrate(list(paths), model=model, tone=tone, half_width=half_width)
+    return calibrate(list(paths), model=model, tone=tone, half_width=half_width, chart=chart)
+
+
+def is_chart(path: Path) -> bool:
+    """Tell whether a file is a chart's description."""
+    from matcam.files.formats import identify
+
+    try:
+        return path.suffix.lower() == ".json" and path.is_file() and identify(path) == "chart"
+    except MatcamError:
+        return False
+
+
+def about_chart(path: Path) -> str:
+    """Return a chart's targets in a few words.
+
+    Raises:
+        FileFormatError: it is no chart's description.
+    """
+    from matcam.calibration.chart.chart_file import read_chart
+
+    kinds = [type(element).__name__.lower() for element in read_chart(path).elements]
+    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+
+
+def targets_in(picture: OpenedPicture, chart: Path, tone: str, half_width: float, channel: str) -> list[Any]:
+    """Return the MTF samples of a chart's gratings, stars and dots in a picture; none where the chart is not in it."""
+    from matcam.calibration.chart.chart_file import read_chart
+    from matcam.calibration.photograph.linear_image import planes_of
+    from matcam.calibration.targets.targets import measure_targets
+
+    (plane,) = planes_of(picture.photograph, [channel], tone, None, picture.path.name)
+    try:
+        return list(measure_targets(plane, read_chart(chart), half_width=half_width).samples)
+    except FitError:
+        return []
+
+
+def target_columns(samples: Sequence[Any]) -> dict[str, list[Any]]:
+    """Return places and kinds of targets, and of each the sample whose MTF is nearest to one half, with its error."""
+    nearest = [int(np.argmin(np.abs(one.mtf - 0.5))) for one in samples]
+    return {
+        "x": [one.position[0] for one in samples],
+        "y": [one.position[1] for one in samples],
+        "kind": [one.kind for one in samples],
+        "frequency": [float(one.frequency[k]) for one, k in zip(samples, nearest, strict=True)],
+        "mtf": [float(one.mtf[k]) for one, k in zip(samples, nearest, strict=True)],
+        "mtf_std": [float(one.mtf_std[k]) for one, k in zip(samples, nearest, strict=True)],
+    }
 
 
 def edges_in(found: Any, picture: OpenedPicture) -> dict[str, Any]:
@@ -122,9 +179,9 @@ def profiles(found: Any) -> dict[str, bytes]:
         return {name: (Path(folder) / name).read_bytes() for name in cameras}
 
 
-def opened_or_why(path: Path) -> OpenedPicture | MatcamError:
-    """Return a picture, or why it cannot be shown."""
+def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
+    """Return a picture, a chart's description with its targets in words, or why it cannot be shown."""
     try:
-        return open_picture(path)
+        return (path, about_chart(path)) if path.suffix.lower() == ".json" else open_picture(path)
     except MatcamError as error:
         return error

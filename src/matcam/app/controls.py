@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from bokeh.layouts import column, row
 from bokeh.models.layouts import LayoutDOM
-from bokeh.models.widgets import Div, NumericInput, Slider
+from bokeh.models.widgets import Div, NumericInput, Select, Slider
 
 WIDTH = 300
 """Width of a column of controls, px of the screen."""
@@ -120,3 +120,64 @@ class NumberControl:
     def _end(self) -> None:
         if not self._own:
             self._released()
+
+
+CUSTOM = "custom"
+"""Stands among the metals for n and k that were typed."""
+
+
+class ConductorControl:
+    """A metal by name, whose n and k stand beside it, or n and k of one's own.
+
+    Args:
+        title: of the choice.
+        changed: called when the user has changed it.
+        indices: returns n and k of a metal, no unit.
+    """
+
+    def __init__(self, title: str, changed: Callable[[], None], indices: Callable[[str], tuple[float, float]]):
+        self._changed, self._indices, self._own = changed, indices, False
+        self.name = Select(title=title, value="Cr", options=["Cr"], width=128, margin=(2, 4, 2, 8), name="metal")
+        self.numbers = [
+            NumericInput(
+                title=label, value=None, low=low, high=20, mode="float", width=66, margin=(2, 4, 2, 4), name=label
+            )
+            for label, low in (("n", 0.01), ("k", 0))
+        ]
+        self.name.on_change("value", lambda attr, old, new: self._named())
+        for field in self.numbers:
+            field.on_change("value", lambda attr, old, new: self._typed())
+        self.layout: LayoutDOM = row(self.name, *self.numbers)
+
+    @property
+    def n_and_k(self) -> tuple[float, float] | None:
+        """Return the n and k that were typed; None: those of the metal."""
+        if self.name.value != CUSTOM:
+            return None
+        n, k = (float(field.value or 0.0) for field in self.numbers)
+        return max(n, 0.01), k
+
+    def offer(self, names: list[str]) -> None:
+        """List the metals, and show n and k of the chosen one."""
+        self.name.options = [*names, CUSTOM]
+        self.fill()
+
+    def fill(self) -> None:
+        """Show the metal's n and k, where it is one."""
+        if self.name.value != CUSTOM:
+            self._own = True
+            for field, value in zip(self.numbers, self._indices(self.name.value), strict=True):
+                field.value = float(f"{value:.4g}")
+            self._own = False
+
+    def _named(self) -> None:
+        if not self._own:
+            self.fill()
+            self._changed()
+
+    def _typed(self) -> None:
+        if not self._own:
+            self._own = True
+            self.name.value = CUSTOM
+            self._own = False
+            self._changed()

@@ -12,7 +12,8 @@ from bokeh.layouts import column, row
 from bokeh.models.widgets import Div, RadioButtonGroup
 
 from matcam.app.calibrate_view import CalibrateView, is_picture
-from matcam.app.explore import ExploreView
+from matcam.app.calibrated import is_chart
+from matcam.app.exploring.explore import ExploreView
 from matcam.app.plan import PlanView
 from matcam.app.transfers import Downloads
 
@@ -34,7 +35,10 @@ class Page:
             "Plan": lambda: PlanView(document, downloads, self.complain),
             "Calibrate": lambda: CalibrateView(document, downloads, self.complain, files),
             "Explore": lambda: ExploreView(
-                document, downloads, self.complain, [path for path in files if not is_picture(path)]
+                document,
+                downloads,
+                self.complain,
+                [path for path in files if not is_picture(path) and not is_chart(path)],
             ),
         }
         self._views: dict[str, Any] = {}

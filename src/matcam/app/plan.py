@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from functools import partial
 from html import escape
 from typing import Any
@@ -14,16 +13,36 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, Span
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
 
-from matcam.app.controls import WIDTH, NumberControl
-from matcam.app.plan_settings import PRESETS, SETTINGS, Planned
-from matcam.app.plots import COLOURS, GREY, PictureFigure, curve_figure, hover
+from matcam.app.controls import WIDTH, ConductorControl, NumberControl
+from matcam.app.plan_settings import PRESETS, SETTINGS, Planned, green_indices
+from matcam.app.plots import (
+    COLOURS,
+    GREY,
+    PictureColours,
+    PictureFigure,
+    curve_figure,
+    hover,
+    no_pictures,
+    picture_columns,
+)
 from matcam.app.transfers import Downloads
-from matcam.app.worker import Newest
+from matcam.app.worker import DRAINED, Newest
 
 _REST = 0.5  # s without a change before the exact values are computed
 _PICTURE_ERROR = 0.01  # of the exact picture, of its peak
 _SIDE = 156  # px of the screen, of a picture's frame
+_VALUES = 128  # along a side of the sphere's preview
 _SHOWN = ("log exposure", "difference", "row profile")
+_PICTURES = {
+    "sphere true": "sphere as it is",
+    "sphere recorded": "sphere as recorded",
+    "close true": "highlight as it is",
+    "close recorded": "highlight as recorded",
+}
+_DIFFERENCES = {
+    "sphere difference": "sphere: recorded - true",
+    "close difference": "highlight: recorded - true",
+}
 
 
 class PlanView:
@@ -39,14 +58,19 @@ class PlanView:
         self._document, self._downloads = document, downloads
         self._fast, self._exact = Newest(document, complain), Newest(document, complain)
         self._warm = False
-        self._moved = 0.0
         self._last: dict[str, Any] = {}
         self._controls = {one.name: NumberControl(one, self.refresh, self._rest) for one in SETTINGS}
-        self._metal = Select(title="metal", value="Cr", options=["Cr"], width=130, margin=(2, 8, 2, 8))
-        self._family = Select(title="lobe", value="ggx", options=["ggx", "beckmann", "gaussian"], width=130, margin=2)
+        self._metal = ConductorControl("metal, n and k (green)", self.refresh, green_indices)
+        self._family = Select(
+            title="lobe",
+            value="ggx",
+            options=["ggx", "beckmann", "gaussian"],
+            width=128,
+            margin=(2, 8, 2, 8),
+            name="lobe",
+        )
         self._shown = RadioButtonGroup(labels=list(_SHOWN), active=0, name="shown")
-        for select in (self._metal, self._family):
-            select.on_change("value", lambda attr, old, new: self.refresh())
+        self._family.on_change("value", lambda attr, old, new: self.refresh())
         self._shown.on_change("active", lambda attr, old, new: self._choose())
         self._status = Div(text="", name="plan-status", height=18, sizing_mode="stretch_width")
         self._numbers = Div(text="", name="plan-numbers", sizing_mode="stretch_width", styles={"font-size": "12px"})
@@ -67,20 +91,19 @@ class PlanView:
     def planned(self) -> Planned:
         """Return what the controls say."""
         numbers = {name: control.value for name, control in self._controls.items()}
-        return Planned(**numbers, metal=self._metal.value, family=self._family.value)
+        return Planned(**numbers, metal=self._metal.name.value, family=self._family.value, n_and_k=self._metal.n_and_k)
 
     def refresh(self) -> None:
         """Show the fast values of what the controls say now."""
-        self._moved = time.monotonic()
         planned = self.planned
         if self._warm:
-            self._fast.ask(lambda: _fast(planned), self._show)
+            self._fast.ask(lambda: _fast(planned), self._show, **DRAINED)
             self._rest()
 
     def _rest(self) -> None:
         if self._warm:
             planned = self.planned
-            self._exact.ask(lambda: self._when_still(planned), lambda _: None)
+            self._exact.ask(lambda: self._at_rest(planned), lambda _: None, after=_REST)
 
     def _knobs(self) -> Any:
         presets = []
@@ -91,7 +114,8 @@ class PlanView:
         return column(
             row(*presets),
             *(control.layout for control in self._controls.values()),
-            row(self._metal, self._family),
+            self._metal.layout,
+            self._family,
             width=WIDTH,
         )
 
@@ -105,9 +129,11 @@ class PlanView:
             y_range=(0, 1.05),
         )
         self._curves.xaxis.ticker = list(range(0, 91, 15))
-        self._curve = ColumnDataSource({"theta": [], "relative": [], "roughness": [], "colour": []}, name="curve")
+        self._curve = ColumnDataSource(
+            {name: [] for name in ("theta", "relative", "roughness", "words", "colour")}, name="curve"
+        )
         lines = self._curves.multi_line(
-            "theta", "relative", color="colour", line_width=2, legend_field="roughness", source=self._curve
+            "theta", "relative", color="colour", line_width=2, legend_field="words", source=self._curve
         )
         hover(self._curves, [lines], [("roughness", "@roughness"), ("θ", "$x°"), ("relative", "$y")])
         degrees = np.linspace(0, 90, 91)
@@ -118,17 +144,26 @@ class PlanView:
         self._curves.legend.location = "bottom_left"
         self._curves.legend.label_text_font_size = "10px"
         self._curves.legend.background_fill_alpha = 0.7
-        self._curves.legend.padding = self._curves.legend.spacing = 2
-        self.true = PictureFigure("sphere as it is", _SIDE, decades=8, name="sphere-true")
-        self.recorded = PictureFigure("sphere as recorded", _SIDE, decades=8, bar=True, name="sphere-recorded")
-        self.close_true = PictureFigure("highlight as it is", _SIDE, name="close-true")
-        self.close_recorded = PictureFigure("highlight as recorded", _SIDE, bar=True, name="close-recorded")
-        self.difference = PictureFigure(
-            "sphere: recorded - true", _SIDE, difference=True, bar=True, name="sphere-difference"
-        )
-        self.close_difference = PictureFigure(
-            "highlight: recorded - true", _SIDE, difference=True, bar=True, name="close-difference"
-        )
+        self._curves.legend.spacing = 2
+        self._curves.legend.padding = 5
+        self._drawn = ColumnDataSource(no_pictures(*_PICTURES), name="pictures")
+        self._changes = ColumnDataSource(no_pictures(*_DIFFERENCES), name="differences")
+        self._colours = {
+            "sphere": PictureColours(decades=8), "close": PictureColours(),
+            "sphere difference": PictureColours(difference=True), "close difference": PictureColours(difference=True),
+        }  # fmt: skip
+        pair: dict[str, PictureFigure] = {}
+        for name, title in _PICTURES.items():
+            part, what = name.split()
+            true = pair.get(f"{part} true")
+            pair[name] = PictureFigure(
+                title, _SIDE, self._drawn, name, self._colours[part], bar=what == "recorded", beside=true
+            )
+        changes = {
+            name: PictureFigure(title, _SIDE, self._changes, name, self._colours[name], bar=True)
+            for name, title in _DIFFERENCES.items()
+        }
+        self._recorded = pair["sphere recorded"].plot
         self._profile = curve_figure(
             "Row through the highlight", "x from the highlight [px]", "radiance [1/sr]", height=260, y_axis_type="log"
         )
@@ -136,8 +171,8 @@ class PlanView:
         for name, colour, words in (("true", COLOURS[0], "as it is"), ("recorded", COLOURS[1], "as recorded")):
             self._profile.line("x", name, color=colour, line_width=2, legend_label=words, source=self._rows)
         self._profile.legend.label_text_font_size = "10px"
-        pictures = row(*(p.plot for p in (self.true, self.recorded, self.close_true, self.close_recorded)), spacing=2)
-        differences = row(self.difference.plot, self.close_difference.plot, spacing=12)
+        pictures = row(*(one.plot for one in pair.values()), spacing=2)
+        differences = row(*(one.plot for one in changes.values()), spacing=12)
         self._panels = (pictures, differences, column(self._profile, sizing_mode="stretch_width"))
         self._choose()
         about = column(self._numbers, self._limits, width=290)
@@ -156,8 +191,7 @@ class PlanView:
     def _choose(self) -> None:
         for index, panel in enumerate(self._panels):
             panel.visible = index == self._shown.active
-        if self._last:
-            self._show(self._last)
+        self._show_pictures(self._last)
 
     def _preset(self, name: str) -> None:
         for one, control in self._controls.items():
@@ -186,7 +220,7 @@ class PlanView:
         return list(metals())
 
     def _started(self, names: list[str]) -> None:
-        self._metal.options = names
+        self._metal.offer(names)
         self._warm = True
         self._say("")
         self.refresh()
@@ -199,71 +233,69 @@ class PlanView:
         self._last = found
         if "curves" in found:
             self._show_curves(found["planned"], found["curves"])
-        if "close" in found:
-            self._show_close(found["close"])
-        if "sphere" in found:
-            self._show_sphere(found["sphere"], found.get("exact"))
+        self._show_pictures(found)
 
     def _show_curves(self, planned: Planned, data: Any) -> None:
         count = data.sizes["roughness"]
-        theta = np.degrees(data["theta"].values)
-        self._curve.data = {
+        theta = np.degrees(data["theta"].values).tolist()
+        rows = list(
+            zip(data["roughness"].values, data["response"].values[:, 0], data["loss_angle"].values, strict=True)
+        )
+        self._curve.data = {  # lists: arrays would be two messages each
             "theta": [theta] * count,
-            "relative": list(data["relative_response"].values),
-            "roughness": [f"{r:g}" for r in data["roughness"].values],
+            "relative": [np.round(one, 5).tolist() for one in data["relative_response"].values],
+            "roughness": [f"{r:g}" for r, _, _ in rows],
+            "words": [f"{r:g}: {kept:.1%} kept at 0°, 5 % gone at {_angle(angle)}" for r, kept, angle in rows],
             "colour": list(COLOURS[:count]),
         }
         self._cos.visible = planned.loses_at_most_cos
-        exact = theta.size > 100
-        lines = "".join(
-            f"<tr><td>{r:g}</td><td>{response:.1%}</td><td>{_angle(angle)}</td></tr>"
-            for r, response, angle in zip(
-                data["roughness"].values, data["response"].values[:, 0], data["loss_angle"].values, strict=True
+        if len(theta) > 100:  # exact
+            lines = "".join(
+                f"<tr><td>{r:g}</td><td>{kept:.1%}</td><td>{_angle(angle)}</td></tr>" for r, kept, angle in rows
             )
-        )
-        self._numbers.text = (
-            "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % gone at</th></tr>"
-            f"{lines}</table>{'as <code>matcam predict</code>' if exact else 'preview'}"
-        )
-        if not exact:
+            self._numbers.text = (
+                "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % gone at</th></tr>"
+                f"{lines}</table>as <code>matcam predict</code>"
+            )
+        else:  # the same words for every move: a text that changes lays the page out anew
+            self._numbers.text = "preview: the numbers stand beside the curves"
             self._limits.text = ""
 
-    def _show_close(self, close: Any) -> None:
-        true, recorded = close["true"].values, close["recorded"].values
-        x, y = close["x"].values, close["y"].values
-        shown = self._shown.active
-        if shown == 0:
-            for picture, values in ((self.close_true, true), (self.close_recorded, recorded)):
-                picture.show(values, x, y)
-                picture.scale(close.attrs["largest"])
-        elif shown == 1:
-            self.close_difference.show(close["difference"].values, x, y)
-            self.close_difference.scale(close.attrs["largest_difference"])
-        else:
-            middle = len(y) // 2
-            self._rows.data = {"x": x, "true": true[middle], "recorded": recorded[middle]}
+    def _show_pictures(self, found: dict[str, Any]) -> None:
+        """Show the pictures that are chosen, all by one message."""
+        parts = {name: found[name] for name in ("sphere", "close") if name in found}
+        if not parts:
+            return
+        if self._shown.active == 2:
+            if "close" in parts:
+                rows = parts["close"].isel(y=parts["close"].sizes["y"] // 2)
+                self._rows.data = {name: rows[name].values for name in ("x", "true", "recorded")}
+            return
+        columns: dict[str, list[Any]] = {}
+        differ = self._shown.active == 1
+        for part, data in parts.items():
+            names = (
+                {"difference": f"{part} difference"}
+                if differ
+                else {"true": f"{part} true", "recorded": f"{part} recorded"}
+            )
+            for key, name in names.items():
+                columns |= picture_columns(name, data[key].values, data["x"].values, data["y"].values)
+            largest = data.attrs["largest_difference" if differ else "largest"]
+            self._colours[f"{part} difference" if differ else part].scale(largest)
+        exact = found.get("exact")
+        if exact is not None and not differ:
+            columns |= picture_columns(
+                "sphere recorded", exact.values[::-1, :, 0], exact["x"].values, exact["y"].values[::-1]
+            )
+        self._recorded.title.text = (
+            "sphere as recorded, within 1 %" if exact is not None else _PICTURES["sphere recorded"]
+        )
+        source = self._changes if differ else self._drawn
+        source.data = {**source.data, **columns}
 
-    def _show_sphere(self, sphere: Any, exact: Any) -> None:
-        x, y = sphere["x"].values, sphere["y"].values
-        largest = sphere.attrs["largest"]
-        if self._shown.active == 0:
-            self.true.show(sphere["true"].values, x, y)
-            if exact is None:
-                self.recorded.show(sphere["recorded"].values, x, y)
-            else:
-                self.recorded.show(exact.values[::-1, :, 0], exact["x"].values, exact["y"].values[::-1])
-            for picture in (self.true, self.recorded):
-                picture.scale(largest)
-        elif self._shown.active == 1:
-            self.difference.show(sphere["difference"].values, x, y)
-            self.difference.scale(sphere.attrs["largest_difference"])
-
-    def _when_still(self, planned: Planned) -> None:
-        """Compute the exact values when nothing has moved for a while; stop when something does."""
-        while (left := self._moved + _REST - time.monotonic()) > 0:
-            time.sleep(min(left, 0.05))
-            if self._exact.overtaken():
-                return
+    def _at_rest(self, planned: Planned) -> None:
+        """Compute the exact values; stop between two of them when something moves."""
         from matcam.forward.prediction import predict
 
         rig = planned.rig()
@@ -294,8 +326,7 @@ class PlanView:
     def _show_exact(self, planned: Planned, exact: Any) -> None:
         if planned == self.planned and self._last.get("planned") == planned:
             self._last = {**self._last, "exact": exact}
-            self._show_sphere(self._last["sphere"], exact)
-            self.recorded.plot.title.text = "sphere as recorded, within 1 %"
+            self._show_pictures(self._last)
 
     def _copies(self, planned: Planned) -> str:
         links = " · ".join(
@@ -328,7 +359,7 @@ def _close(planned: Planned) -> dict[str, Any]:
 def _sphere(planned: Planned) -> dict[str, Any]:
     from matcam.forward.previews import sphere_preview
 
-    return {"sphere": sphere_preview(planned.material(), planned.rig(), math.radians(planned.theta_d), side=160)}
+    return {"sphere": sphere_preview(planned.material(), planned.rig(), math.radians(planned.theta_d), side=_VALUES)}
 
 
 _PARTS = {"curves": _curves, "the highlight": _close, "the sphere": _sphere}

@@ -72,6 +72,7 @@ class Planned:
         theta_d: of the pictures, degrees.
         metal: name of a metal.
         family: of the lobe.
+        n_and_k: of green light, no unit; None: the metal's.
     """
 
     sigma: float
@@ -85,6 +86,7 @@ class Planned:
     theta_d: float
     metal: str = "Cr"
     family: str = "ggx"
+    n_and_k: tuple[float, float] | None = None
 
     @property
     def roughnesses(self) -> list[float]:
@@ -121,13 +123,11 @@ class Planned:
 
     def material(self) -> Microfacet:
         """Return the chosen lobe on the metal, as green light sees it."""
-        from matcam.core.grid import CHANNEL_WAVELENGTHS
         from matcam.material.microfacet import Microfacet
-        from matcam.material.optical_constants import metal
         from matcam.material.reflectance import Conductor
 
-        n, k, _ = metal(self.metal, [CHANNEL_WAVELENGTHS[1]])
-        return Microfacet(FAMILIES[self.family](self.roughness), Conductor(n, k))
+        n, k = self.n_and_k or green_indices(self.metal)
+        return Microfacet(FAMILIES[self.family](self.roughness), Conductor([n], [k]))
 
     def camera_profile(self) -> str:
         """Return the camera's profile, JSON, without the glare, which is an option of its own."""
@@ -186,3 +186,12 @@ class Planned:
             f"rig = matcam.Rig(camera, matcam.Sphere({self.radius:g}{distance}), {lamp})\n"
             f"angle = matcam.loss_angle(rig, matcam.{lobe}({self.roughness:g}))  # rad\n"
         )
+
+
+def green_indices(name: str) -> tuple[float, float]:
+    """Return a metal's tabulated n and k for green light, no unit."""
+    from matcam.core.grid import CHANNEL_WAVELENGTHS
+    from matcam.material.optical_constants import metal
+
+    n, k, _ = metal(name, [CHANNEL_WAVELENGTHS[1]])
+    return float(n[0]), float(k[0])

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
-from bokeh.models import BasicTicker, ColorBar, ColumnDataSource, HoverTool, LinearColorMapper, LogColorMapper
+from bokeh.models import (
+    BasicTicker,
+    ColorBar,
+    ColumnDataSource,
+    HoverTool,
+    LinearColorMapper,
+    LogColorMapper,
+    PrintfTickFormatter,
+)
 from bokeh.palettes import RdBu11, cividis
 from bokeh.plotting import figure
 
@@ -31,6 +40,15 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
     return plot
 
 
+def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
+    """Return a plot for pictures on black, `size` px of the screen wide and high, whose axes have names with units."""
+    plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
+    plain(plot)
+    plot.grid.visible = False
+    plot.background_fill_color = "#000000"
+    return plot
+
+
 def plain(plot: Any) -> None:
     """Give a plot the style of all."""
     plot.toolbar.logo = None
@@ -47,77 +65,129 @@ def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]], mode: st
     plot.add_tools(HoverTool(renderers=renderers, tooltips=tips, mode=mode))
 
 
-class PictureFigure:
-    """A picture with its own colours: logarithmic radiance, or a difference about 0.
+class PictureColours:
+    """Colours of radiance that pictures of one scale share: logarithmic, or about 0 for a difference.
 
     Args:
-        title: title.
-        size: width of the picture on the screen, px.
         decades: of radiance that the colours span. Default: 4.
-        bar: True for a colour bar, which widens the plot.
-        difference: True for a difference.
-        name: name of the data, for tests.
+        difference: True for a difference. Default: False.
     """
 
-    def __init__(
-        self, title: str, size: int, *, decades: int = 4, bar: bool = False, difference: bool = False, name: str = ""
-    ):
-        self.source = ColumnDataSource(
-            {"image": [np.zeros((2, 2), np.float32)], "x": [-1.0], "y": [-1.0], "dw": [2.0], "dh": [2.0]}, name=name
-        )
-        self.mapper: Any
+    def __init__(self, *, decades: int = 4, difference: bool = False):
         self._least = 10.0**-decades
+        self._difference = difference
+        self.mapper: Any
         if difference:
             self.mapper = LinearColorMapper(palette=RdBu11[::-1], low=-1, high=1, nan_color="#BBBBBB")
         else:
             self.mapper = LogColorMapper(
                 palette=cividis(256), low=self._least, high=1, low_color="#000000", nan_color="#BBBBBB"
             )
-        self.plot = figure(
-            title=title,
-            x_axis_label="x, towards the lamp [px]",
-            y_axis_label="y [px]",
-            frame_width=size,
-            frame_height=size,
-            match_aspect=True,
-            tools="pan,wheel_zoom,reset",
-            toolbar_location=None,
-        )
-        plain(self.plot)
-        self.plot.grid.visible = False
-        self.plot.background_fill_color = "#000000"
-        self.plot.axis.ticker = BasicTicker(desired_num_ticks=3)
-        self.plot.x_range.range_padding = self.plot.y_range.range_padding = 0
-        drawn = self.plot.image("image", x="x", y="y", dw="dw", dh="dh", color_mapper=self.mapper, source=self.source)
-        hover(self.plot, [drawn], [("x, y", "$x, $y px"), ("radiance", "@image 1/sr")])
-        if bar:
-            self.plot.add_layout(
-                ColorBar(
-                    color_mapper=self.mapper,
-                    width=10,
-                    title="1/sr",
-                    major_label_text_font_size="9px",
-                    title_text_font_size="10px",
-                ),
-                "right",
-            )
-
-    def show(self, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
-        """Show values (y, x), each as a square about its place, px."""
-        side = float(x[1] - x[0])
-        wide, high = values.shape[1] * side, values.shape[0] * side
-        self.source.data = {
-            "image": [np.ascontiguousarray(values, dtype=np.float32)],
-            "x": [float(x[0]) - side / 2],
-            "y": [float(y[0]) - side / 2],
-            "dw": [wide],
-            "dh": [high],
-        }
 
     def scale(self, largest: float) -> None:
-        """Set the radiance that is brightest, 1/sr."""
-        low = -largest if isinstance(self.mapper, LinearColorMapper) else largest * self._least
-        self.mapper.update(low=low, high=largest)
+        """Set the radiance that is brightest, 1/sr, to the next half decade.
+
+        So one colour stays one radiance while a slider moves, and a browser need not map all pixels three times.
+        """
+        high = 10 ** (math.ceil(2 * math.log10(max(largest, 1e-300)) - 1e-9) / 2)
+        self.mapper.update(low=-high if self._difference else high * self._least, high=high)
+
+    def bar(self) -> ColorBar:
+        """Return what says which colour is which radiance."""
+        return ColorBar(
+            color_mapper=self.mapper,
+            width=10,
+            title="1/sr",
+            formatter=PrintfTickFormatter(format="%8.1e" if self._difference else "%.0e"),
+            major_label_text_font="monospace",
+            major_label_text_font_size="9px",
+            title_text_font_size="10px",
+        )
 
 
-__all__ = ["BLUE", "COLOURS", "GREY", "ORANGE", "VERMILION", "PictureFigure", "curve_figure", "hover", "plain"]
+class PictureFigure:
+    """Draw a picture of radiance from a source that several pictures share, so that one message changes them all.
+
+    The labels of its axes and colours have one width, whatever they say: another width would lay the page out anew, which costs
+    a browser more time than all that is drawn.
+
+    Args:
+        title: title.
+        size: width of the picture on the screen, px.
+        source: the data; the picture is their column `name`.
+        name: of the picture.
+        colours: its colours.
+        bar: True for a colour bar, which widens the plot.
+        beside: the picture to its left, whose axes it shares. Default: None.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        size: int,
+        source: ColumnDataSource,
+        name: str,
+        colours: PictureColours,
+        *,
+        bar: bool = False,
+        beside: PictureFigure | None = None,
+    ):
+        ranges = {} if beside is None else {"x_range": beside.plot.x_range, "y_range": beside.plot.y_range}
+        self.plot = picture_figure(
+            title, size, "x, towards the lamp [px]", "y [px]", match_aspect=True, tools="pan,wheel_zoom,reset",
+            toolbar_location=None, **ranges,
+        )  # fmt: skip
+        self.plot.yaxis.visible = beside is None
+        self.plot.axis.ticker = BasicTicker(desired_num_ticks=3)
+        self.plot.yaxis.formatter = PrintfTickFormatter(format="%5.4g")
+        self.plot.yaxis.major_label_text_font = "monospace"
+        self.plot.yaxis.major_label_text_font_size = "9px"
+        self.plot.x_range.range_padding = self.plot.y_range.range_padding = 0
+        drawn = self.plot.image(
+            name,
+            x=f"{name} x",
+            y=f"{name} y",
+            dw=f"{name} dw",
+            dh=f"{name} dh",
+            color_mapper=colours.mapper,
+            source=source,
+        )
+        hover(self.plot, [drawn], [("x, y", "$x, $y px"), ("radiance", "@image 1/sr")])
+        if bar:
+            self.plot.add_layout(colours.bar(), "right")
+
+
+def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict[str, list[Any]]:
+    """Return the columns of a picture in a source: values (y, x), each a square about its place, px."""
+    side = float(x[1] - x[0])
+    return {
+        name: [np.ascontiguousarray(values, dtype=np.float32)],
+        f"{name} x": [float(x[0]) - side / 2],
+        f"{name} y": [float(y[0]) - side / 2],
+        f"{name} dw": [values.shape[1] * side],
+        f"{name} dh": [values.shape[0] * side],
+    }
+
+
+def no_pictures(*names: str) -> dict[str, list[Any]]:
+    """Return the columns of pictures before there are any."""
+    nothing, at = np.zeros((2, 2), np.float32), np.array([-0.5, 0.5])
+    return {key: value for name in names for key, value in picture_columns(name, nothing, at, at).items()}
+
+
+__all__ = [
+    "BLUE",
+    "COLOURS",
+    "GREY",
+    "ORANGE",
+    "SKY",
+    "VERMILION",
+    "PictureColours",
+    "PictureFigure",
+    "curve_figure",
+    "hover",
+    "no_pictures",
+    "picture_columns",
+    "picture_figure",
+    "plain",
+]

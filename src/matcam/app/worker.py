@@ -1,12 +1,15 @@
 """Work beside the page: the newest request is done next, older ones that nobody has begun are forgotten.
 
 A thread computes, so that the server reads what the browser sends meanwhile: a slider's last value is there when the thread
-asks. A result is shown before the next request is begun, so that neither requests nor results queue up.
+asks. A result is shown before the next request is begun, so that neither requests nor results queue up. Moves that have arrived
+already are read before any of them is computed: they are a few milliseconds apart at most.
 """
 
 from __future__ import annotations
 
+import math
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +19,9 @@ from bokeh.document import Document
 from matcam.core.errors import MatcamError
 
 _SHOWN_WITHIN = 5.0  # s; a page that has gone shows nothing
+
+DRAINED = {"after": 0.004, "within": 0.05}
+"""Times, s, within which a slider's moves that wait to be read overtake each other (see `Newest.ask`)."""
 
 THREAD = "matcam-app"
 """Name of the threads that compute."""
@@ -34,18 +40,34 @@ class Newest:
         self._complain = complain
         self._wake = threading.Condition()
         self._job: tuple[Callable[[], Any], Callable[[Any], None]] | None = None
+        self._first = self._due = 0.0
         self._ended = False
         self.busy = False
         self._thread: threading.Thread | None = None
 
-    def ask(self, work: Callable[[], Any], show: Callable[[Any], None]) -> None:
-        """Ask for work; `show` gets its result in the page. A job that has not begun is replaced."""
+    def ask(
+        self, work: Callable[[], Any], show: Callable[[Any], None], after: float = 0.0, within: float = math.inf
+    ) -> None:
+        """Ask for work; a job that has not begun is replaced.
+
+        Args:
+            work: what to do.
+            show: gets the result in the page.
+            after: time for which nothing else is asked before the work begins, s. Default: 0.
+            within: time after which the newest job begins though others keep coming, s. Default: infinite.
+        """
+        now = time.monotonic()
         with self._wake:
-            self._job = (work, show)
+            if self._job is None:
+                self._first = now
+            due = min(now + after, self._first + within)
+            waits = self._job is not None and self._due <= due
+            self._job, self._due = (work, show), due
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, daemon=True, name=THREAD)
                 self._thread.start()
-            self._wake.notify()
+            if not waits:  # a thread that waits for an earlier time finds this job then
+                self._wake.notify()
 
     def overtaken(self) -> bool:
         """Tell whether another job waits: a long one may stop."""
@@ -84,7 +106,8 @@ class Newest:
     def _run(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._job is not None or self._ended)
+                while not self._ended and (self._job is None or self._due > time.monotonic()):
+                    self._wake.wait(None if self._job is None else self._due - time.monotonic())
                 if self._ended or self._job is None:
                     return
                 (work, show), self._job, self.busy = self._job, None, True

@@ -75,6 +75,7 @@ def command(
 def _write(result: Any, document: dict[str, Any], files: dict[str, Path], capture: Path, force: bool) -> None:
     from matcam.acquisition.outline import stacked
     from matcam.core.io import write_json
+    from matcam.figures.fitted_windows import fitted_windows
     from matcam.figures.reconstruction_page import write_reconstruction_page
     from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
@@ -82,7 +83,7 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
     write_merl(files["table"], result.table["brdf"], force=force)
     # noise about 0 may be negative, which the format cannot say; the NetCDF file keeps it
     write_merl(files["pinhole"], result.pinhole.clip(min=0.0, keep_attrs=True), force=force)
-    write_netcdf(files["data"], result.table.assign(pinhole=result.pinhole), force=force)
+    write_netcdf(files["data"], result.table.assign(pinhole=result.pinhole).merge(fitted_windows(result)), force=force)
     write_json(files["document"], document, force=force)
     exposures = [(name, value, std / value) for name, (value, std) in document["radiometry"]["exposures"].items()]
     write_reconstruction_page(

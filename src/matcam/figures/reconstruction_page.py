@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.grid import merl_grid
 from matcam.core.remark import texts
+from matcam.figures.fitted_windows import fitted_windows, pinhole_slice
 from matcam.figures.style import BLUE, CYCLE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.reconstruction.picture_rule import WINDOW
 
@@ -97,8 +98,16 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
             vmin=np.log10(floor),
         )
         axes.plot(column + radius * np.cos(turn), row + radius * np.sin(turn), color=BLUE, lw=1, label="fitted outline")
-        at = np.array([_brightest(result, k) for k in range(len(result.fit.names))])
-        axes.plot(at[:, 0], at[:, 1], "+", color=VERMILION, ms=8, mew=1.5, label="fitted highlights")
+        windows = fitted_windows(result)
+        axes.plot(
+            windows["highlight_column"],
+            windows["highlight_row"],
+            "+",
+            color=VERMILION,
+            ms=8,
+            mew=1.5,
+            label="fitted highlights",
+        )
         axes.grid(visible=False)
         axes.set_xlabel("column [px]")
         axes.set_ylabel("row [px]")
@@ -152,12 +161,8 @@ def lobe_figure(result: Reconstruction) -> Figure:
             good = table["supported"].values[at]
             seen = np.isfinite(value) & (value > 0)
             if result.pinhole is not None:
-                all_round = result.pinhole.values[:, at[1], :, channel]  # few cells of one azimuth hold a pixel
-                there = np.isfinite(all_round)
-                binned = np.where(there, all_round, 0.0).sum(axis=1) / np.where(
-                    there.any(axis=1), there.sum(axis=1), np.nan
-                )
-                there = np.isfinite(binned) & (binned > 0)
+                binned = pinhole_slice(result.pinhole, at[1], channel)
+                there = np.isfinite(binned)
                 axes.plot(theta_h[there], binned[there], ".-", color=VERMILION, lw=0.8, ms=3, label="pinhole binning")
             axes.plot(theta_h[seen], value[seen], color=BLUE, label="reconstructed")
             axes.fill_between(
@@ -180,8 +185,7 @@ def lobe_figure(result: Reconstruction) -> Figure:
 
 def highlight_figure(result: Reconstruction) -> Figure:
     """Draw the window of every highlight: recorded, fitted, and the difference in standard deviations."""
-    solution = result.fit.solution
-    problem = solution.problem
+    solution, windows = result.fit.solution, fitted_windows(result)
     shown = np.unique(np.linspace(0, len(result.fit.names) - 1, min(_SHOWN, len(result.fit.names))).round().astype(int))
     columns = 3
     rows = int(np.ceil(len(shown) / columns))
@@ -192,21 +196,15 @@ def highlight_figure(result: Reconstruction) -> Figure:
             axes.axis("off")
         last = None
         for place, k in enumerate(shown):
-            pixels = problem.pixels[k]
-            count = WINDOW * WINDOW
-            model = problem.picture(solution.p, k, slopes=False).value[:count]
-            used, values = pixels.used[:count], pixels.values[:count]
-            std = np.hypot(pixels.std[:count], solution.unexplained * np.abs(model))
-            top = max(np.nanmax(np.where(used, model, np.nan)), 1e-300)
-            left = np.where(used & ~pixels.clipped[:count], (values - model) / std, np.nan)
+            one = windows.isel(picture=k)
+            top = max(np.nanmax(one["window_fitted"].values), 1e-300)
             row, column = divmod(place, columns)
-            for panel, (what, scale) in enumerate(((values, "gray"), (model, "gray"), (left, "coolwarm"))):
-                axes = grid[row, 3 * column + panel]
-                image = np.where(used, what, np.nan).reshape(WINDOW, WINDOW)
-                if scale == "gray":
-                    axes.imshow(np.log10(np.maximum(image / top, 1e-3)), cmap="gray", vmin=-3, vmax=0)
-                else:
+            for panel, name in enumerate(("window_recorded", "window_fitted", "window_residual")):
+                axes, image = grid[row, 3 * column + panel], one[name].values
+                if name == "window_residual":
                     last = axes.imshow(image, cmap="coolwarm", vmin=-5, vmax=5)
+                else:
+                    axes.imshow(np.log10(np.maximum(image / top, 1e-3)), cmap="gray", vmin=-3, vmax=0)
             title = rf"{result.fit.names[k]}, $\theta_d$ = {np.degrees(solution.theta_d[k]):.0f}°"
             grid[row, 3 * column].set_title(title, loc="left", fontsize=7)
         if last is not None:
@@ -222,13 +220,3 @@ def highlight_figure(result: Reconstruction) -> Figure:
 def _colours(channels: Sequence[str]) -> Sequence[str]:
     named = {"R": VERMILION, "G": GREEN, "B": BLUE}
     return [named.get(channel, CYCLE[i % len(CYCLE)]) for i, channel in enumerate(channels)]
-
-
-def _brightest(result: Reconstruction, k: int) -> tuple[float, float]:
-    """Return column and row of the brightest pixel of a fitted window."""
-    problem, p = result.fit.solution.problem, result.fit.solution.p
-    window = problem.pixels[k].window
-    model = problem.picture(p, k, slopes=False).value[: WINDOW * WINDOW]
-    v, u = divmod(int(np.argmax(np.where(problem.pixels[k].used[: WINDOW * WINDOW], model, -1.0))), WINDOW)
-    pair = float(window.pixel_u[u]), float(window.pixel_v[v])
-    return (pair[1], pair[0]) if window.turned else pair

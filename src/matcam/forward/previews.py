@@ -11,6 +11,8 @@ may change.
 
 from __future__ import annotations
 
+import math
+
 import equinox as eqx
 import numpy as np
 import xarray as xr
@@ -67,7 +69,7 @@ def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
     """
     rig = _checked_rig(rig, ndf)
     assert isinstance(ndf, MixtureNDF)
-    return _responses(rig, ndf, jnp.reshape(checks.viewing_angle("theta", theta), -1))
+    return _responses(rig, ndf, np.ravel(checks.viewing_angle("theta", theta)))
 
 
 def highlight_preview(
@@ -102,14 +104,10 @@ def highlight_preview(
         True
     """
     rig, angle = _checked(material, rig, theta_d)
-    if half_side is None:
-        half_side = 4 * float(_recorded_width(rig, _mixture(material), angle))
-    checks.positive("half_side", half_side, "px")
-    offsets = np.linspace(-1, 1, _count("points", points, 3)) * float(half_side)
-    true, recorded = (
-        np.asarray(part) * float(_peak(material, rig, angle))
-        for part in _lobes(rig, _mixture(material), angle, jnp.asarray(offsets), jnp.asarray(offsets))
-    )
+    given = np.nan if half_side is None else float(checks.positive("half_side", half_side, "px"))
+    places = np.linspace(-1, 1, _count("points", points, 3))
+    side, true, recorded = (np.asarray(part) for part in _closeup(material, rig, angle, places, np.asarray(given)))
+    offsets = places * float(side)
     return _dataset(true, recorded, offsets, offsets, theta_d=float(theta_d))
 
 
@@ -148,8 +146,12 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
     block = int(np.ceil(width / side))
     block += 1 - block % 2  # a value lies on the optical axis
     count = 2 * int(np.ceil(width / block / 2 - 0.5)) + 1
-    at = (np.arange(count) - (count - 1) / 2) * block
-    true, recorded = (np.asarray(a) for a in _sphere(material, rig, angle, jnp.asarray(at), block))
+    # a grid of one size serves spheres of all: a program is compiled for each size
+    whole = np.arange(2 * (side // 2) + 1)
+    at = (whole - side // 2) * float(block)
+    shown = slice((whole.size - count) // 2, (whole.size + count) // 2)
+    at, pair = at[shown], _sphere(material, rig, angle, at, np.asarray(block))
+    true, recorded = (np.asarray(part)[shown, shown] for part in pair)
     return _dataset(true, recorded, at, at, theta_d=float(theta_d), pixels_per_value=block)
 
 
@@ -168,17 +170,17 @@ def _checked_rig(rig: Rig, ndf: object) -> Rig:
         optics = HaloOptics(optics, 0.0, 1.0)
     lamp = rig.lamp
     if not isinstance(lamp, NearLamp):
-        lamp = NearLamp(_FAR, jnp.tan(rig.lamp_radius) * _FAR)
+        lamp = NearLamp(_FAR, math.tan(float(rig.lamp_radius)) * _FAR)
     camera = Camera(optics, rig.camera.pixel)
     return Rig(camera, Sphere(sphere.radius, _FAR if sphere.distant else sphere.distance), lamp, jitter=rig.jitter)
 
 
-def _checked(material: Microfacet, rig: Rig, theta_d: float) -> tuple[Rig, jax.Array]:
+def _checked(material: Microfacet, rig: Rig, theta_d: float) -> tuple[Rig, np.ndarray]:
     if not isinstance(material, Microfacet):
         raise ArgumentError(
             f"material must be a Microfacet such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
         )
-    return _checked_rig(rig, material.ndf), jnp.asarray(float(checks.within("theta_d", theta_d, 0, _STEEPEST, "rad")))
+    return _checked_rig(rig, material.ndf), np.asarray(float(checks.within("theta_d", theta_d, 0, _STEEPEST, "rad")))
 
 
 def _mixture(material: Microfacet) -> MixtureNDF:
@@ -251,20 +253,24 @@ def _responses(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 
 
 @eqx.filter_jit
-def _recorded_width(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
+def _closeup(
+    material: Microfacet, rig: Rig, theta: jax.Array, places: jax.Array, half_side: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return half the side, px, and the lobe as it is and as recorded, (y, x) each, 1/sr; half_side NaN: see above."""
+    lobe = _sum_of_gaussians(rig, _mixture(material), theta)
+    half_side = jnp.where(jnp.isnan(half_side), 4 * _recorded_width(rig, lobe), half_side)
+    scene, place = _scene(material, rig, theta)
+    peak = _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
+    at = places * half_side
+    true = _product(lobe.weights, _lines(lobe.std[1], at), _lines(lobe.std[0], at))
+    return half_side, peak * true, peak * _recorded(rig, lobe, at, at)
+
+
+def _recorded_width(rig: Rig, lobe: _SumOfGaussians) -> jax.Array:
     """Return a half width of the record, px, by the curvature of its Gaussians at the peak."""
-    lobe = _sum_of_gaussians(rig, ndf, theta)
     own = 1 / (lobe.weights @ (1 / lobe.std[1] ** 2))
     pixel = rig.camera.pixel.half_width**2 / 3
     return 1.18 * jnp.sqrt(own + jnp.min(lobe.spread[1]) ** 2 + pixel)
-
-
-@eqx.filter_jit
-def _lobes(rig: Rig, ndf: MixtureNDF, theta: jax.Array, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the lobe as it is and as recorded relative to its peak, (y, x) each."""
-    lobe = _sum_of_gaussians(rig, ndf, theta)
-    true = _product(lobe.weights, _lines(lobe.std[1], y), _lines(lobe.std[0], x))
-    return true, _recorded(rig, lobe, x, y)
 
 
 def _lines(std: jax.Array, at: jax.Array) -> jax.Array:
@@ -279,13 +285,13 @@ def _recorded(rig: Rig, lobe: _SumOfGaussians, x: jax.Array, y: jax.Array) -> ja
     across, down = (
         _recorded_lines(rig, std, spread, at) for std, spread, at in zip(lobe.std, lobe.spread, (x, y), strict=True)
     )
-    return jnp.einsum("k,n,ykn,xkn->yx", lobe.lens_weights, lobe.weights, down, across)
+    return _sum(lobe, down, across)
 
 
-@jax.jit
-def _peak(material: Microfacet, rig: Rig, theta: jax.Array) -> jax.Array:
-    scene, place = _scene(material, rig, theta)
-    return _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
+def _sum(lobe: _SumOfGaussians, down: jax.Array, across: jax.Array) -> jax.Array:
+    """Return the sum over lens and lobe of products of lines, (y, k, n) and (x, k, n)."""
+    weighted = down * (lobe.lens_weights[:, None] * lobe.weights)
+    return weighted.reshape(len(down), -1) @ across.reshape(len(across), -1).T
 
 
 def _scene(material: Microfacet, rig: Rig, theta: jax.Array) -> tuple[Scene, jax.Array]:
@@ -301,7 +307,9 @@ def _middle(channels: jax.Array) -> jax.Array:
 
 
 @eqx.filter_jit
-def _sphere(material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, block: int) -> tuple[jax.Array, jax.Array]:
+def _sphere(
+    material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, block: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Return the sphere at the places `at` along both axes, as it is and as recorded."""
     scene, place = _scene(material, rig, theta)
     x, y = at[None, :], at[:, None]
@@ -310,18 +318,21 @@ def _sphere(material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, blo
     points = jnp.where(lit, _middle(scene.sent(element)), 0.0)
     peak = _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
-    inside = jnp.arange(block) - (block - 1) / 2
     down, across = (at, at - place)
     centre = _product(lobe.weights, _lines(lobe.std[1], down), _lines(lobe.std[0], across))
-    # the mean over a value's pixels is separable, as the Gaussians are
-    mean_down, mean_across = (
-        rig_lines.mean(axis=1)
-        for rig_lines in (
-            _recorded_lines(rig, std, spread, where[:, None] + inside)
+
+    def add(pixel: jax.Array, sums: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        inside = pixel - (block - 1) / 2
+        of_y, of_x = (
+            _recorded_lines(rig, std, spread, where + inside)
             for std, spread, where in zip(lobe.std[::-1], lobe.spread[::-1], (down, across), strict=True)
         )
-    )
-    recorded = jnp.einsum("k,n,ykn,xkn->yx", lobe.lens_weights, lobe.weights, mean_down, mean_across)
+        return sums[0] + of_y, sums[1] + of_x
+
+    # the mean over a value's pixels is separable, as the Gaussians are
+    nothing = jnp.zeros((at.size, lobe.lens_weights.size, lobe.weights.size))
+    mean_down, mean_across = (one / block for one in jax.lax.fori_loop(0, block, add, (nothing, nothing)))
+    recorded = _sum(lobe, mean_down, mean_across)
     means = (_mean_lines(std, where, block) for std, where in zip(lobe.std[::-1], (down, across), strict=True))
     true = _product(lobe.weights, *means)
     left = points - peak * centre
@@ -334,7 +345,7 @@ def _sphere(material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, blo
     return jnp.where(lit, sphere(true), 0.0), sphere(recorded)
 
 
-def _mean_lines(std: jax.Array, at: jax.Array, width: int) -> jax.Array:
+def _mean_lines(std: jax.Array, at: jax.Array, width: jax.Array) -> jax.Array:
     """Return the mean of Gaussian lines of unit peak over intervals of a width, (at, n)."""
     ends = [jax.scipy.special.ndtr((at[:, None] + side * width / 2) / std) for side in (1, -1)]
     return jnp.sqrt(2 * jnp.pi) * std / width * (ends[0] - ends[1])

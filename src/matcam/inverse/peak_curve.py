@@ -42,6 +42,17 @@ def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
         theta_d: rad, (n,).
     """
     n, k, _ = metal(name, CHANNEL_WAVELENGTHS)
+    return conductor_curve(n, k, theta_d)
+
+
+def conductor_curve(n: np.ndarray, k: np.ndarray, theta_d: np.ndarray) -> np.ndarray:
+    """Return a conductor's Fresnel term, normalised as `peak_curve` is, (theta_d, channel).
+
+    Args:
+        n: refractive index of each channel, no unit.
+        k: absorption of each channel, no unit.
+        theta_d: rad, (n,).
+    """
     values = np.asarray(fresnel_conductor(np.asarray(theta_d)[:, None], n, k))
     return _normalised(values, np.asarray(theta_d))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from matcam.app.opened import OpenedTable
+from matcam.app.exploring.opened import OpenedTable
 from matcam.core.errors import ArgumentError
 
 SIDE = 200
@@ -42,11 +42,16 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
         values = np.asarray(data.values[at], dtype=float)
         return np.where(values > 0, values, np.nan)  # the axis is logarithmic
 
+    recorded = curve(table.recorded)
+    if table.pictures and table.recorded is not None:
+        from matcam.figures.fitted_windows import pinhole_slice
+
+        recorded = pinhole_slice(table.recorded, int(at[1]), channel)
     corrected, std = curve(table.corrected), curve(table.std)
     supported = np.zeros(count, bool) if table.supported is None else np.asarray(table.supported.values[at], bool)
     return {
         "theta_h": np.degrees(best["theta_h"].values),
-        "recorded": curve(table.recorded),
+        "recorded": recorded,
         "corrected": corrected,
         "low": np.maximum(corrected - std, 0.01 * corrected),
         "high": corrected + std,

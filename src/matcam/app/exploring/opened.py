@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from matcam.app.exploring.fitted_pictures import FittedPicture, fitted_pictures, is_capture
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import check_within, read_json
 
@@ -34,6 +35,7 @@ class OpenedTable:
         supported: which entries of corrected the data support; None: it is not said.
         record: what a run found of it; {}: it is of no run.
         curve: a Fresnel term from `matcam fresnel` over theta_d; None: there is none.
+        pictures: of a reconstruction, with outlines, highlights and windows.
     """
 
     name: str
@@ -43,6 +45,7 @@ class OpenedTable:
     supported: xr.DataArray | None = None
     record: dict[str, Any] = field(default_factory=dict)
     curve: xr.Dataset | None = None
+    pictures: tuple[FittedPicture, ...] = ()
 
     @property
     def best(self) -> xr.DataArray | None:
@@ -64,12 +67,16 @@ class Openable:
 
 
 def entries_of(path: Path) -> list[Openable]:
-    """Return the materials of a file, of a run's folder or of its Zarr; nothing but records is read.
+    """Return the materials of a file, of a run's folder or of its Zarr, or beside a capture; nothing but records is read.
 
     Raises:
         FileFormatError: a folder holds no records of a run.
     """
     if not path.is_dir():
+        table = path.with_suffix(".nc")
+        if path.suffix.lower() == ".json" and table.is_file():  # two halves of one result
+            check_within(table, path.parent)
+            return [_of_run(table, path)]
         return [Openable(path.name, lambda: read_opened(path))]
     if (path / "zarr.json").is_file():
         return _rows(path)
@@ -80,7 +87,7 @@ def entries_of(path: Path) -> list[Openable]:
             check_within(record, path)
             check_within(table, path)
             found.append(_of_run(table, record))
-    if not found:
+    if not found and not is_capture(path):  # whose photographs belong to a result that is open beside it
         if (path / "run.zarr").is_dir():
             return _rows(path / "run.zarr")
         raise FileFormatError(
@@ -124,7 +131,10 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
             raise ArgumentError("brdf_std and supported must have the shape of brdf")
         if "pinhole" in data:  # a reconstruction: what a camera without blur would have been taken to have recorded
             pinhole = checked_table(data["pinhole"].assign_attrs(corrected.attrs))
-            return OpenedTable(name, pinhole, corrected, parts.get("brdf_std"), parts.get("supported"), record)
+            return OpenedTable(
+                name, pinhole, corrected, parts.get("brdf_std"), parts.get("supported"), record,
+                pictures=tuple(fitted_pictures(name, data)),
+            )  # fmt: skip
         if not parts:
             return OpenedTable(name, recorded=corrected, record=record)
         recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
@@ -151,8 +161,12 @@ def _record(path: Path) -> dict[str, Any]:
 def _label(name: str, record: dict[str, Any]) -> str:
     """Return a material's name, and in a few words what its run found."""
     fit = record.get("fit")
-    params = fit.get("params") if isinstance(fit, dict) else None
-    numbers = params if isinstance(params, dict) else {}
+    params = fit.get("params") if isinstance(fit, dict) else record.get("parameters")  # of a run; of a reconstruction
+    numbers = (
+        {key: one[0] if isinstance(one, list) and one else one for key, one in params.items()}
+        if isinstance(params, dict)
+        else {}
+    )
     width = next((f"{key} {numbers[key]:.3g}" for key in _WIDTHS if isinstance(numbers.get(key), int | float)), "")
     share = record.get("supported_share")
     supported = f"{share:.0%} supported" if isinstance(share, float) and np.isfinite(share) else ""

@@ -12,10 +12,9 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource
 from bokeh.models.widgets import Button, Div, RadioButtonGroup, Select
-from bokeh.plotting import figure
 
-from matcam.app.controls import WIDTH, NumberControl, Setting
-from matcam.app.explored import (
+from matcam.app.controls import WIDTH, ConductorControl, NumberControl, Setting
+from matcam.app.exploring.explored import (
     SIDE,
     as_bsdf,
     as_csv,
@@ -27,11 +26,14 @@ from matcam.app.explored import (
     slice_of,
     sphere_of,
 )
-from matcam.app.opened import Openable, OpenedTable, entries_of
-from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, plain
+from matcam.app.exploring.fitted_pictures import opened_captures
+from matcam.app.exploring.opened import Openable, OpenedTable, entries_of
+from matcam.app.exploring.photographs_panel import PhotographsPanel
+from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, picture_figure
 from matcam.app.transfers import Downloads, Upload
-from matcam.app.worker import Newest
+from matcam.app.worker import DRAINED, Newest
 from matcam.core.errors import ArgumentError, MatcamError
+from matcam.files.capture import Capture
 
 SETTINGS = (
     Setting("theta_d", "slice: θ_d [degrees]", 0.5, 89, 30),
@@ -39,6 +41,7 @@ SETTINGS = (
     Setting("azimuth", "lamp azimuth [degrees]", 0, 360, 0),
     Setting("exposure", "exposure [stops]", -4, 8, 0),
 )
+_Listed = tuple[list[Openable], list[Capture], list[str], list[str]]
 _NONE = "(none)"
 _KEPT = 8  # tables in memory
 
@@ -55,7 +58,7 @@ class ExploreView:
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
         self._downloads, self._complain, self._files = downloads, complain, files
-        self._fast, self._slow = Newest(document, self._failed), Newest(document, self._failed)
+        self._fast, self._slow, self._shots = (Newest(document, self._failed) for _ in range(3))
         self._entries: list[Openable] = []
         self._read: dict[int, OpenedTable] = {}
         self._shown: dict[str, Any] = {}
@@ -68,12 +71,14 @@ class ExploreView:
             select.on_change("value", lambda attr, old, new: self._look())
         self._which = RadioButtonGroup(labels=["recorded", "corrected"], active=1, name="which", width=WIDTH - 16)
         self._channel = RadioButtonGroup(labels=["R", "G", "B"], active=1, name="channel", width=WIDTH - 16)
-        self._metal = Select(
-            title="metal, tabulated n and k", value="Cr", options=["Cr"], width=WIDTH - 16, margin=(2, 8, 2, 8)
+        self._metal = ConductorControl("metal, n and k", self.refresh, self._indices)
+        self._which.on_change("active", lambda attr, old, new: self.refresh())
+        self._channel.on_change("active", lambda attr, old, new: (self._metal.fill(), self.refresh()))
+        self._looked_at = RadioButtonGroup(
+            labels=["table", "photographs"], active=0, name="looked-at", visible=False, width=200
         )
-        for buttons in (self._which, self._channel):
-            buttons.on_change("active", lambda attr, old, new: self.refresh())
-        self._metal.on_change("value", lambda attr, old, new: self.refresh())
+        self._looked_at.on_change("active", lambda attr, old, new: self._turn())
+        self._photographs = PhotographsPanel(self._shots, complain)
         self._upload = Upload("open: drop a table here", self._dropped, complain)
         self._status = Div(text="", name="explore-status", height=18, sizing_mode="stretch_width")
         self._saved = Div(text="", name="explore-saved", width=WIDTH - 16)
@@ -85,8 +90,8 @@ class ExploreView:
 
     def close(self) -> None:
         """Stop computing and remove what was uploaded."""
-        self._fast.close()
-        self._slow.close()
+        for work in (self._fast, self._slow, self._shots):
+            work.close()
         self._upload.close()
 
     def _failed(self, line: str) -> None:
@@ -98,8 +103,12 @@ class ExploreView:
         tables = [self._read.get(self._index(select)) for select in self._chosen]
         if tables[0] is not None:
             angles = {name: control.value for name, control in self._controls.items()}
-            channel, which, metal = self._channel.active, self._which.active, self._metal.value
-            self._fast.ask(lambda: _shown(tables, angles, channel, which, metal), self._show)
+            channel, which, metal = (
+                self._channel.active,
+                self._which.active,
+                (self._metal.name.value, self._metal.n_and_k),
+            )
+            self._fast.ask(lambda: _shown(tables, angles, channel, which, metal), self._show, **DRAINED)
 
     def _knobs(self) -> Any:
         exports = []
@@ -109,7 +118,7 @@ class ExploreView:
             exports.append(button)
         return column(
             self._upload.layout, *self._chosen, self._which, self._channel,
-            *(control.layout for control in self._controls.values()), self._metal,
+            *(control.layout for control in self._controls.values()), self._metal.layout,
             Div(text="save what is shown:", margin=(4, 8, 0, 8)), row(*exports), self._saved, width=WIDTH,
         )  # fmt: skip
 
@@ -134,6 +143,7 @@ class ExploreView:
                 "theta_h", "corrected", color=BLUE, line_width=2, source=self._curves, legend_label="corrected"
             )
         )
+        self._slice.scatter("theta_h", "recorded", color=VERMILION, size=3, source=self._curves)
         self._slice.scatter(
             "theta_h", "unsupported", color="#AAAAAA", size=6, source=self._curves, legend_label="not supported"
         )
@@ -172,8 +182,7 @@ class ExploreView:
             plot.legend.padding = plot.legend.spacing = 2
             plot.legend.background_fill_alpha = 0.7
         self._spheres = [_SpherePlot(name) for name in ("material", "beside it")]
-        return column(
-            self._status,
+        self._table = column(
             self._slice,
             row(
                 self._fresnel,
@@ -182,21 +191,33 @@ class ExploreView:
             ),
             sizing_mode="stretch_width",
         )
+        head = row(self._looked_at, self._status, sizing_mode="stretch_width")
+        return column(head, self._table, self._photographs.layout, sizing_mode="stretch_width")
 
-    def _listed(self) -> tuple[list[Openable], list[str], list[str]]:
+    def _turn(self) -> None:
+        """Show the table, or the photographs behind it."""
+        pictures = self._looked_at.visible and self._looked_at.active == 1
+        self._table.visible, self._photographs.layout.visible = not pictures, pictures
+        table = self._read.get(self._index(self._chosen[0]))
+        if pictures and table is not None:
+            self._photographs.show(table.pictures)
+
+    def _listed(self) -> _Listed:
         from matcam.material.optical_constants import metals
 
-        entries, failures = [], []
+        captures, failures = opened_captures(self._files)
+        entries: list[Openable] = []
         for path in self._files:
             try:
                 entries += entries_of(path)
             except MatcamError as error:
                 failures.append(str(error))
-        return entries, failures, list(metals())
+        return entries, captures, failures, list(metals())
 
-    def _offer(self, listed: tuple[list[Openable], list[str], list[str]]) -> None:
-        entries, failures, metals = listed
-        self._metal.options = metals
+    def _offer(self, listed: _Listed) -> None:
+        entries, captures, failures, metals = listed
+        self._photographs.open(captures)
+        self._metal.offer(metals)
         self._add(entries)
         for line in failures:
             self._complain(line)
@@ -258,6 +279,9 @@ class ExploreView:
 
     def _show(self, found: dict[str, Any]) -> None:
         self._shown = found
+        table = self._read.get(self._index(self._chosen[0]))
+        self._looked_at.visible = table is not None and bool(table.pictures)
+        self._turn()
         if "slice" in found:
             self._curves.data = found["slice"]
             self._slice.y_range.update(start=found["range"][0], end=found["range"][1])
@@ -268,6 +292,14 @@ class ExploreView:
         self._fresnel.y_range.end = float(1.2 * top)
         for sphere, light, name in zip(self._spheres, found["light"], found["names"], strict=True):
             sphere.show(light, name, found["exposure"])
+
+    def _indices(self, name: str) -> tuple[float, float]:
+        """Return a metal's tabulated n and k in the chosen channel, no unit."""
+        from matcam.core.grid import CHANNEL_WAVELENGTHS
+        from matcam.material.optical_constants import metal
+
+        n, k, _ = metal(name, [CHANNEL_WAVELENGTHS[self._channel.active]])
+        return float(n[0]), float(k[0])
 
     def _save(self, kind: str) -> None:
         table = self._read.get(self._index(self._chosen[0]))
@@ -304,13 +336,9 @@ class _SpherePlot:
     def __init__(self, title: str):
         self._title = title
         self._source = ColumnDataSource({"image": [np.zeros((2, 2), np.uint32)]}, name=f"sphere {title}")
-        self.plot = figure(
-            title=title, frame_width=SIDE, frame_height=SIDE, x_range=(-1, 1), y_range=(-1, 1),
-            x_axis_label="x [radii]", y_axis_label="y [radii]", tools="", toolbar_location=None,
-        )  # fmt: skip
-        plain(self.plot)
-        self.plot.grid.visible = False
-        self.plot.background_fill_color = "#000000"
+        self.plot = picture_figure(
+            title, SIDE, "x [radii]", "y [radii]", x_range=(-1, 1), y_range=(-1, 1), tools="", toolbar_location=None
+        )
         self.plot.image_rgba("image", x=-1, y=-1, dw=2, dh=2, source=self._source)
 
     def show(self, light: np.ndarray | None, name: str, exposure: float) -> None:
@@ -324,9 +352,11 @@ def _chosen_table(table: OpenedTable, which: int) -> Any:
     return table.best if which or table.recorded is None else table.recorded
 
 
-def _shown(tables: list[Any], angles: dict[str, float], channel: int, which: int, metal: str) -> dict[str, Any]:
+def _shown(
+    tables: list[Any], angles: dict[str, float], channel: int, which: int, metal: tuple[str, tuple[float, float] | None]
+) -> dict[str, Any]:
     """Return all that is to be shown."""
-    from matcam.inverse.peak_curve import metal_curve
+    from matcam.inverse.peak_curve import conductor_curve, metal_curve
 
     table, beside = tables
     theta_d = float(np.radians(angles["theta_d"]))
@@ -337,7 +367,12 @@ def _shown(tables: list[Any], angles: dict[str, float], channel: int, which: int
     if beside is not None and beside.best is not None:
         found["beside"] = slice_of(beside, theta_d, channel)
     term = fresnel_of(table, channel)
-    found["fresnel"] = {**term, "metal": metal_curve(metal, np.radians(term["theta_d"]))[:, channel]}
+    at, (name, custom) = np.radians(term["theta_d"]), metal
+    if custom is None:
+        curve = metal_curve(name, at)[:, channel]
+    else:
+        curve = conductor_curve(np.array([custom[0]]), np.array([custom[1]]), at)[:, 0]
+    found["fresnel"] = {**term, "metal": curve}
     lamp, azimuth = float(np.radians(angles["lamp"])), float(np.radians(angles["azimuth"]))
     found["light"], found["names"] = [], []
     for one in tables:

@@ -1,0 +1,154 @@
+"""What `matcam reconstruct` wrote of its pictures, and the photographs of a capture that the user opened, too.
+
+The result's own file holds outline, highlights and windows. The photographs are read from the capture's folder only if the user
+opened that folder: no file leads to another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from matcam.app.calibrated import drawn_values
+from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
+from matcam.files.capture import LIST, SETTINGS, Capture, read_capture
+
+WINDOWS = ("window_recorded", "window_fitted", "window_residual")
+_PLACES = (
+    "window_left", "window_top", "outline_column", "outline_row", "outline_radius", "highlight_column", "highlight_row",
+    "picture_theta_d",
+)  # fmt: skip
+_ABOUT = 1.12
+"""Half the side of what is shown about the outline, in its radii."""
+_MOST = 10_000  # pictures
+
+
+@dataclass(frozen=True)
+class FittedPicture:
+    """One picture of a reconstruction.
+
+    Attributes:
+        name: of its lamp position.
+        theta_d: at the highlight, rad.
+        outline: column, row and radius of the fitted outline, px.
+        highlight: column and row of the brightest fitted pixel, px.
+        corner: first column and row of the window, px.
+        windows: recorded, fitted, and the residual in standard deviations, (rows, columns) each; NaN where not used.
+    """
+
+    name: str
+    theta_d: float
+    outline: tuple[float, float, float]
+    highlight: tuple[float, float]
+    corner: tuple[float, float]
+    windows: dict[str, np.ndarray]
+
+
+def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
+    """Return the pictures that a reconstruction's file holds; none where it is something else.
+
+    Args:
+        name: of the file, for messages.
+        data: what it holds.
+
+    Raises:
+        FileFormatError: its pictures contradict each other.
+    """
+    if WINDOWS[0] not in data:
+        return []
+    try:
+        names = [str(one) for one in data["picture_name"].values.tolist()]
+        places = {key: np.asarray(data[key].values, dtype=float) for key in _PLACES}
+        windows = {key: np.asarray(data[key].values, dtype=np.float32) for key in WINDOWS}
+        count, rows, columns = windows[WINDOWS[0]].shape
+        if not (
+            1 <= count <= _MOST and rows > 1 and columns > 1 and len(names) == count
+            and all(one.shape == (count,) and np.isfinite(one).all() for one in places.values())
+            and all(one.shape == (count, rows, columns) for one in windows.values())
+        ):  # fmt: skip
+            raise ValueError("its pictures must have one outline, highlight and window each")
+    except (KeyError, ValueError, TypeError) as error:
+        raise FileFormatError(f"{name}: damaged: {error}") from None
+    return [
+        FittedPicture(
+            names[k],
+            float(places["picture_theta_d"][k]),
+            (float(places["outline_column"][k]), float(places["outline_row"][k]), float(places["outline_radius"][k])),
+            (float(places["highlight_column"][k]), float(places["highlight_row"][k])),
+            (float(places["window_left"][k]), float(places["window_top"][k])),
+            {key: one[k] for key, one in windows.items()},
+        )
+        for k in range(count)
+    ]
+
+
+def is_capture(path: Path) -> bool:
+    """Tell whether a folder is a capture."""
+    return (path / SETTINGS).is_file() and (path / LIST).is_file()
+
+
+def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:
+    """Return the captures among the folders that the user opened, and why others cannot be read; no picture is decoded."""
+    found, failures = [], []
+    for path in paths:
+        if is_capture(path):
+            try:
+                found.append(read_capture(path))
+            except MatcamError as error:
+                failures.append(str(error))
+    return found, failures
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One photograph of a lamp position: its file's name, and its capture and frame."""
+
+    label: str
+    capture: Capture
+    frame: Any
+
+    def about(self, outline: tuple[float, float, float]) -> tuple[np.ndarray, tuple[float, float, float, float]]:
+        """Return what is about an outline, as `drawn_values` thins it, and its left, top, width and height, px.
+
+        Raises:
+            FileFormatError: the photograph is missing, damaged, or too small for the outline.
+        """
+        values = self.capture.read(self.frame).values
+        height, width = values.shape[:2]
+        column, row, radius = outline
+        reach = _ABOUT * radius
+        left, right = (int(np.clip(edge, 0, width)) // 2 * 2 for edge in (column - reach, column + reach + 2))
+        top, bottom = (int(np.clip(edge, 0, height)) // 2 * 2 for edge in (row - reach, row + reach + 2))
+        if right - left < 2 or bottom - top < 2:
+            raise FileFormatError(
+                f"{self.label}: {width} x {height} px: does not hold the fitted outline: is it of this capture?"
+            )
+        shown, step = drawn_values(values[top:bottom, left:right], linear=True)
+        high, wide = shown.shape
+        return shown, (left - 0.5, top - 0.5, wide * step, high * step)
+
+
+def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
+    """Return the photographs of a picture's lamp position in the opened captures, the longest exposure first.
+
+    Raises:
+        ArgumentError: no capture is open.
+        FileFormatError: none has this lamp position's photographs.
+    """
+    if not captures:
+        raise ArgumentError(
+            "the photographs are not open: give the capture's folder, too (`matcam app CAPTURE RESULT.nc`)"
+        )
+    found = [Shot(frame.file, one, frame) for one in captures for frame in one.of("frames", lamp=picture.name)]
+    found.sort(key=lambda shot: -np.nan_to_num(shot.frame.time))
+    if not found:
+        folders = ", ".join(one.folder.name for one in captures)
+        raise FileFormatError(
+            f"{folders}: no photograph of lamp position {picture.name}: was the folder moved or changed?"
+        )
+    return found
