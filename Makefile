@@ -7,26 +7,37 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo fuzz test test-all pytest-test pytest-test-all lint format bench tables docs clean
+.PHONY: demo fuzz test test-all test-oldest test-versions pytest-test pytest-test-all lint format bench tables docs clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
 
 # Two test processes on two cores: a matrix product that starts two threads of its own in each waits for itself
-test test-all: export OPENBLAS_NUM_THREADS = 1
+test test-all test-oldest test-versions: export OPENBLAS_NUM_THREADS = 1
 
-# Most tests compile a program and run it once: without this part of XLA they compile in three quarters of the time, and
-# most files do without the rest of XLA's optimisation, too (tests/conftest.py).
+# Most tests compile a program and run it once: most do without XLA's optimisation (tests/conftest.py).
 # `test-all` runs the programs as users do
-test: export XLA_FLAGS = --xla_cpu_use_fusion_emitters=false
-test: export MATCAM_TESTS_COMPILE_QUICKLY = 1
+test test-oldest test-versions: export MATCAM_TESTS_COMPILE_QUICKLY = 1
 
 # mypy runs beside the tests: one after the other, it would leave a core idle
 test test-all: $(VENV)/.installed-test
 	$(MAKE) -j 2 lint pytest-$@
 
+# The tests, or some of them (TESTS="tests/core tests/files"), on the oldest versions that pyproject.toml allows, ...
+test-oldest:
+	mkdir -p build
+	$(PYTHON) .ci/oldest.py > build/oldest.txt
+	$(MAKE) pytest-test VENV=build/oldest PYTHON=python3.11 PIP_FLAGS="--constraint build/oldest.txt"
+
+# ... and with the newest versions on every Python that is at hand
+test-versions:
+	for version in 3.11 3.12 3.13 3.14; do \
+		python$$version -c pass 2>/dev/null || { echo "python$$version is not at hand: not tested"; continue; }; \
+		$(MAKE) pytest-test VENV=build/python$$version PYTHON=python$$version || exit 1; done
+
+TESTS =
 pytest-test: $(VENV)/.installed-test
-	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not slow"
+	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not slow" $(TESTS)
 
 pytest-test-all: $(VENV)/.installed-test
 	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder

@@ -9,8 +9,10 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "examples")]
 
-# Programs of one site are compiled once, in a folder of the build; most of them run once, and compile faster without fusion
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+# Programs of one site are compiled once, in a folder of the build; most of them run once, and compile faster without fusion.
+# Later versions of XLA do not know the flag, and refuse to start with it
+if tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2]) < (0, 11):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 os.environ.setdefault("XDG_CACHE_HOME", str(HERE.parent / "build" / "docs-cache"))
 
 from matcam.core.jax import use_compilation_cache  # noqa: E402

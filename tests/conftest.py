@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from importlib import metadata
 from pathlib import Path
 
 import hypothesis
@@ -17,6 +18,11 @@ _CACHE = "MATCAM_TESTS_CACHE"
 _OWNER = _CACHE not in os.environ
 # one cache for this run's processes, thrown away at its end: a program that one of them has compiled is compiled
 os.environ["XDG_CACHE_HOME"] = os.environ.setdefault(_CACHE, tempfile.mkdtemp(prefix="matcam-tests-") if _OWNER else "")
+
+_QUICKLY = "MATCAM_TESTS_COMPILE_QUICKLY" in os.environ
+# Without this part of XLA programs compile in three quarters of the time. Later versions refuse to start with the flag
+if _QUICKLY and tuple(int(part) for part in metadata.version("jaxlib").split(".")[:2]) < (0, 11):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 hypothesis.settings.register_profile(
     "matcam",
@@ -59,7 +65,7 @@ def compiled_quickly(request):
     from matcam.core.jax import jax
 
     here = request.path.relative_to(REPOSITORY / "tests").as_posix()
-    quick = "MATCAM_TESTS_COMPILE_QUICKLY" in os.environ and not here.startswith(_COMPUTE)
+    quick = _QUICKLY and not here.startswith(_COMPUTE)
     jax.config.update("jax_disable_most_optimizations", quick)
 
 

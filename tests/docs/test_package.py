@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 import zipfile
 from pathlib import Path
@@ -43,6 +44,15 @@ def test_recipe_asks_for_what_the_package_asks_for():
 def test_versions_of_python_are_stated():
     listed = {c.rpartition(" ")[2] for c in PROJECT["project"]["classifiers"] if re.search(r":: 3\.\d+$", c)}
     assert listed == {"3.11", "3.12", "3.13", "3.14"}
+
+
+def test_oldest_versions_are_what_the_project_states():
+    printed = subprocess.run(
+        [sys.executable, ROOT / ".ci" / "oldest.py"], capture_output=True, text=True, check=True
+    ).stdout
+    asked = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["scale"]
+    wanted = {re.sub(r"\[.*\]", "", one).replace(">=", "==") for one in asked}
+    assert wanted <= set(printed.split())
 
 
 def test_the_wheel_is_small():

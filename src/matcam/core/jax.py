@@ -55,11 +55,17 @@ def plainly_compiled(*, once: bool) -> dict[str, Any] | None:
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
     if once:
         options["xla_backend_optimization_level"] = 0
-    try:  # XLA's options come and go with its versions
-        jax.jit(lambda x: x, compiler_options=options).lower(0.0).compile()
+    return {name: value for name, value in options.items() if _is_known(name, value)} or None
+
+
+@cache
+def _is_known(option: str, value: Any) -> bool:
+    """Tell whether this XLA has an option: they come and go with its versions."""
+    try:
+        jax.jit(lambda x: x, compiler_options={option: value}).lower(0.0).compile()
     except jax.errors.JaxRuntimeError:
-        return None
-    return options
+        return False
+    return True
 
 
 def use_compilation_cache() -> None:
