@@ -30,6 +30,11 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, unit: flo
     table = PinholeTable(fit.channels)
     for k, (picture, direction) in enumerate(zip(pictures, fit.lamps, strict=True)):
         column, row = p[layout.own(k)][:2]
-        ball = MirrorBall(float(row), float(column), float(radius), float(distance))
+        circle = float(column), float(row), float(radius)
+        if fit.scene.camera.field is not None:
+            circle = fit.scene.camera.field.seen_circle(
+                *circle
+            )  # the outline that a perfect camera would be said to show
+        ball = MirrorBall(circle[1], circle[0], circle[2], float(distance))
         table.add(picture, ball, direction, float(far), irradiance=unit * float(np.exp(p[layout.gain(k)])))
     return table.table()
