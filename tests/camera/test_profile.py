@@ -18,6 +18,7 @@ from matcam import (
 )
 from matcam.camera import Provenance, Uncertainty
 from matcam.camera import profile as profile_schema
+from matcam.camera.lens_field import Coefficient, LensField
 from matcam.core.errors import FileFormatError, OutputError
 from tests.conftest import REPOSITORY
 
@@ -34,6 +35,12 @@ CAMERAS = [
         DefocusOptics(8, 550e-9, 4.73e-6, 1.5),
         BoxPixel(0.5),
         Sensor(4.73e-6, 2e4, 2.5, 0.7, 14, "RGGB", prnu=0.01, dark_current=3.0, dark_nonuniformity=0.1, pattern_seed=7),
+    ),
+    Camera(
+        GaussianOptics(0.6),
+        field=LensField(
+            (999.5, 749.5), 1249.0, Coefficient(-0.01, 1e-3), Coefficient(2e-3, 1e-4), Coefficient(0.2, 0.03), 800.0
+        ),
     ),
     Camera(
         HaloOptics(HaloOptics(MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]), 0.01, 4.0), 0.002, 150.0),
@@ -70,6 +77,15 @@ def test_version_1_is_still_read(tmp_path):
     halo = {"model": "halo", "core": {"model": "gaussian", "sigma_px": 0.5}, "fraction": 0.1, "radius_px": 9.0}
     path.write_text(json.dumps(changed(version=1, optics=halo)))
     with pytest.raises(FileFormatError, match="field optics"):
+        Camera.load(path)
+
+
+def test_version_2_is_still_read_and_knows_no_field(tmp_path):
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(valid()))
+    assert Camera.load(path).field is None
+    path.write_text(json.dumps(changed(field=None)))
+    with pytest.raises(FileFormatError, match="field field: extra"):
         Camera.load(path)
 
 
@@ -112,6 +128,14 @@ def sensor(**changes):
     return fields | changes
 
 
+def field(**changes):
+    fields = {
+        "centre_px": [99.5, 99.5], "unit_px": 141.0, "k1": [0.01, 0.001], "k2": [0.0, 0.0], "growth": [0.0, 0.0],
+        "holds_at_px": 0.0,
+    }  # fmt: skip
+    return fields | changes
+
+
 def halo(core, fraction=0.1):
     return {"model": "halo", "core": core, "fraction": fraction, "radius_px": 9.0}
 
@@ -126,7 +150,11 @@ def nested(depth):
 @pytest.mark.parametrize(
     ("document", "words"),
     [
-        (changed(version=3), "version 3 is unknown"),
+        (changed(version=4), "version 4 is unknown"),
+        (changed(version=3, field=field(unit_px=0.0)), "unit_px must lie in (0, inf) px"),
+        (changed(version=3, field=field(k1=[0.1])), "field field.k1"),
+        (changed(version=3, field=field(k1=[-0.4, 0.1])), "fold the picture"),
+        (changed(version=3, field=field(growth=[9.0, 0.1])), "growth must lie in"),
         (changed(version=True), "version True is unknown"),
         (changed(version="1"), "version '1' is unknown"),
         (changed(format="camera"), "not a camera profile"),

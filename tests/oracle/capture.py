@@ -42,13 +42,16 @@ class Sensor(NamedTuple):
 
 class Faults(NamedTuple):
     """Standard deviations: lamp table, rad; shift of a lamp position, px; gain of a lamp position, relative; true over
-    nominal exposure time, relative. shift_within: of the frames inside one lamp position, px."""
+    nominal exposure time, relative. shift_within: of the frames inside one lamp position, px. table: what a stated direction
+    lies off besides, rad, without being stated. outline: by how much the outline frames show too large a radius, px."""
 
     lamps: float = np.radians(0.3)
     shift: float = 0.2
     gain: float = 0.005
     exposure: float = 0.05
     shift_within: float = 0.0
+    table: float = 0.0
+    outline: float = 0.0
 
 
 class Patch(NamedTuple):
@@ -132,6 +135,8 @@ def draw(
     gains = np.exp(faults.gain * rng.standard_normal(len(angles)))
     table = angles + faults.lamps * rng.standard_normal(len(angles))
     table_azimuth = azimuths + faults.lamps * rng.standard_normal(len(angles)) / np.maximum(np.sin(angles), 0.05)
+    if faults.table:
+        table = table + faults.table * rng.standard_normal(len(angles))
     names = [f"L{i:02d}" for i in range(len(angles))]
     channel = _channels(view.shape, sensor)
     pattern = _Reference(reference, view, patch or Patch())
@@ -168,7 +173,7 @@ def draw(
             drawn.frames[file] = _expose(np.zeros(view.shape), sensor, rng)
             drawn.rows.append(_row(file, "", None, None, exposure, nominal[k]))
     for i in range(outlines):
-        bright = backlit(view, backlight, surface)
+        bright = backlit(view._replace(radius=view.radius + faults.outline), backlight, surface)
         file = f"outline/O{i}.tif"
         drawn.frames[file] = _expose(0.6 * sensor.full_well * bright * sensitivity[channel] * even, sensor, rng)
         drawn.rows.append(_row(file, "", None, None, ids[0], nominal[0]))

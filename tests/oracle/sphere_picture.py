@@ -40,7 +40,9 @@ class Surface(NamedTuple):
 
 class View(NamedTuple):
     """radius of the limb, px; distances of camera and lamp from the centre, radii; lens and half pixel, px; the sphere's
-    centre, which lies on the optical axis; picture's shape."""
+    centre, which lies on the optical axis; picture's shape. k1: a place at r px from `axis` (px right of and above the sphere's
+    centre) is seen at r (1 + k1 (r / radius)^2). growth: the lens is wider there by 1 + growth (r / radius)^2; it acts on
+    highlight and limb, not where the picture is smooth."""
 
     radius: float = 350.0
     camera: float = 40.0
@@ -50,6 +52,29 @@ class View(NamedTuple):
     column: float = 400.0
     row: float = 400.0
     shape: tuple = (800, 800)
+    k1: float = 0.0
+    axis: tuple = (0.0, 0.0)
+    growth: float = 0.0
+
+
+def _seen(x, y, view):
+    """Where places are seen, by how much areas are magnified there, and the lens's width over sigma."""
+    x, y = x - view.axis[0], y - view.axis[1]
+    rho2 = (x**2 + y**2) / view.radius**2
+    bent = 1 + view.k1 * rho2
+    return x * bent + view.axis[0], y * bent + view.axis[1], bent * (1 + 3 * view.k1 * rho2), 1 + view.growth * rho2
+
+
+def _unbent(x, y, view):
+    """The places that are seen at x, y."""
+    if not view.k1:
+        return x, y
+    x, y = x - view.axis[0], y - view.axis[1]
+    at = x, y
+    for _ in range(60):
+        bent = 1 + view.k1 * (at[0] ** 2 + at[1] ** 2) / view.radius**2
+        at = x / bent, y / bent
+    return at[0] + view.axis[0], at[1] + view.axis[1]
 
 
 def fresnel(cos, n, k):
@@ -169,7 +194,7 @@ def _vectors(n, view, towards):
 
 def _cos_d_of_pixels(view, towards):
     rows, columns = np.arange(view.shape[0]), np.arange(view.shape[1])
-    x, y = np.meshgrid(columns - view.column, view.row - rows)
+    x, y = _unbent(*np.meshgrid(columns - view.column, view.row - rows), view)
     light, seen, _ = _vectors(_normals(x, y, view), view, towards)
     return np.sqrt(np.clip((1 + (light * seen).sum(0)) / 2, 0, 1))
 
@@ -220,13 +245,13 @@ def _epd_masking(power):
     return s, 2 * ((r * density * reach) @ w) * (1.3 * last - s)
 
 
-def _kernel(x, view):
-    unit = np.sqrt(2) * view.sigma
+def _kernel(x, view, wider=1.0):
+    unit = np.sqrt(2) * view.sigma * wider
     return (erf((x + view.half_width) / unit) - erf((x - view.half_width) / unit)) / (4 * view.half_width)
 
 
 def _reach(view):
-    return int(np.ceil(view.half_width + _CUT * view.sigma))
+    return int(np.ceil(view.half_width + _CUT * view.sigma * (1 + max(view.growth, 0))))
 
 
 def _far(surface, view, towards, window, fine):
@@ -238,8 +263,8 @@ def _far(surface, view, towards, window, fine):
     starts = [(r, c) for r in range(0, height, _TILE) for c in range(0, width, _TILE)]
     starts = np.array(starts)
     middle = starts + (_TILE - 1) / 2
-    x, y = middle[:, 1] - view.column, view.row - middle[:, 0]
-    half = _TILE / np.sqrt(2)
+    x, y = _unbent(middle[:, 1] - view.column, view.row - middle[:, 0], view)
+    half = _TILE / np.sqrt(2) * (1 + 4 * abs(view.k1))
     rho = np.hypot(x, y)
     to_peak = np.hypot(x - window.x, y - window.y)
     inside = rho < view.radius + half
@@ -263,7 +288,7 @@ def _add_tiles(lobe, body, starts, density, is_dense, surface, view, towards, wi
     at = (np.arange(_TILE * density) + 0.5) * step - 0.5  # px in the tile
     x = starts[:, 1, None, None] + at[None, None, :] - view.column
     y = view.row - starts[:, 0, None, None] - at[None, :, None]
-    x, y = np.broadcast_arrays(x, y)
+    x, y = _unbent(*np.broadcast_arrays(x, y), view)
     rho = np.hypot(x, y)
     ring = _fading((view.radius - rho - _RIM) / (_RIM_END - _RIM))
     # grids of both densities fade into each other: a sum that ends at a border is not a good integral
@@ -326,11 +351,13 @@ def _add_ring(frames, surface, view, towards, window, fine):
         lit = (share > 0) & ((lobe > 0) | (body > 0))
         if not lit.any():
             continue
-        column, row = view.column + x[lit], view.row - y[lit]
+        seen_x, seen_y, larger, wider = _seen(x[lit], y[lit], view)
+        share[lit] *= larger
+        column, row = view.column + seen_x, view.row - seen_y
         first = np.round(row).astype(int) - margin, np.round(column).astype(int) - margin
         out = np.arange(2 * margin + 1)
-        down = _kernel(first[0][:, None] + out - row[:, None], view)
-        across = _kernel(first[1][:, None] + out - column[:, None], view)
+        down = _kernel(first[0][:, None] + out - row[:, None], view, wider[:, None])
+        across = _kernel(first[1][:, None] + out - column[:, None], view, wider[:, None])
         kernel = (down[:, :, None] * across[:, None, :]).reshape(len(row), -1)
         height, width = (n + 2 * margin + 2 for n in view.shape)
         rows, columns = (
@@ -371,11 +398,13 @@ def _add_highlight(image, surface, view, towards, window, peak, azimuth, colour,
     share = area * window.share(x, y)
     lobe, body, cos_d = _light(n, surface, view, towards)
     margin = _reach(view)
-    columns, rows = view.column + x, view.row - y
+    seen_x, seen_y, larger, wider = _seen(x, y, view)
+    share = share * larger
+    columns, rows = view.column + seen_x, view.row - seen_y
     first = [max(int(np.floor(v.min())) - margin, 0) for v in (rows, columns)]
     last = [min(int(np.ceil(v.max())) + margin + 1, size) for v, size in zip((rows, columns), view.shape, strict=True)]
-    down = _kernel(np.arange(first[0], last[0])[:, None] - rows, view)
-    across = _kernel(np.arange(first[1], last[1])[:, None] - columns, view)
+    down = _kernel(np.arange(first[0], last[0])[:, None] - rows, view, wider)
+    across = _kernel(np.arange(first[1], last[1])[:, None] - columns, view, wider)
     cosines, curves, diffuse = colour
     for channel, (f, rho) in enumerate(zip(curves, diffuse, strict=True)):
         light = (lobe * np.interp(cos_d, cosines, f) + rho * body) * share
@@ -407,7 +436,7 @@ def backlit(view, beyond, surface=None, shift=(0.0, 0.0), channel=0):
             density = 8
             step = 1 / density
             at = (np.arange(_TILE * density) + 0.5) * step - 0.5
-            x, y = np.meshgrid(c + at - view.column, view.row - r - at)
+            x, y = _unbent(*np.meshgrid(c + at - view.column, view.row - r - at), view)
             rho = np.hypot(x, y)
             outside = np.clip((rho - view.radius) / step + 0.5, 0, 1)
             if beyond > 0:
@@ -426,5 +455,5 @@ def backlit(view, beyond, surface=None, shift=(0.0, 0.0), channel=0):
             if top >= 0 and left >= 0 and top + len(out) <= image.shape[0] + 0 and left + len(out) <= image.shape[1]:
                 image[top : top + len(out), left : left + len(out)] += k @ (outside * step**2) @ k.T
     cut = np.s_[margin + _TILE : margin + _TILE + height, margin + _TILE : margin + _TILE + width]
-    rho = np.hypot(np.arange(width) - view.column, (view.row - np.arange(height))[:, None])
+    rho = np.hypot(*_unbent(np.arange(width) - view.column, (view.row - np.arange(height))[:, None], view))
     return np.where(rho > view.radius + 7, 1.0, np.where(rho < view.radius * np.cos(beyond / 2) - 7, 0.0, image[cut]))

@@ -5,11 +5,14 @@ import pytest
 
 from matcam import Camera, GaussianOptics, NearLamp, Rig, Sphere
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.camera.lens_field import Coefficient, LensField
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction import picture_rule
 from matcam.reconstruction.observed_pixels import HighlightPlace, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
+from matcam.reconstruction.rig.field_change import field_change
 from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
 
 VIEW = View(radius=120.0, column=140.0, row=140.0, shape=(281, 281))
@@ -27,17 +30,17 @@ def parameters(alpha):
     return np.array([np.log(alpha), 0.0, VIEW.radius, *NEAR, VIEW.column, VIEW.row, 0.0, 0.0])
 
 
-def seen(alpha, theta_d, azimuth):
+def seen(alpha, theta_d, azimuth, view=VIEW, field=None):
     """A picture of a perfect mirror's lobe by the oracle, and the pixels of it that a fit would choose."""
     lamp = direction(lamp_angle(np.radians(theta_d), VIEW), azimuth)
-    truth = picture(Surface("ggx", alpha, n=(1e9,), k=(0.0,), diffuse=(0.0,)), VIEW, lamp)[..., 0]
+    truth = picture(Surface("ggx", alpha, n=(1e9,), k=(0.0,), diffuse=(0.0,)), view, lamp)[..., 0]
     nothing = np.zeros(truth.shape, int)
     merged = MergedPicture("L", truth, np.ones_like(truth), nothing > 0, nothing, ("grey",))
     normal = mirror_angle(lamp_angle(np.radians(theta_d), VIEW), VIEW)
     out = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
     highlight = out * np.cos(azimuth), out * np.sin(azimuth)
     place = HighlightPlace(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
-    return lamp, chosen_pixels(merged, place, scale=alpha / 3, plateau=0.0, seed=0)
+    return lamp, chosen_pixels(merged, place, scale=alpha / 3, plateau=0.0, seed=0, field=field)
 
 
 @pytest.mark.parametrize(
@@ -59,10 +62,65 @@ def test_pixels_record_what_an_independent_quadrature_says(model, alpha, theta_d
     assert (missed / np.maximum(1e-3 * pixels.values, 1e-7 * pixels.values.max()))[beyond].max() < 1
 
 
+def field_of(view):
+    """The lens's field as a profile would state it."""
+    centre = view.column + view.axis[0], view.row - view.axis[1]
+    return LensField(centre, view.radius, Coefficient(view.k1, 0.001), growth=Coefficient(view.growth, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("alpha", "theta_d", "azimuth", "k1", "growth"),
+    [(0.003, 75, 0.7, 0.01, 0.2), (0.02, 75, 2.0, -0.01, 0.0), (0.02, 45, 5.5, 0.02, 0.0)],
+)
+def test_pixels_behind_a_lens_that_distorts(model, alpha, theta_d, azimuth, k1, growth):
+    """1 to 2 % at the limb, its centre beside the sphere's, a lens that widens."""
+    view = VIEW._replace(k1=k1, axis=(15.0, -25.0), growth=growth)
+    lamp, pixels = seen(alpha, theta_d, azimuth, view, field_of(view))
+    _, straight = seen(alpha, theta_d, azimuth, view)
+    frame, p = lamp_frame(lamp), parameters(alpha)
+    missed = []
+    for chosen in (pixels, straight):
+        near, _ = model.window(p, frame, chosen.window, slopes=False)
+        used = chosen.used[:_WINDOW]
+        off = np.abs(np.asarray(near.lobe).ravel() - chosen.values[:_WINDOW])[used]
+        missed.append(off.max() / chosen.values.max())
+    assert missed[0] < 1e-3
+    assert missed[1] > 0.03  # what leaving it out would cost
+    if growth:
+        return  # which the drawing has at highlight and limb only
+    far, _ = model.pixels(p, frame, pixels.column, pixels.row, slopes=False)
+    used, truth = pixels.used[_WINDOW:], pixels.values[_WINDOW:]
+    off = np.abs(np.asarray(far.lobe) - truth)[used]
+    assert (off / np.maximum(2e-3 * truth[used], 1e-7 * pixels.values.max())).max() < 1
+
+
+def test_a_change_of_the_field_is_another_outline_at_the_highlight(model):
+    """A picture through k1 + 0.001 and a lens that widens by 2 % more, as a change to first order and as a field of its own."""
+    view = VIEW._replace(k1=0.004, growth=0.1)
+    lamp, pixels = seen(0.02, 60, 0.7, view, field_of(view))
+    frame, p = lamp_frame(lamp), parameters(0.02)
+    at = MirrorBall(VIEW.row, VIEW.column, VIEW.radius, VIEW.camera).mirror_place(lamp, VIEW.lamp)[::-1]
+    at = float(at[0]), float(at[1])
+    change = np.array([0.001, 0.02])
+    by = field_change(field_of(view), np.zeros(2), (VIEW.column, VIEW.row), at, (pixels.column, pixels.row))
+    changed = by.applied(p, change, 1)
+    assert changed == pytest.approx(p + by.slopes(p, 1) @ change)
+    ours = np.asarray(model.window(changed, frame, pixels.window, slopes=False)[0].lobe).ravel()
+    other = view._replace(k1=0.005, growth=0.12)
+    _, there = seen(0.02, 60, 0.7, other, field_of(other))
+    plain = np.asarray(model.window(p, frame, pixels.window, slopes=False)[0].lobe).ravel()
+    near = pixels.used[:_WINDOW] & there.used[:_WINDOW]
+    assert np.array_equal(pixels.window.pixel_u, there.window.pixel_u)
+    truth = there.values[:_WINDOW]
+    left = np.abs(ours - truth)[near].max()
+    assert left < 0.25 * np.abs(plain - truth)[near].max()  # what is left: a circle for an ellipse
+
+
 def test_derivatives_are_those_of_the_values(model):
     """Each parameter's derivative against central differences; at the terminator, where a node appears or goes, a pixel or two
     may differ."""
-    lamp, pixels = seen(0.02, 60, 0.7)
+    bent = VIEW._replace(k1=0.01)
+    lamp, pixels = seen(0.02, 60, 0.7, bent, field_of(bent))
     frame, p = lamp_frame(lamp), parameters(0.02)
     calls = (
         lambda p, slopes: model.window(p, frame, pixels.window, slopes=slopes),

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 
 from matcam.camera import kernel as effective
 from matcam.camera import profile
+from matcam.camera.lens_field import LensField
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.profile import Provenance, Uncertainty
@@ -36,6 +37,7 @@ class Camera(eqx.Module):
         sensor: noise and mosaic of the pictures; it does not change the kernel. None: not stated.
         uncertainty: covariance of the camera's parameters. None: they are exact.
         provenance: where the camera comes from; it goes into the profile. None: nothing is stated.
+        field: distortion and growth of the blur over the field, which `reconstruct` allows for. None: the same everywhere.
 
     Raises:
         ArgumentError: a part is of the wrong kind, `uncertainty` names a parameter that the camera has not, or lens and
@@ -55,6 +57,7 @@ class Camera(eqx.Module):
     sensor: Sensor | None
     uncertainty: Uncertainty | None
     provenance: Provenance = eqx.field(static=True)
+    field: LensField | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -64,6 +67,7 @@ class Camera(eqx.Module):
         *,
         uncertainty: Uncertainty | None = None,
         provenance: Provenance | None = None,
+        field: LensField | None = None,
     ):
         pixel = BoxPixel() if pixel is None else pixel
         given: object = optics
@@ -79,6 +83,7 @@ class Camera(eqx.Module):
         self.sensor = sensor
         self.uncertainty = uncertainty
         self.provenance = provenance or Provenance()
+        self.field = field
         if uncertainty is not None:
             uncertainty.check_names(self.parameters())
         if sensor is not None:
@@ -184,6 +189,21 @@ class Camera(eqx.Module):
         new = tuple(profile.replace_parameters(part, getattr(self, part), values) for part in ("optics", "pixel"))
         return eqx.tree_at(lambda c: (c.optics, c.pixel), self, new)
 
+    def with_field(self, field: LensField | None) -> Camera:
+        """Return the camera with another distortion and blur over the field.
+
+        Args:
+            field: how the lens differs over the field; None: it is the same everywhere.
+        """
+        return Camera(
+            self.optics,
+            self.pixel,
+            self.sensor,
+            uncertainty=self.uncertainty,
+            provenance=self.provenance,
+            field=field,
+        )
+
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the camera's profile: kernel, sensor, uncertainty, provenance.
 
@@ -214,7 +234,7 @@ class Camera(eqx.Module):
         Returns:
             Dicts, lists, numbers and texts.
         """
-        return profile.as_document(self.optics, self.pixel, self.sensor, self.uncertainty, self.provenance)
+        return profile.as_document(self.optics, self.pixel, self.sensor, self.field, self.uncertainty, self.provenance)
 
     @classmethod
     def from_profile(cls, document: Any, where: str | Path = "camera profile") -> Camera:
@@ -247,4 +267,5 @@ class Camera(eqx.Module):
     def __repr__(self) -> str:
         sensor = "" if self.sensor is None else f", {self.sensor!r}"
         uncertainty = "" if self.uncertainty is None else f", uncertainty={self.uncertainty!r}"
-        return f"Camera({self.optics!r}, {self.pixel!r}{sensor}{uncertainty})"
+        field = "" if self.field is None else f", field={self.field!r}"
+        return f"Camera({self.optics!r}, {self.pixel!r}{sensor}{uncertainty}{field})"

@@ -1,10 +1,12 @@
 """A camera's uncertainty and its profile: the JSON file that ships with a data set, whose format lives here and nowhere else.
 
     {
-      "format": "matcam camera profile",  "version": 2,
+      "format": "matcam camera profile",  "version": 3,
       "optics": {"model": "gaussian", "sigma_px": 0.5},
       "pixel": {"model": "box", "half_width_px": 0.5},
       "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: not stated
+      "field": {"centre_px": [999.5, 749.5], "unit_px": 1249, "k1": [-0.01, 0.001], "k2": [0, 0],
+                "growth": [0.2, 0.03], "holds_at_px": 800},     or null: the lens is alike everywhere
       "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: exact
       "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
     }
@@ -14,9 +16,9 @@ Parameters are named by their place: "optics.sigma_px", "optics.mtf[3]", "optics
 parameters and where they come from travel with the camera, because a kernel without its uncertainty cannot correct anything
 honestly.
 
-Version 1, which knows neither "defocus" nor "halo" nor sensors, is read as well. A published version never changes: what is
-new goes into the next one. The published schemas are docs/camera-profile-v1.schema.json and -v2. pydantic validates JSON;
-the parameters live in the camera's objects.
+Version 2, which knows no field, and version 1, which knows neither "defocus" nor "halo" nor sensors, are read as well. A
+published version never changes: what is new goes into the next one. The published schemas are
+docs/camera-profile-v1.schema.json to -v3. pydantic validates JSON; the parameters live in the camera's objects.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, create_model
 
+from matcam.camera.lens_field import Coefficient, LensField
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PixelResponse
 from matcam.camera.sensor import Sensor
@@ -143,7 +146,7 @@ class Provenance:
 
 
 FORMAT = "matcam camera profile"
-VERSION = 2
+VERSION = 3
 """The version that is written."""
 
 _WHAT = "a camera profile"
@@ -259,6 +262,22 @@ _SENSOR_FIELDS = {
 """Attribute of `Sensor` by its name with the unit."""
 
 
+_Stated = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+
+
+class _LensField(_Strict):
+    centre_px: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    unit_px: FiniteFloat
+    k1: _Stated
+    k2: _Stated
+    growth: _Stated
+    holds_at_px: FiniteFloat
+
+
+FIELD_SCHEMA: Any = _LensField
+"""Schema of a lens's field, for other documents that hold one."""
+
+
 class _Uncertainty(_Strict):
     parameters: list[str]
     covariance: list[list[FiniteFloat]]
@@ -291,7 +310,18 @@ class _Profile2(_Strict):
     provenance: _Provenance
 
 
-VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2}
+class _Profile3(_Strict):
+    format: Literal["matcam camera profile"]
+    version: Literal[3]
+    optics: _Optics
+    pixel: _Pixel
+    sensor: _Sensor | None = None
+    field: _LensField | None = None
+    uncertainty: _Uncertainty | None
+    provenance: _Provenance
+
+
+VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3}
 
 
 def json_schema(version: int = VERSION) -> dict[str, Any]:
@@ -306,6 +336,7 @@ def as_document(
     optics: Optics,
     pixel: PixelResponse,
     sensor: Sensor | None,
+    field: LensField | None,
     uncertainty: Uncertainty | None,
     provenance: Provenance,
 ) -> dict[str, Any]:
@@ -317,6 +348,7 @@ def as_document(
         "pixel": _as_json(pixel),
         "sensor": sensor
         and {field: np.asarray(getattr(sensor, attribute)).tolist() for field, attribute in _SENSOR_FIELDS.items()},
+        "field": None if field is None else field_document(field),
         "uncertainty": None
         if uncertainty is None
         else {"parameters": list(uncertainty.names), "covariance": np.asarray(uncertainty.covariance).tolist()},
@@ -351,12 +383,31 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
             "pixel": _from_json(profile.pixel),
             "sensor": getattr(profile, "sensor", None)  # version 1 has none
             and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in _SENSOR_FIELDS.items()}),
+            "field": None if getattr(profile, "field", None) is None else field_from(profile.field),
             "uncertainty": profile.uncertainty
             and Uncertainty(profile.uncertainty.parameters, np.array(profile.uncertainty.covariance)),
             "provenance": Provenance(**profile.provenance.model_dump()),
         }
     except (ArgumentError, ValueError) as error:
         raise FileFormatError(f"{where}: {error}") from None
+
+
+def field_document(field: LensField) -> dict[str, Any]:
+    """Return a lens's field as it stands in a profile."""
+    return {
+        "centre_px": list(field.centre),
+        "unit_px": field.unit,
+        "k1": list(field.k1),
+        "k2": list(field.k2),
+        "growth": list(field.growth),
+        "holds_at_px": field.holds_at,
+    }
+
+
+def field_from(part: Any) -> LensField:
+    """Return the field that a checked part of a document describes. ArgumentError where a value is out of range."""
+    k1, k2, growth = (Coefficient(*pair) for pair in (part.k1, part.k2, part.growth))
+    return LensField((part.centre_px[0], part.centre_px[1]), part.unit_px, k1, k2, growth, part.holds_at_px)
 
 
 def _as_json(module: Any) -> dict[str, Any]:

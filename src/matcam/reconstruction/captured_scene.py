@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
-from matcam.acquisition.highlights import find_highlights, lamp_angles_apart, lamp_from_highlight
+from matcam.acquisition.highlights import Highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
+from matcam.acquisition.lamps.lamp_table import explain_lamp_table
 from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
@@ -18,6 +20,7 @@ from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Radiometry, capture_camera
 from matcam.camera.camera import Camera
+from matcam.camera.lens_field import Coefficient, LensField
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
@@ -29,6 +32,8 @@ Progress = Callable[[str, int, int], None]
 
 _GUESSED_LENS = Known(0.5, 0.35)
 """px; where a capture states no profile."""
+_GUESSED_DISTORTION = 0.002
+"""Of the radius, at the sphere's limb: standard deviation where no profile states a distortion."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
 """One over a distance that is not stated, in radii."""
 _MARGIN = 0.12
@@ -38,6 +43,10 @@ _SHIFT = 0.3
 _FEWEST = 3
 _SEEN = float(np.radians(0.5))
 """How well the highlights tell a lamp's direction where its light on a patch is not yet grazing, rad."""
+_FAR_OFF = float(np.radians(10.0))
+"""Angle between highlights and a lamp table from which no joint fit could begin with the table."""
+_UNKNOWN = float(np.radians(20.0))
+"""Standard deviation of a lamp's direction that nothing is stated of."""
 INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
 """Codes of the remarks on what could not be used."""
 
@@ -102,8 +111,8 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     sighting = Sighting(distance=distance)
     outline, region = None, capture.region
     if capture.of("outline"):
-        outline = _backlit_outline(capture, sighting, capture.region, remarks)
-        region = capture.region or _about(outline)
+        outline, shape = _backlit_outline(capture, sighting, capture.region, remarks)
+        region = capture.region or _about(outline, shape)
     pictures, radiometry = merge(capture, region, progress)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
@@ -118,6 +127,8 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     ball = MirrorBall(outline.row, outline.column, outline.radius, distance)
     highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
     remarks.extend(said)
+    camera = _with_field(camera, outline)
+    ball, centres, highlights = _undistorted(camera.field, ball, centres, highlights)
     far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
     seen = [k for k, one in enumerate(highlights) if one is not None]
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
@@ -128,7 +139,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
         )
     lamps = np.array([lamp_from_highlight(one, ball, far)[0] for one in highlights if one is not None])
     pictures = [pictures[k] for k in seen]
-    centres = np.tile([outline.column, outline.row], (len(seen), 1)) if centres is None else centres[seen]
+    centres = np.tile([ball.column, ball.row], (len(seen), 1)) if centres is None else centres[seen]
     stated, stds = _stated_lamps(capture, [one.name for one in pictures], lamps, remarks)
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
     light = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, lamp_nearness, remarks)
@@ -137,7 +148,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
         camera=camera,
         lens_std=spread,
         centres=centres,
-        radius=outline.radius,
+        radius=ball.radius,
         outline_covariance=outline.covariance[np.ix_(order, order)],
         shift_std=_SHIFT,
         camera_nearness=camera_nearness,
@@ -158,6 +169,35 @@ def _correlation(covariance: np.ndarray) -> np.ndarray:
     return np.asarray(covariance / np.outer(std, std))
 
 
+def _with_field(camera: Camera, outline: Outline) -> Camera:
+    """Return the camera with a field: where its profile states none, a distortion about the sphere that nobody has measured."""
+    if camera.field is not None:
+        return camera
+    guess = Coefficient(0.0, _GUESSED_DISTORTION)
+    return camera.with_field(LensField((outline.column, outline.row), outline.radius, guess))
+
+
+def _undistorted(
+    field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
+) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
+    """Return sphere, centres and highlights as a lens without distortion would show them."""
+    if field is None or (field.k1.value == 0 and field.k2.value == 0):
+        return ball, centres, list(highlights)
+    column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
+    true = MirrorBall(row, column, radius, ball.distance)
+    if centres is not None:
+        centres = np.array([field.true_circle(x, y, ball.radius)[:2] for x, y in centres])
+    moved: list[Highlight | None] = []
+    for one in highlights:
+        if one is not None:
+            column, row = map(float, field.true_place(one.column, one.row))
+            normal = true.normals(row, column)
+            # on the limb itself rounding may put it beside the sphere
+            one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
+        moved.append(one)
+    return true, centres, moved
+
+
 def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
     if distance is None:
         remarks.append(
@@ -173,8 +213,10 @@ def _lamp_radius(capture: Capture) -> float:
     return 0.0 if distance is None else float(radius / distance[0])
 
 
-def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]) -> Outline:
-    """Return the outline before a bright field, from the mean of the frames that show one."""
+def _backlit_outline(
+    capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]
+) -> tuple[Outline, tuple[int, ...]]:
+    """Return the outline before a bright field, from the mean of the frames that show one, and their height and width."""
     reader = MosaicReader(capture)
     total: np.ndarray | None = None
     count, scatter = 0, 0.0
@@ -213,7 +255,8 @@ def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None
         origin,
     )
     beyond = np.radians(capture.settings["outline"]["field_beyond_deg"])
-    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=(float(beyond), float(beyond) / 3))
+    reach = float(beyond), float(beyond) / 3
+    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach), mean.shape
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
@@ -230,11 +273,14 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
     return np.asarray(dark_of(stack).level, dtype=np.float64)
 
 
-def _about(outline: Outline) -> Region:
+def _about(outline: Outline, shape: tuple[int, ...]) -> Region:
     """Return the part of a frame about an outline: first column and row even, so that a mosaic stays one."""
     reach = outline.radius * (1 + _MARGIN) + 4
     left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (outline.column, outline.row))
-    right, bottom = (int(np.ceil(centre + reach)) for centre in (outline.column, outline.row))
+    right, bottom = (
+        min(int(np.ceil(centre + reach)), size)
+        for centre, size in zip((outline.column, outline.row), shape[::-1], strict=True)
+    )
     return left, top, right - left, bottom - top
 
 
@@ -242,12 +288,12 @@ def _stated_lamps(
     capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the stated directions, or those of the highlights where none is stated, and how well each is known, rad."""
-    stated, stds = lamps.copy(), np.full(len(names), np.radians(20.0))
+    stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
     for k, name in enumerate(names):
         direction = capture.lamps[name].direction
         if np.all(np.isfinite(direction)):
             stated[k], stds[k] = direction, max(capture.direction_std, 1e-5)
-    known = stds < np.radians(19.0)
+    known = stds < _UNKNOWN
     if known.any():
         apart = np.degrees(lamp_angles_apart(lamps[known], stated[known]))
         remarks.append(
@@ -256,7 +302,28 @@ def _stated_lamps(
                 f"highlights and stated lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the fit",
             )
         )
+    if known.sum() >= _FEWEST:
+        remark = _table_mistake(lamps, stated, stds, known)
+        remarks.extend([] if remark is None else [remark])
     return stated, stds
+
+
+def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
+    """Name what is wrong with a lamp table, and change `stated` and `stds` so that the fit does not rest on it."""
+    verdict = explain_lamp_table(lamps[known], stated[known])
+    if verdict.mistake == "none":
+        return None
+    (said,) = verdict.remarks
+    if verdict.mistake != "unexplained":
+        stated[known], stds[known] = lamps[known], _UNKNOWN
+        return Remark(said.code, f"{said.text}; the highlights are used instead")
+    usual = float(np.median(lamp_angles_apart(lamps[known], stated[known])))
+    if usual < _FAR_OFF:
+        return None  # the joint fit tells whether the table, the outline or a distance is wrong
+    stds[known] = np.maximum(stds[known], 1.5 * usual)
+    return Remark(
+        said.code, f"{said.text}; its standard deviation is taken as {np.degrees(1.5 * usual):.2g}°, not as stated"
+    )
 
 
 def _gains(

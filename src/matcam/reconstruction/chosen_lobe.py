@@ -17,7 +17,7 @@ from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.joint_fit import Likelihood
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
-from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of
+from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
 
 _BEND = 1.0
 _FEWEST = 3
@@ -26,9 +26,17 @@ _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
 _CLEARLY = 0.9  # of the unexplained share: what a bent lobe must at least take away
 _CONTRADICTED = 2.5
 """Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
+_EACH = 4.0
+"""By how much a source must explain more for each value that it states: many values explain much by chance."""
+_MUCH = 20.0
+"""Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
+_TURNS = 3  # sources that may be wrong
+_FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
 _WIDENED = {
     "lens": "the lens differs from its profile",
+    "distortion": "the lens's distortion is not as its profile states",
     "outline": "the highlights want another outline than the limb shows",
+    "shift": "the sphere moves between the pictures by more than its limb says",
     "lamp": "the lamps are not where the table says",
     "camera distance": "the camera's distance is not as stated",
     "lamp distance": "the lamp's distance is not as stated",
@@ -90,6 +98,7 @@ def chosen_fit(
     best = fitted(first, scene)
     tried = {first: best.solution.unexplained}
     lost = best.unexplained_pictures
+    whole = pictures, scene, lamps
     if lost and len(pictures) - len(lost) >= _FEWEST:
         keep = [k for k in range(len(pictures)) if k not in lost]
         remarks.append(
@@ -101,13 +110,28 @@ def chosen_fit(
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
         scene = part_of(scene, keep)
         best = fitted(first, scene, widths=np.exp(best.solution.p[:1]))
-        tried[first] = best.solution.unexplained
-    wider, said = _without_contradiction(best, scene)
-    if said:
-        remarks.extend(said)
-        scene = wider
+    widened: dict[str, float] = {}
+    for _ in range(_TURNS):
+        found = _contradiction(best, scene)
+        if found is None:
+            break
+        source, factor, remark = found
+        widened[source] = widened.get(source, 1.0) * factor
+        remarks = [*(one for one in remarks if one.code != remark.code), remark]
+        scene = _widened(scene, source, factor)
         best = fitted(first, scene, start=best)
-        tried[first] = best.solution.unexplained
+    if widened and len(pictures) < len(whole[0]):
+        # what was stated was wrong: with that mended, the pictures left out may be explained, too
+        kept = pictures, scene, lamps
+        pictures, scene, lamps = whole
+        for source, factor in widened.items():
+            scene = _widened(scene, source, factor)
+        again = fitted(first, scene, widths=np.exp(best.solution.p[:1]))
+        if again.unexplained_pictures:
+            pictures, scene, lamps = kept
+        else:
+            best, remarks = again, [one for one in remarks if one.code != "picture-left-out"]
+    tried[first] = best.solution.unexplained
     if family == AUTO and not _explained(best):
         for name in CANDIDATES[1:]:
             width = float(np.exp(best.solution.p[0]))
@@ -150,37 +174,82 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
     return surprise[0] < surprise[1]
 
 
-def _without_contradiction(fit: SphereFit, scene: SphereScene) -> tuple[SphereScene, list[Remark]]:
-    """Return the scene with every prior widened that the pictures contradict, and a remark on each."""
-    problem, p = fit.solution.problem, fit.solution.p
-    away = problem.prior_rows @ p - problem.prior_values
-    remarks = []
-    for source, words in _WIDENED.items():
-        rows = [index for index, one in enumerate(problem.prior_sources) if one == source]
-        if not rows:
+class _Blame(NamedTuple):
+    """Say what freeing a source explains (a fall of chi squared), and by how many standard deviations it then is off."""
+
+    explains: float
+    source: str
+    pull: float
+
+
+def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
+    """Return the source that contradicts the pictures, by what its standard deviation is to be multiplied, and a remark.
+
+    A wrong prior that is stiff pushes others away. So each is freed in turn, and the one that explains most by that is to
+    blame. None: no prior is pushed away, and freeing none explains much.
+    """
+    problem = fit.solution.problem
+    away = problem.prior_rows @ fit.solution.p - problem.prior_values
+    sources = np.array(problem.prior_sources)
+    pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
+    blamed = max(_blamed(fit, scene), default=None)
+    if blamed is None or not (pushed or blamed.explains > _MUCH):
+        return None
+    pull = max(blamed.pull, _CONTRADICTED)
+    remark = Remark(
+        f"{blamed.source.replace(' ', '-')}-contradicted",
+        f"{_WIDENED[blamed.source]}: off by {pull:.1f} times the stated standard deviation, which was widened",
+    )
+    return blamed.source, 1.5 * pull, remark
+
+
+def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
+    """Return what freeing each source would explain, to first order, less `_EACH` for each value that it states."""
+    solution, problem = fit.solution, fit.solution.problem
+    away = problem.prior_rows @ solution.p - problem.prior_values
+    pictures = problem.layout.pictures
+    values = {"outline": 3, "shift": 2 * pictures, "lamp": 2 * pictures, "gain": pictures}
+    found: list[_Blame] = []
+    for name in _WIDENED:
+        rows = _rows_of(name, problem.prior_sources)
+        if not rows.any():
             continue
-        pull = float(np.sqrt(np.mean(away[rows] ** 2)))
-        if pull < _CONTRADICTED:
-            continue
-        scene = _widened(scene, source, 1.5 * pull)
-        remarks.append(
-            Remark(
-                f"{source.replace(' ', '-')}-contradicted",
-                f"{words}: off by {pull:.1f} times the stated standard deviation, which was widened",
-            )
-        )
-    return scene, remarks
+        wide, wanted, sources = prior_of(problem.layout, _widened(scene, name, _FREE), problem.frames, 0.0, 0)
+        chosen = _rows_of(name, sources)
+        wide, old = wide[chosen], problem.prior_rows[rows]
+        off = wide @ solution.p - wanted[chosen]
+        push = old.T @ away[rows] - wide.T @ off
+        step = solution.covariance_with(wide.T @ wide - old.T @ old) @ push
+        count = values.get(name, 1)
+        explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
+        pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
+        if np.isfinite(explains) and np.isfinite(pull):
+            found.append(_Blame(explains, name, pull))
+    return found
+
+
+def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
+    """Return which rows of a prior state a source; the sphere's shifts stand in those of the outline."""
+    return np.array([one == ("outline" if name == "shift" else name) for one in sources])
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _widened(scene: SphereScene, source: str, factor: float) -> SphereScene:
     if source == "lamp":
         return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
+    if source == "distortion":
+        field = scene.camera.field
+        assert field is not None
+        return replace(scene, camera=scene.camera.with_field(field.wider(factor)))
     if source == "gain":
         return replace(scene, gain_std=np.asarray(scene.gain_std) * factor)
     if source == "outline":
-        return replace(
-            scene, outline_covariance=scene.outline_covariance * factor**2, shift_std=scene.shift_std * factor
-        )
+        return replace(scene, outline_covariance=scene.outline_covariance * factor**2)
+    if source == "shift":
+        return replace(scene, shift_std=scene.shift_std * factor)
     if source == "camera distance":
         return replace(scene, camera_nearness=Known(scene.camera_nearness.value, scene.camera_nearness.std * factor))
     if source == "lamp distance":

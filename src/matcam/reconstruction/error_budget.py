@@ -9,6 +9,7 @@ import numpy as np
 
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
+from matcam.reconstruction.rig.field_change import FIELD
 from matcam.reconstruction.sphere_fit import SphereFit
 
 NOISE = "noise"
@@ -51,7 +52,7 @@ class Ratio(NamedTuple):
 def shared_names(fit: SphereFit) -> tuple[str, ...]:
     """Name the parameters that all pictures share, in their order."""
     diffuse = [f"diffuse {channel}" for channel in fit.channels]
-    return (*fit.kind.names, "lens", "radius", "camera distance", "lamp distance", *diffuse)
+    return (*fit.kind.names, "lens", "radius", "camera distance", "lamp distance", *diffuse, *FIELD)
 
 
 def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray, theta_d: float) -> Ratio:

@@ -22,6 +22,7 @@ from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, PictureModel, Recorded
+from matcam.reconstruction.rig.field_change import FIELD, FieldChange
 
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
 _HUBER = 4.0
@@ -30,7 +31,7 @@ _SETTLED = 1e-3  # of a standard deviation
 
 
 class JointLayout(NamedTuple):
-    """Order the vector of all parameters: lobe, scene, diffuse, then each picture's own, its gain and its strengths.
+    """Order the vector of all parameters: lobe, scene, diffuse, field, then each picture's own, its gain and its strengths.
 
     Attributes:
         lobe: number of the lobe's parameters.
@@ -45,7 +46,7 @@ class JointLayout(NamedTuple):
     @property
     def shared(self) -> int:
         """Count the parameters of all pictures."""
-        return self.lobe + len(SCENE) + self.channels
+        return self.lobe + len(SCENE) + self.channels + len(FIELD)
 
     @property
     def each(self) -> int:
@@ -65,7 +66,12 @@ class JointLayout(NamedTuple):
     @property
     def diffuse(self) -> slice:
         """Place of the diffuse parts."""
-        return slice(self.lobe + len(SCENE), self.shared)
+        return slice(self.lobe + len(SCENE), self.lobe + len(SCENE) + self.channels)
+
+    @property
+    def field(self) -> slice:
+        """Place of what the lens's field differs by from its profile."""
+        return slice(self.diffuse.stop, self.shared)
 
     def own(self, k: int) -> slice:
         """Place of a picture's centre and lamp."""
@@ -103,6 +109,7 @@ class JointProblem:
         high: largest value of each parameter.
         slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
         fixed: parameters that stay as they are, (size,).
+        changes: what a change of the lens's field does to each picture; empty where the field is exact.
     """
 
     model: PictureModel
@@ -116,6 +123,7 @@ class JointProblem:
     high: np.ndarray
     slope: np.ndarray
     fixed: np.ndarray
+    changes: Sequence[FieldChange] = ()
 
     def information_of(self, source: str) -> np.ndarray:
         """Return the information matrix of what one source states, (size, size)."""
@@ -125,8 +133,15 @@ class JointProblem:
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
         """Return what the chosen pixels of picture k record of unit strengths, window first, with derivatives."""
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
-        near, near_slopes = self.model.window(at, frame, pixels.window, slopes=slopes)
-        far, far_slopes = self.model.pixels(at, frame, pixels.column, pixels.row, slopes=slopes)
+        there, column, row = at, pixels.column, pixels.row
+        if self.changes:
+            there = self.changes[k].applied(at, p[self.layout.field], self.layout.lobe)
+            column, row = self.changes[k].moved(column, row, p[self.layout.field])
+        near, near_slopes = self.model.window(there, frame, pixels.window, slopes=slopes)
+        # blur matters to pixels next to the highlight only: there it is the highlight's
+        beside = at.copy()
+        beside[self.layout.lobe] += np.log(pixels.window.widened)
+        far, far_slopes = self.model.pixels(beside, frame, column, row, slopes=slopes)
 
         def joined(first: np.ndarray, second: np.ndarray) -> np.ndarray:
             first = np.asarray(first)
@@ -160,12 +175,20 @@ class JointProblem:
             + (strength * slope * recorded.lobe)[:, None] * by_theta
             + diffuse[:, None] * derivative.lambert
         )
+        angle = np.zeros(layout.size)
+        angle[columns] = derivative.theta_d[peak]
+        if self.changes:
+            by_field = self.changes[k].slopes(p[layout.of_picture(k)], layout.lobe)
+            jacobian[:, layout.field] = jacobian[:, columns] @ by_field
+            centre = layout.own(k).start + np.arange(2)
+            far = slice(value.size - pixels.column.size, None)
+            jacobian[far, layout.field] = 0.0
+            jacobian[far, layout.field.start] = (jacobian[far][:, centre] * self.changes[k].away.T).sum(axis=1)
+            angle[layout.field] = derivative.theta_d[peak] @ by_field
         jacobian[:, layout.gain(k)] = value
         everything = np.arange(value.size)
         jacobian[everything, layout.strengths(k).start + channel] = gain * bend * recorded.lobe
         jacobian[everything, layout.diffuse.start + channel] = gain * recorded.lambert
-        angle = np.zeros(layout.size)
-        angle[columns] = derivative.theta_d[peak]
         return PictureFit(value, jacobian, float(theta), angle)
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.camera.lens_field import LensField
 from matcam.reconstruction.picture_rule import WINDOW, Window, window_about
 
 SCATTERED = 768
@@ -27,13 +28,14 @@ class ObservedPixels(NamedTuple):
 
     Attributes:
         window: nodes and pixels about the highlight.
-        column: of the scattered pixels, px, (SCATTERED,).
-        row: of the scattered pixels, px, (SCATTERED,).
+        column: of the scattered pixels, px without the lens's distortion, (SCATTERED,).
+        row: likewise, (SCATTERED,).
         values: of all pixels, (WINDOW^2 + SCATTERED,); 0 where not used.
         std: of the noise, same shape; 1 where not used.
         clipped: pixels that are at least their value.
         channel: index of each pixel's colour.
         used: pixels that hold a value and are fitted.
+        seen: columns and rows at which the frame shows the scattered pixels, px, (2, SCATTERED).
     """
 
     window: Window
@@ -44,10 +46,11 @@ class ObservedPixels(NamedTuple):
     clipped: np.ndarray
     channel: np.ndarray
     used: np.ndarray
+    seen: np.ndarray
 
 
 class HighlightPlace(NamedTuple):
-    """Say where a highlight and its sphere are in the frame.
+    """Say where a highlight and its sphere are in the frame, without the lens's distortion.
 
     Attributes:
         column: of the outline's centre, px.
@@ -72,6 +75,7 @@ def chosen_pixels(
     plateau: float,
     seed: int,
     keep: ObservedPixels | None = None,
+    field: LensField | None = None,
 ) -> ObservedPixels:
     """Return the pixels of a picture that are fitted.
 
@@ -82,6 +86,7 @@ def chosen_pixels(
         plateau: half the lamp's angular radius, rad.
         seed: of the draw of the scattered pixels.
         keep: a choice that stays, but for its nodes, where the highlight is still where it was. Default: None.
+        field: the lens's distortion and blur over the field. Default: None, it is alike everywhere.
     """
     window = window_about(
         (place.column, place.row),
@@ -90,16 +95,18 @@ def chosen_pixels(
         scale=scale,
         plateau=plateau,
         keep=None if keep is None else keep.window,
+        field=field,
     )
     if (
         keep is not None
         and np.array_equal(keep.window.pixel_u, window.pixel_u)
         and np.array_equal(keep.window.pixel_v, window.pixel_v)
     ):
-        return keep._replace(window=window)
+        far = keep.seen if field is None else np.array(field.true_place(*keep.seen))
+        return keep._replace(window=window, column=far[0], row=far[1])
     first, second = np.meshgrid(window.pixel_u, window.pixel_v)
     near_column, near_row = (second, first) if window.turned else (first, second)
-    far_column, far_row = _scattered(picture, place, (near_column, near_row), seed)
+    far_column, far_row = _scattered(picture, place, (near_column, near_row), seed, field)
     column = np.concatenate([near_column.ravel(), far_column])
     row = np.concatenate([near_row.ravel(), far_row])
     at_row, at_column = row.astype(int) - picture.origin[0], column.astype(int) - picture.origin[1]
@@ -107,6 +114,8 @@ def chosen_pixels(
     inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
     at_row, at_column = np.where(inside, at_row, 0), np.where(inside, at_column, 0)
     values, std = picture.values[at_row, at_column], picture.std[at_row, at_column]
+    if field is not None:
+        column, row = field.true_place(column, row)
     away = np.hypot(column - place.column, row - place.row)
     used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
     # the limb itself, where dirt and stands are, is read beside the highlight only
@@ -117,24 +126,30 @@ def chosen_pixels(
     used &= (away < place.radius - _LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
     return ObservedPixels(
         window=window,
-        column=far_column,
-        row=far_row,
+        column=column[near_row.size :],
+        row=row[near_row.size :],
         values=np.where(used, values, 0.0),
         std=np.where(used, std, 1.0),
         clipped=picture.clipped[at_row, at_column] & used,
         channel=picture.channel[at_row, at_column].astype(int),
         used=used,
+        seen=np.array([far_column, far_row]),
     )
 
 
 def _scattered(
-    picture: MergedPicture, place: HighlightPlace, near: tuple[np.ndarray, np.ndarray], seed: int
+    picture: MergedPicture,
+    place: HighlightPlace,
+    near: tuple[np.ndarray, np.ndarray],
+    seed: int,
+    field: LensField | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Draw pixels beyond the window, evenly over strata of ln theta_h; NaN-free but possibly outside the frame: not used."""
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]
     row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]
-    p_x, p_y = (column - place.column) / place.radius, (place.row - row) / place.radius
+    true_column, true_row = (column, row) if field is None else field.true_place(column, row)
+    p_x, p_y = (true_column - place.column) / place.radius, (place.row - true_row) / place.radius
     depth2 = 1 - p_x**2 - p_y**2
     out = (np.abs(column - near[0].mean()) > WINDOW // 2) | (np.abs(row - near[1].mean()) > WINDOW // 2)
     keep = (np.hypot(p_x, p_y) < 1 - _LIMB / place.radius) & out

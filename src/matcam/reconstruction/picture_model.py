@@ -112,7 +112,7 @@ class PictureModel(eqx.Module):
         self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window
     ) -> tuple[Recorded, None]:
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
-        emitted = self._emitted(light, frame, window) * kernel[1] ** 2
+        emitted = self._emitted(light, frame, window) * kernel[1] ** 2 * _area(window)
         lobe, lambert = sum(
             weight * jnp.einsum("bv,kva->kba", of_v.value, jnp.einsum("avu,kvu->kva", of_u.value, emitted))
             for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True)
@@ -124,14 +124,15 @@ class PictureModel(eqx.Module):
     ) -> tuple[Recorded, Recorded]:
         """Return value and derivatives, put together by hand: of the kernel three arrays serve all its parameters."""
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
-        radius, along, turned = kernel[1], _along(window), window.turned > 0
-        emitted = self._emitted(light, frame, window) * radius**2
-        by_light = jax.jacfwd(lambda x: self._emitted(x, frame, window))(light) * radius**2
+        radius, turned, (lateral, height) = kernel[1], window.turned > 0, _seen_disc(window)
+        area = radius**2 * _area(window)
+        emitted = self._emitted(light, frame, window) * area
+        by_light = jax.jacfwd(lambda x: self._emitted(x, frame, window))(light) * area
         value, slopes = jnp.zeros(()), jnp.zeros(())
         for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True):
             rows = jnp.einsum("avu,kvu->kva", of_u.value, emitted)
             moved = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted)
-            grown = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted * along)
+            grown = jnp.einsum("avu,kvu->kva", of_u.by_offset, emitted * lateral)
             wider = jnp.einsum("avu,kvu->kva", of_u.by_lens, emitted)
             lit = jnp.einsum("avu,kvut->tkva", of_u.value, by_light)
 
@@ -141,9 +142,10 @@ class PictureModel(eqx.Module):
             one = over_v(of_v.value, rows)
             side_u, side_v = jnp.where(turned, -1.0, 1.0), jnp.where(turned, 1.0, -1.0)
             by_radius = 2 * one / radius - side_u * over_v(of_v.value, grown)
-            by_radius -= side_v * over_v(of_v.by_offset * jnp.sin(window.v), rows)
+            by_radius -= side_v * over_v(of_v.by_offset * height, rows)
             by_lens = over_v(of_v.value, wider) + over_v(of_v.by_lens, rows)
-            by_u, by_v = -over_v(of_v.value, moved), -over_v(of_v.by_offset, rows)
+            offset_u, offset_v = -over_v(of_v.value, moved), -over_v(of_v.by_offset, rows)
+            by_u, by_v = (window.stretch[0, at] * offset_u + window.stretch[1, at] * offset_v for at in (0, 1))
             by_kernel = jnp.stack([by_lens, by_radius, jnp.where(turned, by_v, by_u), jnp.where(turned, by_u, by_v)])
             value += weight * one
             slopes += weight * jnp.concatenate([over_v(of_v.value, lit), by_kernel])
@@ -158,6 +160,8 @@ class PictureModel(eqx.Module):
         """Return the radiance of both parts at the nodes times their weights, (2, v, u)."""
         u, v = window.u[None, :], window.v[:, None]
         along, across = _along(window), jnp.sin(v) + 0 * u
+        cos, sin = jnp.cos(window.tilt), jnp.sin(window.tilt)
+        along, across = cos * along - sin * across, cos * across + sin * along
         turned = window.turned > 0
         p_x, p_y = jnp.where(turned, across, along), jnp.where(turned, along, across)
         return jnp.stack(self._radiance(light, frame, p_x, p_y, jnp.cos(v) * jnp.cos(u))) * window.weight
@@ -171,10 +175,13 @@ class PictureModel(eqx.Module):
         # columns run with x, rows against y
         centre_u, side_u = jnp.where(turned, row, column), jnp.where(turned, -1.0, 1.0) * radius
         centre_v, side_v = jnp.where(turned, column, row), jnp.where(turned, 1.0, -1.0) * radius
-        offset_u = window.pixel_u[:, None, None] - (centre_u + side_u * _along(window))  # (pixels, v, u)
-        offset_v = window.pixel_v[:, None] - (centre_v + side_v * jnp.sin(window.v))
-        terms = [self.blur.stds[term] * jnp.exp(lens) for term in range(self.blur.stds.size)]
-        where_u, where_v = jnp.meshgrid(window.pixel_u, window.pixel_v)
+        seen_u, seen_v = window.stretch @ jnp.stack([centre_u, centre_v]) + window.shift
+        lateral, height = _seen_disc(window)
+        offset_u = window.pixel_u[:, None, None] - (seen_u + side_u * lateral)  # (pixels, v, u)
+        offset_v = window.pixel_v[:, None] - (seen_v + side_v * height)
+        terms = [self.blur.stds[term] * window.widened * jnp.exp(lens) for term in range(self.blur.stds.size)]
+        where = jnp.stack(jnp.meshgrid(window.pixel_u, window.pixel_v)) - window.shift[:, None, None]
+        where_u, where_v = jnp.einsum("ij,jkl->ikl", jnp.linalg.inv(window.stretch), where)
         pixel_column, pixel_row = jnp.where(turned, where_v, where_u), jnp.where(turned, where_u, where_v)
 
         def theta_d(light: jax.Array, kernel: jax.Array) -> jax.Array:
@@ -276,6 +283,21 @@ def _with_stds(blur: Blur, stds: jax.Array) -> Blur:
 def _along(window: Window) -> jax.Array:
     """Return the nodes' place along u on the outline's disc, (v, u)."""
     return jnp.cos(window.v)[:, None] * jnp.sin(window.u)[None, :]
+
+
+def _seen_disc(window: Window) -> tuple[jax.Array, jax.Array]:
+    """Return the nodes' place along u, (v, u), and along v, (v,), on the disc as it is seen; rows run against the disc's y."""
+    (uu, uv), (vu, vv) = window.stretch
+    cos, sin = jnp.cos(window.tilt), jnp.sin(window.tilt)
+    across = jnp.sin(window.v)
+    lateral = (uu * cos - uv * sin) * _along(window) - (uu * sin + uv * cos) * across[:, None]
+    return lateral, (vv * cos + vu * sin) * across
+
+
+def _area(window: Window) -> jax.Array:
+    """Return by how much the lens magnifies an area at the highlight."""
+    (uu, uv), (vu, vv) = window.stretch
+    return uu * vv - uv * vu
 
 
 def _in_order(by_light: jax.Array, by_kernel: jax.Array) -> jax.Array:

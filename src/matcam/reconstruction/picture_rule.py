@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.camera.lens_field import LensField
+
 NODES = 112
 """Nodes along each axis of a window."""
 WINDOW = 33
@@ -26,7 +28,9 @@ _MARGIN = 4.5  # px about the pixels of a window
 class Window(NamedTuple):
     """Hold the nodes of one highlight's window, and the pixels about it.
 
-    The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`.
+    The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`. A lens that distorts shows a place
+    at stretch @ place + shift, both along (u, v). The nodes' disc is turned by `tilt`, so that all nodes of one v are seen in
+    one line of pixels.
 
     Attributes:
         u: nodes, rad, (NODES,).
@@ -35,6 +39,10 @@ class Window(NamedTuple):
         pixel_u: column of each pixel, or its row where turned, px, (WINDOW,).
         pixel_v: row, or column where turned, px, (WINDOW,).
         turned: 1.0 if u runs along the rows' axis, else 0.0.
+        stretch: derivatives of where a place is seen, (2, 2).
+        shift: px, (2,).
+        tilt: rad.
+        widened: width of the lens at the highlight over that of its profile, no unit.
     """
 
     u: np.ndarray
@@ -43,6 +51,10 @@ class Window(NamedTuple):
     pixel_u: np.ndarray
     pixel_v: np.ndarray
     turned: float
+    stretch: np.ndarray = np.eye(2)
+    shift: np.ndarray = np.zeros(2)
+    tilt: float = 0.0
+    widened: float = 1.0
 
 
 def window_about(
@@ -53,6 +65,7 @@ def window_about(
     scale: float,
     plateau: float = 0.0,
     keep: Window | None = None,
+    field: LensField | None = None,
 ) -> Window:
     """Return the window about a highlight.
 
@@ -63,6 +76,7 @@ def window_about(
         scale: angle on which the lobe changes at its peak, rad.
         plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
         keep: a window whose pixels stay where the highlight has moved by no more than a pixel. Default: None.
+        field: the lens's distortion and blur over the field. Default: None, it is alike everywhere.
 
     Returns:
         The nodes and pixels.
@@ -70,8 +84,19 @@ def window_about(
     p_x, p_y = place
     turned = abs(p_y) > abs(p_x)
     along, across = (p_y, p_x) if turned else (p_x, p_y)
-    column = np.round(centre[0] + radius * p_x)
-    row = np.round(centre[1] - radius * p_y)
+    column, row = centre[0] + radius * p_x, centre[1] - radius * p_y
+    stretch, shift, tilt, widened = np.eye(2), np.zeros(2), 0.0, 1.0
+    if field is not None:
+        seen, stretch, true = np.array(field.seen_at(column, row)), field.stretch(column, row), np.array([column, row])
+        widened = field.blur_scale(column, row)
+        if turned:
+            seen, stretch, true = seen[::-1], stretch[::-1, ::-1], true[::-1]
+        shift = seen - stretch @ true
+        column, row = seen[::-1] if turned else seen
+        tilt = float(np.arctan2(stretch[1, 0], stretch[1, 1]))
+        cos, sin = np.cos(tilt), np.sin(tilt)
+        along, across = along * cos + across * sin, across * cos - along * sin
+    column, row = np.round(column), np.round(row)
     if keep is not None and keep.turned == turned:
         old = (keep.pixel_u[WINDOW // 2], keep.pixel_v[WINDOW // 2])
         old_column, old_row = old[::-1] if turned else old
@@ -93,7 +118,7 @@ def window_about(
         low_u, high_u, peak_u, scale / np.cos(peak_v), plateau / np.cos(peak_v), radius * np.cos(peak_v)
     )
     weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
-    return Window(u, v, weight, pixel_u, pixel_v, float(turned))
+    return Window(u, v, weight, pixel_u, pixel_v, float(turned), stretch, shift, tilt, widened)
 
 
 def _graded(

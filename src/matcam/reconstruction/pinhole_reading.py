@@ -30,6 +30,10 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np
     table = PinholeTable(fit.channels)
     for k, (picture, direction) in enumerate(zip(pictures, fit.lamps, strict=True)):
         column, row = p[layout.own(k)][:2]
-        ball = MirrorBall(float(row), float(column), float(radius), float(distance))
+        circle = float(column), float(row), float(radius)
+        if fit.scene.camera.field is not None:
+            # the outline that a perfect camera would be said to show
+            circle = fit.scene.camera.field.seen_circle(*circle)
+        ball = MirrorBall(circle[1], circle[0], circle[2], float(distance))
         table.add(picture, ball, direction, float(far), irradiance=units * float(np.exp(p[layout.gain(k)])))
     return table.table()

@@ -31,6 +31,7 @@ from matcam.reconstruction.joint_fit import (
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
+from matcam.reconstruction.rig.field_change import FIELD, FieldChange, changed_field, field_change
 from matcam.reconstruction.sphere_scene import SphereScene, part_of, prior_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -279,7 +280,9 @@ def _problem(
     points = lamp_disc(_DISC_POINTS if with_disc else 1)
     model = _model(kind, scene, points, scene.lamp_radius if with_disc else 0.0)
     frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
-    pixels = []
+    pixels, changes = [], list[FieldChange]()
+    base = p[layout.field]
+    field = None if scene.camera.field is None else changed_field(scene.camera.field, base)
     for k, picture in enumerate(pictures):
         column, row = p[layout.own(k)][:2]
         distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
@@ -287,11 +290,12 @@ def _problem(
         highlight = float((at_column - column) / radius), float((row - at_row) / radius)
         place = HighlightPlace(column, row, radius, frames[k].base, highlight)
         plateau = scene.lamp_radius / 2 if with_disc else 0.0
-        pixels.append(
-            chosen_pixels(
-                picture, place, scale=width / 3, plateau=plateau, seed=k, keep=None if keep is None else keep[k]
-            )
-        )
+        last = None if keep is None else keep[k]
+        pixels.append(chosen_pixels(picture, place, scale=width / 3, plateau=plateau, seed=k, keep=last, field=field))
+        if field is not None:
+            highlight_px = float(at_column), float(at_row)
+            far = pixels[-1].column, pixels[-1].row
+            changes.append(field_change(field, base, (column, row), highlight_px, far))
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
     if not diffuse:
@@ -299,6 +303,9 @@ def _problem(
     for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
         if known_value.std == 0:
             fixed[layout.lobe + SCENE.index(name)] = True
+    known_field = scene.camera.field
+    for index in range(len(FIELD)):
+        fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
     rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
     if not rows[:, layout.lobe].any():
         fixed[layout.lobe] = True  # an exact lens
@@ -306,7 +313,7 @@ def _problem(
         for c in range(layout.channels):
             if not (one.used & (one.channel == c)).any():
                 fixed[layout.strengths(k).start + c] = True
-    return JointProblem(model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed)
+    return JointProblem(model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed, changes)
 
 
 def _model(kind: LobeKind, scene: SphereScene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float) -> PictureModel:
@@ -331,11 +338,13 @@ def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarra
         column, row = fit.solution.p[fit.layout.own(k)][:2]
         ball = MirrorBall(row, column, radius, 1 / max(camera, 1e-12))
         picture = pictures[k]
-        rows, columns = np.indices(picture.values.shape)
-        away = np.hypot(rows + picture.origin[0] - row, columns + picture.origin[1] - column)
+        rows, columns = np.indices(picture.values.shape) + np.array(picture.origin)[:, None, None]
+        if fit.scene.camera.field is not None:
+            columns, rows = fit.scene.camera.field.true_place(columns, rows)
+        away = np.hypot(rows - row, columns - column)
         light = np.where(np.isfinite(picture.values) & (away < radius - 0.5), picture.values, -np.inf)
         at = np.unravel_index(int(np.argmax(light)), light.shape)
-        normal = ball.normals(at[0] + picture.origin[0], at[1] + picture.origin[1])
+        normal = ball.normals(rows[at], columns[at])
         if np.all(np.isfinite(normal)):
             lamps[k] = ball.lamp_seen_at(normal, 1 / max(lamp, 1e-12))
     return lamps

@@ -14,6 +14,7 @@ from matcam.material.ndf.free_lobe import KNOTS
 from matcam.numerics.approximation import smoothness
 from matcam.reconstruction.joint_fit import JointLayout
 from matcam.reconstruction.picture_model import SCENE, LampFrame
+from matcam.reconstruction.rig.field_change import FIELD, outline_slopes
 
 
 class Known(NamedTuple):
@@ -113,9 +114,17 @@ def prior_of(
     places = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
     places.append(layout.lobe + SCENE.index("radius"))
     expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
+    field, moved = scene.camera.field, np.zeros(2 * k + 1)
+    if field is not None:
+        column, line_up, grown = outline_slopes(field, tuple(scene.centres.mean(axis=0)), scene.radius)
+        moved = np.repeat([column, line_up, grown], [k, k, 1])
+        for index, known in enumerate((field.k1, field.growth)):
+            if known.std > 0:
+                unit(FIELD[index], layout.field.start + index, known.std, 0.0)
     for line in root:
         row = np.zeros(layout.size)
         row[places] = line
+        row[layout.field.start] = line @ moved
         add("outline", row, float(line @ expected))
     stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
     gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)

@@ -1,0 +1,129 @@
+"""How a lens differs over the field: radial distortion, and blur that grows from the middle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+
+_TURNS = 20
+_AROUND = 72  # places on a circle
+_LARGEST = 0.5  # of a coefficient: beyond it no lens would be called one with a distortion
+
+
+class Coefficient(NamedTuple):
+    """Hold a coefficient with its standard deviation, no unit."""
+
+    value: float = 0.0
+    std: float = 0.0
+
+
+_NONE = Coefficient()
+
+
+@dataclass(frozen=True)
+class LensField:
+    """Describe a lens over the field: a place at rho units from the centre is seen at rho (1 + k1 rho^2 + k2 rho^4).
+
+    The lens's width grows as 1 + growth (rho^2 - rho0^2), rho0 being where the profile's own lens holds.
+
+    Attributes:
+        centre: column and row of the distortion's centre, px.
+        unit: length in which rho is counted, px: half the picture's diagonal, where `calibrate` has measured it.
+        k1: radial distortion of third order, no unit.
+        k2: of fifth order. Default: 0, exact.
+        growth: of the lens's width with rho^2. Default: 0, exact.
+        holds_at: distance from the centre at which the profile's lens holds, px. Default: 0.
+
+    Example:
+        >>> field = LensField((500.0, 400.0), 640.0, Coefficient(0.01, 0.001))
+        >>> column, row = field.seen_at(1000.0, 400.0)
+        >>> round(float(column), 3), round(float(field.true_place(column, row)[0]), 6)
+        (1003.052, 1000.0)
+    """
+
+    centre: tuple[float, float]
+    unit: float
+    k1: Coefficient = _NONE
+    k2: Coefficient = _NONE
+    growth: Coefficient = _NONE
+    holds_at: float = 0.0
+
+    def __post_init__(self) -> None:
+        checks.within("unit_px", self.unit, 0, np.inf, "px", open_low=True, open_high=True)
+        checks.within("holds_at_px", self.holds_at, 0, np.inf, "px", open_high=True)
+        for name in ("k1", "k2", "growth"):
+            value, std = getattr(self, name)
+            checks.within(name, value, -_LARGEST, _LARGEST)
+            checks.within(f"standard deviation of {name}", std, 0, np.inf, open_high=True)
+        rho2 = np.linspace(0, 1.5, 30)
+        if np.any(1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2 <= 0.1):
+            raise ArgumentError("k1 and k2 fold the picture over itself within 1.2 units: give smaller ones")
+
+    def wider(self, factor: float) -> LensField:
+        """Return the field whose distortion is known that many times worse."""
+        return replace(self, k1=Coefficient(self.k1.value, self.k1.std * factor))
+
+    def seen_at(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return where places of the undistorted picture are seen, px."""
+        x, y, rho2 = self._from_centre(column, row)
+        bent = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
+        return self.centre[0] + x * bent, self.centre[1] + y * bent
+
+    def true_place(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return the undistorted places of what is seen at columns and rows, px; far outside of it they are clipped."""
+        x, y, seen2 = self._from_centre(column, row)
+        seen = np.minimum(np.sqrt(seen2), 1.5)
+        rho = seen.copy()
+        for _ in range(_TURNS):  # Newton's steps
+            rho2 = rho**2
+            off = rho * (1 + self.k1.value * rho2 + self.k2.value * rho2**2) - seen
+            rho -= off / (1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2)
+            if np.all(np.abs(off) < 1e-13):
+                break
+        bent = np.where(seen > 0, rho / np.where(seen > 0, seen, 1.0), 1.0)
+        return self.centre[0] + x * bent, self.centre[1] + y * bent
+
+    def stretch(self, column: float, row: float) -> np.ndarray:
+        """Return the derivatives of where a place is seen, by its column and row, (2, 2)."""
+        x, y, rho2 = self._from_centre(column, row)
+        bent = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
+        growing = 2 * (self.k1.value + 2 * self.k2.value * rho2) / self.unit**2
+        return np.asarray(bent * np.eye(2) + growing * np.outer([x, y], [x, y]))
+
+    def blur_scale(self, column: float, row: float) -> float:
+        """Return the lens's width at a place over that of the profile, no unit."""
+        return float(np.clip(1 + self.growth.value * self.beyond(column, row), 0.2, 5.0))
+
+    def beyond(self, column: float, row: float) -> float:
+        """Return rho^2 of a place less that at which the profile's lens holds, no unit."""
+        return float(self._from_centre(column, row)[2] - (self.holds_at / self.unit) ** 2)
+
+    def seen_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
+        """Return the circle (column, row, radius) as which a circle of the undistorted picture is seen, px, in the mean."""
+        return _circle_through(*self.seen_at(*_on_circle(column, row, radius)))
+
+    def true_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
+        """Return the undistorted circle of one that is seen, px, in the mean."""
+        return _circle_through(*self.true_place(*_on_circle(column, row, radius)))
+
+    def _from_centre(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        x, y = np.asarray(column, float) - self.centre[0], np.asarray(row, float) - self.centre[1]
+        return x, y, (x**2 + y**2) / self.unit**2
+
+
+def _on_circle(column: float, row: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    turn = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    return column + radius * np.cos(turn), row + radius * np.sin(turn)
+
+
+def _circle_through(column: np.ndarray, row: np.ndarray) -> tuple[float, float, float]:
+    """Return the circle of least squares through places at nearly equal azimuths."""
+    terms = np.column_stack([column, row, np.ones_like(column)])
+    a, b, c = np.linalg.lstsq(terms, column**2 + row**2, rcond=None)[0]
+    return float(a / 2), float(b / 2), float(np.sqrt(c + (a**2 + b**2) / 4))
