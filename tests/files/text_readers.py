@@ -8,7 +8,7 @@ import json
 import re
 
 from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, HaloOptics, Sensor
-from matcam.app.opened import entries_of
+from matcam.app.exploring.opened import entries_of
 from matcam.batch.job import Job
 from matcam.camera import Uncertainty
 from matcam.cli.rig_file import _KEYS, read_rig_file
