@@ -203,3 +203,54 @@ def test_no_folder_and_no_files(tmp_path):
 def test_the_published_schema_is_that_of_the_reader():
     published = json.loads((REPOSITORY / "docs/capture-v1.schema.json").read_text())
     assert published == json_schema(), "write docs/capture-v1.schema.json anew: matcam.files.capture.json_schema()"
+
+
+def with_light(rows, *intensities):
+    return [{**one, "intensity": light} for one, light in zip(rows, intensities, strict=True)]
+
+
+def listed(folder, rows, **sections):
+    """A capture whose list has a column more."""
+    settings = {k: v for k, v in {**SETTINGS, **sections}.items() if v is not None}
+    write(folder, settings)
+    with (folder / "frames.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, [*COLUMNS, "intensity"], restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder
+
+
+TABLE = {"lamp": {"intensity": "table"}, "reference": None}
+
+
+def test_the_lamps_light_may_be_a_table(tmp_path):
+    capture = read_capture(listed(tmp_path, with_light(ROWS, "1.5 2 2.5", "1.5 2 2.5", "3", ""), **TABLE))
+    assert capture.lamps["L1"].intensity == (1.5, 2.0, 2.5)
+    assert capture.lamps["L2"].intensity == (3.0,)
+    assert not capture.problems
+
+
+@pytest.mark.parametrize(
+    ("light", "sections", "words"),
+    [
+        (("1", "1", "", ""), TABLE, "states no intensity of lamp L2"),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, 'set it to "table"'),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "give the lamps' light once"),
+        (("", "", "", ""), {"reference": None}, "no section .reference."),
+    ],
+)
+def test_a_table_of_light_and_the_settings_agree(tmp_path, light, sections, words):
+    with pytest.raises(FileFormatError, match=words):
+        read_capture(listed(tmp_path, with_light(ROWS, *light), **sections))
+
+
+@pytest.mark.parametrize("light", ["-1", "nan", "bright", "1 2", "0"])
+def test_an_intensity_that_is_none(tmp_path, light):
+    capture = read_capture(listed(tmp_path, with_light(ROWS, "2", "2", light, ""), **TABLE))
+    (problem,) = capture.problems
+    assert "intensity must be one number above 0, or three" in problem.text
+
+
+def test_a_lamp_has_one_intensity(tmp_path):
+    capture = read_capture(listed(tmp_path, with_light(ROWS, "2", "3", "1", ""), **TABLE))
+    assert any("another intensity" in problem.text for problem in capture.problems)

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import FitError
-from matcam.core.remark import Remark
+from matcam.core.remark import Remark, gathered
 
 _LEVEL = 0.3  # of the highlight's height: what is above belongs to it
 _WORTH = 0.05  # of its light: another bright spot that is named
@@ -260,16 +260,16 @@ def find_highlights(
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        A highlight or None for each picture, and the remarks of all.
+        A highlight or None for each picture, and the remarks of all; what is said of many pictures is one remark.
     """
     found: list[Highlight | None] = []
-    remarks: list[Remark] = []
+    remarks: list[tuple[str, Remark]] = []
     for picture in pictures:
         try:
             one = find_highlight(picture, ball, blur=blur)
             found.append(one)
-            remarks += one.remarks
+            remarks += [(picture.name, remark) for remark in one.remarks]
         except FitError as error:
             found.append(None)
-            remarks.append(Remark("no-highlight", str(error)))
-    return found, tuple(remarks)
+            remarks.append((picture.name, Remark("no-highlight", str(error))))
+    return found, tuple(gathered(remarks))

@@ -10,7 +10,7 @@ import numpy as np
 
 from matcam.acquisition.bracket_sample import BracketSample, noise_correlation, same_colour_neighbours
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
-from matcam.core.remark import Remark
+from matcam.core.remark import Remark, gathered
 
 _WRONG_TIME = 0.02
 """Relative error of a nominal exposure time that is remarked."""
@@ -61,12 +61,13 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
     elif clip.spread > 0.02 * clip.level:
         text = f"clipped pixels scatter by {clip.spread / clip.level:.1%} about {clip.level:.0f} DN: no one clip level"
         found.append(Remark("clip-unclear", text))
+    peaks = []
     for sample in samples:
         peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
         if peak:
             text = f"lamp {sample.lamp}: {peak} pixels are clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
-            found.append(Remark("peak-clipped", text))
-    return found
+            peaks.append((sample.lamp, Remark("peak-clipped", text)))
+    return found + gathered(peaks)
 
 
 def correlation_remarks(path: Path, light: np.ndarray, step: int, noise: float) -> list[Remark]:

@@ -52,6 +52,33 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
     return ", ".join(every[:most]) + more
 
 
+def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remark]:
+    """Gather what is said of many things alike: the first remark stands for all of its code, and names the others.
+
+    Args:
+        remarks: name of the thing, and what is said of it.
+        most: how many remarks of one code stay apart, no unit. Default: 3.
+
+    Returns:
+        The remarks, in the order in which their codes came.
+
+    Example:
+        >>> for one in gathered([(f"L{k}", Remark("dark", f"L{k}: no light")) for k in range(1, 6)]):
+        ...     print(one)
+        L1: no light; likewise L2, L3, L4, L5
+    """
+    by_code: dict[str, list[tuple[str, Remark]]] = {}
+    for name, remark in remarks:
+        by_code.setdefault(remark.code, []).append((name, remark))
+    found = []
+    for code, pairs in by_code.items():
+        if len(pairs) <= most:
+            found += [remark for _, remark in pairs]
+        else:
+            found.append(Remark(code, f"{pairs[0][1]}; likewise {some_of(name for name, _ in pairs[1:])}"))
+    return found
+
+
 def texts(remarks: Iterable[Remark]) -> list[str]:
     """Return the remarks' texts.
 

@@ -30,7 +30,7 @@ from matcam.core.errors import FileFormatError
 from matcam.core.io import check_within, checked_version, first_problem, read_toml, reading
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
-from matcam.files.capture_frames import CaptureFrame, LampGuess
+from matcam.files.capture_frames import INTENSITY, CaptureFrame, LampGuess, stated_intensity
 from matcam.files.photographs import PICTURES, Photograph, open_photograph
 
 FORMAT, VERSION = "matcam capture", 1
@@ -266,11 +266,28 @@ def read_capture(folder: str | Path) -> Capture:
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])
     frames, lamps, problems = _listed(folder)
+    _check_light(folder, settings, lamps)
     problems += _unlisted(folder, frames, problems)
     if not any(frame.kind == "frames" for frame in frames):
         why = f": {problems[0]}" if problems else ": list them in it"
         raise FileFormatError(f"{folder / LIST}: no frame of the sample can be used{why}")
     return Capture(folder, tuple(frames), lamps, settings, tuple(problems))
+
+
+def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGuess]) -> None:
+    """Refuse a way of knowing the lamps' light without what it needs."""
+    said = settings["lamp"]["intensity"]
+    place = f"{folder / SETTINGS}: field lamp.intensity: is {said!r}, but"
+    lacking = [name for name, guess in lamps.items() if not guess.intensity]
+    if said == "reference" and settings["reference"] is None:
+        raise FileFormatError(f"{place} there is no section [reference]: describe the reference")
+    if said == "table":
+        if lacking:
+            raise FileFormatError(f"{place} {LIST} states no {INTENSITY} of lamp {some_of(lacking, 3)}: add the column")
+        if settings["reference"] is not None:
+            raise FileFormatError(f"{place} there is a [reference]: give the lamps' light once")
+    elif len(lacking) < len(lamps):
+        raise FileFormatError(f'{place} {LIST} has a column {INTENSITY}: set it to "table", or leave the column out')
 
 
 def read_settings(path: Path) -> dict[str, Any]:
@@ -324,7 +341,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
         ]
     except csv.Error as error:
         raise FileFormatError(f"{path}: line {reader.line_num}: {error}") from None
-    if not lines or sorted(lines[0][1]) != sorted(COLUMNS):
+    if not lines or sorted(set(lines[0][1]) - {INTENSITY}) != sorted(COLUMNS):
         got = ",".join(lines[0][1]) if lines else "nothing"
         raise FileFormatError(f"{path}: first line must be {','.join(COLUMNS)}, got {got:.100}")
     if len(lines) > _MOST:
@@ -336,10 +353,8 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     absent: list[str] = []
     header = lines[0][1]
     for number, cells in lines[1:]:
-        if len(cells) != len(COLUMNS):
-            problems.append(
-                Remark("bad-line", f"{path}: line {number} has {len(cells)} cells; {len(COLUMNS)} are read")
-            )
+        if len(cells) != len(header):
+            problems.append(Remark("bad-line", f"{path}: line {number} has {len(cells)} cells; {len(header)} are read"))
             continue
         row = dict(zip(header, cells, strict=True))
         try:
@@ -399,10 +414,13 @@ def _frame(
             raise FileFormatError(f"{path}: a frame needs its lamp and its exposure")
         if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
             raise FileFormatError(f"{path}: angle_deg must lie in [0, 180], got {row['angle_deg']:.20}")
-        guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]))
+        light = stated_intensity(path, row.get(INTENSITY, ""))
+        guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)
-        if known is not None and not np.allclose(known, guess, atol=1e-9, rtol=0, equal_nan=True):
+        if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
             raise FileFormatError(f"{path}: lamp {lamp} is stated at another place than before")
+        if known is not None and known.intensity != guess.intensity:
+            raise FileFormatError(f"{path}: lamp {lamp} is stated with another intensity than before")
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 
 

@@ -114,6 +114,8 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
         outline, shape = _backlit_outline(capture, sighting, capture.region, remarks)
         region = capture.region or _about(outline, shape)
     pictures, radiometry = merge(capture, region, progress)
+    if capture.settings["lamp"]["intensity"] == "table":
+        pictures = _under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
@@ -196,6 +198,23 @@ def _undistorted(
             one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
         moved.append(one)
     return true, centres, moved
+
+
+def _under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
+    """Divide the pictures by their lamps' stated light; their mean over lamps and colours is kept."""
+    stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
+    mean = float(np.mean([light.mean() for light in stated.values()]))
+    found = []
+    for one in pictures:
+        light = stated[one.name] / mean
+        if len(light) not in (1, len(one.channels)):
+            raise FitError(
+                f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
+                "colours: give one, or one of each"
+            )
+        share = np.broadcast_to(light, len(one.channels))[one.channel]
+        found.append(replace(one, values=one.values / share, std=one.std / share))
+    return found
 
 
 def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
