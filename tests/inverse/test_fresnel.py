@@ -71,6 +71,7 @@ def noisy(shot):
     return fresnel(noisy_table(shot, GAUSSIAN, np.random.default_rng(11)), recorded.rig(), ndf="epd", every=EVERY)
 
 
+@pytest.mark.slow
 def test_without_noise_the_answer_is_exact(shot):
     table = shot.table(light(shot, oracle.GGX(0.002)).mean(-1))
     found = fresnel(table, recorded.rig(), ndf="ggx", noise=PixelNoise(1e-3, 1e-5), every=EVERY)
@@ -171,6 +172,7 @@ def test_right_source_of_chromium_is_the_nearest(noisy):
     np.testing.assert_allclose(everything["tabulated"].sel(theta_d=slice(0.18, 0.78)).mean("theta_d"), 1, atol=0.01)
 
 
+@pytest.mark.slow
 def test_pulls_with_an_exact_camera(shot):
     random = np.random.default_rng(3)
     tables = [noisy_table(shot, oracle.GGX(0.003), random) for _ in range(8)]

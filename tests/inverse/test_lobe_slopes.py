@@ -20,6 +20,7 @@ def operator():
     return lobe_operator(rigs.merl(), "centre", 30)[1]
 
 
+@pytest.mark.slow
 def test_questions_of_several_threads_are_answered_as_alone(operator):
     questions = [("ggx", np.log([a])) for a in (0.001, 0.01, 0.1)] + [("gaussian", np.log([0.02]))]
     alone = [record_and_slopes(operator, LobeKind(family, "smith"), q) for family, q in questions]

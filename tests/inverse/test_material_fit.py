@@ -28,7 +28,11 @@ def noisy(lobe, seed, **noise):
 
 
 @pytest.mark.parametrize(
-    "lobe", [oracle.GGX(0.001), oracle.GGX(0.15), pytest.param(oracle.EPD(0.004, 0.6), marks=pytest.mark.slow)]
+    "lobe",
+    [
+        oracle.GGX(0.001),
+        *(pytest.param(lobe, marks=pytest.mark.slow) for lobe in (oracle.GGX(0.15), oracle.EPD(0.004, 0.6))),
+    ],
 )
 def test_exact_data_give_the_truth(lobe):
     """No noise in the data, little assumed: what is left is the operator's own error."""
@@ -94,6 +98,7 @@ def test_free_reflectance_and_a_blind_fit():
     assert blind.remarks[0].text == "no rig: fitted as if the camera were perfect"
 
 
+@pytest.mark.slow
 def test_two_materials_tell_one_lens():
     """Fitted together they know it better than each alone."""
     tables = [noisy(lobe, seed) for seed, lobe in enumerate((oracle.GGX(0.002), oracle.GGX(0.006)))]
