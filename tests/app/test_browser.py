@@ -38,6 +38,8 @@ def opened(chromium, app, size=SIZES[0]):
 
 def view(page, name):
     page.get_by_role("button", name=name, exact=True).click()
+    model = {"Plan": "plan", "Calibrate": "calibrate-view", "Explore": "explore"}[name]
+    page.wait_for_function(f"Bokeh.documents[0].get_model_by_name('{model}')?.visible", timeout=60_000)
     page.wait_for_timeout(400)
 
 
@@ -97,6 +99,10 @@ def test_the_keyboard_reaches_everything(chromium):
                 "slider-theta_d",
                 "field-theta_d",
                 "preset-phone",
+                "metal",
+                "n",
+                "k",
+                "lobe",
                 "shown",
             },
             "Calibrate": {"views", "upload-picture", "photograph", "picture", "measure", "calibrate", "region-x"}
@@ -108,6 +114,7 @@ def test_the_keyboard_reaches_everything(chromium):
                 "beside",
                 "which",
                 "channel",
+                "metal",
                 "field-lamp",
                 "save-csv",
                 "save-pbrt",

@@ -210,7 +210,7 @@ class CalibrateView:
             source=self._points,
             color=VERMILION,
             size=4,
-            legend_label="other targets, all directions",
+            legend_label="other targets",
         )
         self._curve.line([0.5, 0.5], [-0.1, 1.1], color=GREY, line_width=1, legend_label="Nyquist")
         hover(self._curve, [lines], [("frequency", "@frequency{0.000} cycles/px"), ("MTF", "@mtf{0.0000}")])

@@ -272,6 +272,9 @@ class ExploreView:
                 self._complain(str(table))
             else:
                 self._read[index] = table
+                if table.pictures and index == self._index(self._chosen[0]):  # elsewhere a pinhole has nothing to show
+                    middle = table.pictures[len(table.pictures) // 2]
+                    self._controls["theta_d"].set(float(f"{np.degrees(middle.theta_d):.3g}"))
         shown = {self._index(select) for select in self._chosen}
         for index in [one for one in self._read if one not in shown][: max(0, len(self._read) - _KEPT)]:
             del self._read[index]
