@@ -123,11 +123,13 @@ class Planned:
 
     def material(self) -> Microfacet:
         """Return the chosen lobe on the metal, as green light sees it."""
+        import numpy as np
+
         from matcam.material.microfacet import Microfacet
         from matcam.material.reflectance import Conductor
 
         n, k = self.n_and_k or green_indices(self.metal)
-        return Microfacet(FAMILIES[self.family](self.roughness), Conductor([n], [k]))
+        return Microfacet(FAMILIES[self.family](self.roughness), Conductor(np.array([n]), np.array([k])))
 
     def camera_profile(self) -> str:
         """Return the camera's profile, JSON, without the glare, which is an option of its own."""

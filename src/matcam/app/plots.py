@@ -13,6 +13,7 @@ from bokeh.models import (
     HoverTool,
     LinearColorMapper,
     LogColorMapper,
+    LogTicker,
     PrintfTickFormatter,
 )
 from bokeh.palettes import RdBu11, cividis
@@ -98,6 +99,7 @@ class PictureColours:
             color_mapper=self.mapper,
             width=10,
             title="1/sr",
+            ticker=BasicTicker(desired_num_ticks=5) if self._difference else LogTicker(desired_num_ticks=5),
             formatter=PrintfTickFormatter(format="%8.1e" if self._difference else "%.0e"),
             major_label_text_font="monospace",
             major_label_text_font_size="9px",
@@ -132,6 +134,7 @@ class PictureFigure:
         bar: bool = False,
         beside: PictureFigure | None = None,
     ):
+        self.plot: Any
         ranges = {} if beside is None else {"x_range": beside.plot.x_range, "y_range": beside.plot.y_range}
         self.plot = picture_figure(
             title, size, "x, towards the lamp [px]", "y [px]", match_aspect=True, tools="pan,wheel_zoom,reset",

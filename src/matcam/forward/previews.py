@@ -12,6 +12,7 @@ may change.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -69,7 +70,8 @@ def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
     """
     rig = _checked_rig(rig, ndf)
     assert isinstance(ndf, MixtureNDF)
-    return _responses(rig, ndf, np.ravel(checks.viewing_angle("theta", theta)))
+    angles: Any = np.ravel(checks.viewing_angle("theta", theta))
+    return _responses(rig, ndf, angles)
 
 
 def highlight_preview(
@@ -104,9 +106,9 @@ def highlight_preview(
         True
     """
     rig, angle = _checked(material, rig, theta_d)
-    given = np.nan if half_side is None else float(checks.positive("half_side", half_side, "px"))
-    places = np.linspace(-1, 1, _count("points", points, 3))
-    side, true, recorded = (np.asarray(part) for part in _closeup(material, rig, angle, places, np.asarray(given)))
+    given: Any = np.asarray(np.nan if half_side is None else float(checks.positive("half_side", half_side, "px")))
+    places: Any = np.linspace(-1, 1, _count("points", points, 3))  # NumPy's: each conversion is a program of its own
+    side, true, recorded = (np.asarray(part) for part in _closeup(material, rig, angle, places, given))
     offsets = places * float(side)
     return _dataset(true, recorded, offsets, offsets, theta_d=float(theta_d))
 
@@ -148,9 +150,10 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
     count = 2 * int(np.ceil(width / block / 2 - 0.5)) + 1
     # a grid of one size serves spheres of all: a program is compiled for each size
     whole = np.arange(2 * (side // 2) + 1)
-    at = (whole - side // 2) * float(block)
+    at: Any = (whole - side // 2) * float(block)
     shown = slice((whole.size - count) // 2, (whole.size + count) // 2)
-    at, pair = at[shown], _sphere(material, rig, angle, at, np.asarray(block))
+    size: Any = np.asarray(block)
+    at, pair = at[shown], _sphere(material, rig, angle, at, size)
     true, recorded = (np.asarray(part)[shown, shown] for part in pair)
     return _dataset(true, recorded, at, at, theta_d=float(theta_d), pixels_per_value=block)
 
@@ -175,7 +178,7 @@ def _checked_rig(rig: Rig, ndf: object) -> Rig:
     return Rig(camera, Sphere(sphere.radius, _FAR if sphere.distant else sphere.distance), lamp, jitter=rig.jitter)
 
 
-def _checked(material: Microfacet, rig: Rig, theta_d: float) -> tuple[Rig, np.ndarray]:
+def _checked(material: Microfacet, rig: Rig, theta_d: float) -> tuple[Rig, Any]:
     if not isinstance(material, Microfacet):
         raise ArgumentError(
             f"material must be a Microfacet such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"

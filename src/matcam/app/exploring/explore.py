@@ -73,7 +73,7 @@ class ExploreView:
         self._channel = RadioButtonGroup(labels=["R", "G", "B"], active=1, name="channel", width=WIDTH - 16)
         self._metal = ConductorControl("metal, n and k", self.refresh, self._indices)
         self._which.on_change("active", lambda attr, old, new: self.refresh())
-        self._channel.on_change("active", lambda attr, old, new: (self._metal.fill(), self.refresh()))
+        self._channel.on_change("active", lambda attr, old, new: self._other_channel())
         self._looked_at = RadioButtonGroup(
             labels=["table", "photographs"], active=0, name="looked-at", visible=False, width=200
         )
@@ -109,6 +109,10 @@ class ExploreView:
                 (self._metal.name.value, self._metal.n_and_k),
             )
             self._fast.ask(lambda: _shown(tables, angles, channel, which, metal), self._show, **DRAINED)
+
+    def _other_channel(self) -> None:
+        self._metal.fill()
+        self.refresh()
 
     def _knobs(self) -> Any:
         exports = []
