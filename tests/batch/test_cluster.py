@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -35,11 +36,13 @@ def started(*arguments, **environment):
 class Cluster:
     """A scheduler and workers as somebody else would start them."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, *more):
         self.folder, self.processes = folder, []
         contact = folder / "scheduler.json"
         self.processes.append(
-            started("scheduler", "--host", "127.0.0.1", "--port", 0, "--no-dashboard", "--scheduler-file", contact)
+            started(
+                "scheduler", "--host", "127.0.0.1", "--port", 0, "--no-dashboard", "--scheduler-file", contact, *more
+            )
         )
         while not contact.exists():
             assert self.processes[0].poll() is None
@@ -210,3 +213,59 @@ def test_a_file_that_kills_every_worker(tmp_path):
 
 def test_nothing_to_do_needs_no_cluster():
     assert list(ClusterExecutor("tcp://127.0.0.1:9").outcomes([])) == []
+
+
+def test_an_open_network_is_warned_of(tmp_path, monkeypatch):
+    """Whoever listens in on tcp:// to another machine runs code here: pickles are exchanged unprotected."""
+    for address, open_ in (("tcp://10.1.2.3:8786", True), ("tcp://cluster.example:8786", True), ("tls://10.1.2.3:8786", False),
+                           ("tcp://127.0.0.1:8786", False), ("tcp://localhost:8786", False), ("tcp://[::1]:8786", False),
+                           ("local:2", False), ("inproc://10.1.2.3:1", True)):  # fmt: skip
+        executor = ClusterExecutor(address)
+        assert executor.is_open == open_, address
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.3)
+    monkeypatch.delenv("MATCAM_OPEN_NETWORK", raising=False)
+    with pytest.raises(ClusterError, match=r"tcp://192\.0\.2\.1:9 is not encrypted.*tls://"):
+        list(ClusterExecutor("tcp://192.0.2.1:9").outcomes([object()]))
+    monkeypatch.setenv("MATCAM_OPEN_NETWORK", "trusted")
+    with pytest.raises(ClusterError, match="cannot be reached"):
+        list(ClusterExecutor("tcp://192.0.2.1:9").outcomes([object()]))
+
+
+def _certificates(folder):
+    """A certificate that both sides use and trust, by the command `openssl`."""
+    key, certificate = folder / "key.pem", folder / "certificate.pem"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=matcam-test",
+         "-addext", "subjectAltName=IP:127.0.0.1", "-keyout", key, "-out", certificate],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    return key, certificate
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with the command openssl")
+def test_a_run_over_tls(tmp_path):
+    """Scheduler and worker with certificates; without them nobody gets in."""
+    key, certificate = _certificates(tmp_path)
+    files = ("--tls-ca-file", certificate, "--tls-cert", certificate, "--tls-key", key)
+    made = Cluster(tmp_path, "--protocol", "tls", *files)
+    try:
+        assert made.address.startswith("tls://")
+        made.add(*files)
+        database = write_database(tmp_path / "in", ["a", "b"])
+        start = lambda: correct_all(  # noqa: E731
+            [database], rigs.merl(), tmp_path / "out", cluster=made.address, corrector=simple.brighter
+        )
+        with pytest.raises(ClusterError, match="cannot be reached"):
+            start()
+        assert not list((tmp_path / "out").glob("a.*"))
+        with dask.config.set({
+            "distributed.comm.tls.ca-file": str(certificate),
+            "distributed.comm.tls.client.cert": str(certificate),
+            "distributed.comm.tls.client.key": str(key),
+            "distributed.comm.require-encryption": True,
+        }):  # fmt: skip
+            done = start()
+        assert sorted(path.stem for path in done.corrected) == ["a", "b"]
+    finally:
+        made.close()

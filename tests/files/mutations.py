@@ -1,5 +1,6 @@
 """Damaged files: what a reader has to survive."""
 
+import itertools
 import re
 import time
 import tracemalloc
@@ -34,11 +35,12 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
     memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here. `clock` may count processor
     time, where nothing can wait."""
     refused = accepted = 0
-    contents = list(contents)
-    path.write_bytes(contents[0])
+    contents = iter(contents)
+    first = next(contents)
+    path.write_bytes(first)
     refusal(read, path)  # what is imported on the way belongs to nobody's file
     tracemalloc.start()
-    for k, content in enumerate(contents):
+    for k, content in enumerate(itertools.chain([first], contents)):
         path.write_bytes(content)
         tracemalloc.reset_peak()
         before, start = tracemalloc.get_traced_memory()[0], clock()

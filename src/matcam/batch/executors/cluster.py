@@ -10,6 +10,8 @@ are asked before any work.
 
 from __future__ import annotations
 
+import ipaddress
+import os
 import platform
 import re
 from collections.abc import Generator, Sequence
@@ -31,6 +33,7 @@ _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed
 """Packages whose versions change results, or how jobs travel."""
 _PATIENCE = 10.0  # seconds for a scheduler to answer
 _AHEAD = 3  # tasks given out for each worker: enough that none waits for the next, and few to hold in memory
+_OPEN = "MATCAM_OPEN_NETWORK"
 _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
@@ -60,6 +63,15 @@ class ClusterExecutor(Executor):
         except ImportError:
             raise ArgumentError("a cluster needs an extra: pip install 'matcam[scale]'") from None
 
+    @property
+    def is_open(self) -> bool:
+        """Tell whether jobs would travel unencrypted to another machine."""
+        if _LOCAL.fullmatch(self.address):
+            return False
+        protocol, _, place = self.address.partition("://")
+        host = place.rpartition(":")[0].strip("[]").lower()
+        return protocol != "tls" and host != "localhost" and not _is_loopback(host)
+
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
         """Do jobs and yield their outcomes as they come.
 
@@ -70,6 +82,11 @@ class ClusterExecutor(Executor):
 
         if not jobs:
             return
+        if self.is_open and os.environ.get(_OPEN) != "trusted":
+            raise ClusterError(
+                f"scheduler {self.address} is not encrypted, and what is sent to another machine is code that it runs: use "
+                f"tls:// with certificates (docs/batch.md), or, in a network that you trust, set {_OPEN}=trusted"
+            )
         with ExitStack() as stack:
             client = self._client(stack)
             count = _check_workers(client, jobs[0].output.parent)
@@ -116,11 +133,23 @@ class ClusterExecutor(Executor):
             )
         try:
             return stack.enter_context(Client(scheduler, timeout=_PATIENCE))
-        except (OSError, TimeoutError, ValueError) as error:
+        except TypeError:  # what Dask raises where it is to use TLS and has no certificate
+            raise ClusterError(
+                f"scheduler {self.address} cannot be reached without certificates: name them in Dask's configuration "
+                "(distributed.comm.tls, docs/batch.md)"
+            ) from None
+        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             reason = " ".join(str(error).split())
             raise ClusterError(
                 f"scheduler {self.address} cannot be reached within {_PATIENCE:.0f} s: {reason:.120}"
             ) from None
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:  # a name
+        return False
 
 
 def versions() -> dict[str, str]:
