@@ -10,6 +10,7 @@ import numpy as np
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import find_highlights, lamp_angles_apart, lamp_from_highlight
+from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
@@ -67,12 +68,16 @@ class CapturedScene(NamedTuple):
     units: tuple[Known, ...] | None = None
 
 
-def captured_scene(capture: Capture, progress: Progress | None = None) -> CapturedScene:
+def captured_scene(
+    capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
+) -> CapturedScene:
     """Merge a capture's frames, and find outline, highlights and lamps.
 
     Args:
         capture: as from `read_capture`.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Raises:
         ArgumentError: the capture is not of a sphere.
@@ -104,7 +109,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     if capture.of("outline"):
         outline = _backlit_outline(capture, sighting, capture.region, remarks)
         region = capture.region or _about(outline)
-    pictures, radiometry = merge(capture, region, progress)
+    pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
