@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.capture_check import dark_disc
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import find_highlights, lamp_angles_apart, lamp_from_highlight
@@ -107,8 +108,9 @@ def captured_scene(
     sighting = Sighting(distance=distance)
     outline, region = None, capture.region
     if capture.of("outline"):
-        outline = _backlit_outline(capture, sighting, capture.region, remarks)
-        region = capture.region or _about(outline)
+        found, shape = _about_disc(capture)
+        outline = _backlit_outline(capture, sighting, capture.region or found, remarks)
+        region = capture.region or _about(outline, shape)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
@@ -221,6 +223,23 @@ def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None
     return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=(float(beyond), float(beyond) / 3))
 
 
+def _about_disc(capture: Capture) -> tuple[Region | None, tuple[int, ...]]:
+    """Return the part of the frames about the dark disc of the first outline frame, and the frames' shape.
+
+    None: all of them, as there is no plain disc.
+    """
+    reader = MosaicReader(capture)
+    for frame in capture.of("outline"):
+        try:
+            codes = reader.read(frame)
+        except MatcamError:
+            continue
+        column, row, radius = dark_disc(codes)
+        reach = radius * (1 + 2 * _MARGIN) + 8
+        return (_box(column, row, reach, codes.shape) if np.isfinite(radius) else None), codes.shape
+    return None, ()
+
+
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
     """Return the mean dark code of a frame's exposure, or of any; 0 where there is none."""
     frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
@@ -235,11 +254,14 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
     return np.asarray(dark_of(stack).level, dtype=np.float64)
 
 
-def _about(outline: Outline) -> Region:
+def _about(outline: Outline, shape: tuple[int, ...]) -> Region:
     """Return the part of a frame about an outline: first column and row even, so that a mosaic stays one."""
-    reach = outline.radius * (1 + _MARGIN) + 4
-    left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (outline.column, outline.row))
-    right, bottom = (int(np.ceil(centre + reach)) for centre in (outline.column, outline.row))
+    return _box(outline.column, outline.row, outline.radius * (1 + _MARGIN) + 4, shape)
+
+
+def _box(column: float, row: float, reach: float, shape: tuple[int, ...]) -> Region:
+    left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (column, row))
+    right, bottom = (int(np.ceil(min(at + reach, size))) for at, size in zip((column, row), shape[::-1], strict=True))
     return left, top, right - left, bottom - top
 
 
