@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.capture_check import dark_disc
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import Highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
 from matcam.acquisition.lamps.lamp_table import explain_lamp_table
+from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
@@ -76,12 +78,16 @@ class CapturedScene(NamedTuple):
     units: tuple[Known, ...] | None = None
 
 
-def captured_scene(capture: Capture, progress: Progress | None = None) -> CapturedScene:
+def captured_scene(
+    capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
+) -> CapturedScene:
     """Merge a capture's frames, and find outline, highlights and lamps.
 
     Args:
         capture: as from `read_capture`.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Raises:
         ArgumentError: the capture is not of a sphere.
@@ -111,9 +117,10 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     sighting = Sighting(distance=distance)
     outline, region = None, capture.region
     if capture.of("outline"):
-        outline, shape = _backlit_outline(capture, sighting, capture.region, remarks)
+        found, shape = _about_disc(capture)
+        outline = _backlit_outline(capture, sighting, capture.region or found, remarks)
         region = capture.region or _about(outline, shape)
-    pictures, radiometry = merge(capture, region, progress)
+    pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     if capture.settings["lamp"]["intensity"] == "table":
         pictures = _under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
@@ -232,10 +239,8 @@ def _lamp_radius(capture: Capture) -> float:
     return 0.0 if distance is None else float(radius / distance[0])
 
 
-def _backlit_outline(
-    capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]
-) -> tuple[Outline, tuple[int, ...]]:
-    """Return the outline before a bright field, from the mean of the frames that show one, and their height and width."""
+def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]) -> Outline:
+    """Return the outline before a bright field, from the mean of the frames that show one."""
     reader = MosaicReader(capture)
     total: np.ndarray | None = None
     count, scatter = 0, 0.0
@@ -275,7 +280,24 @@ def _backlit_outline(
     )
     beyond = np.radians(capture.settings["outline"]["field_beyond_deg"])
     reach = float(beyond), float(beyond) / 3
-    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach), mean.shape
+    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach)
+
+
+def _about_disc(capture: Capture) -> tuple[Region | None, tuple[int, ...]]:
+    """Return the part of the frames about the dark disc of the first outline frame, and the frames' shape.
+
+    None: all of them, as there is no plain disc.
+    """
+    reader = MosaicReader(capture)
+    for frame in capture.of("outline"):
+        try:
+            codes = reader.read(frame)
+        except MatcamError:
+            continue
+        column, row, radius = dark_disc(codes)
+        reach = radius * (1 + 2 * _MARGIN) + 8
+        return (_box(column, row, reach, codes.shape) if np.isfinite(radius) else None), codes.shape
+    return None, ()
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
@@ -294,12 +316,12 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
 
 def _about(outline: Outline, shape: tuple[int, ...]) -> Region:
     """Return the part of a frame about an outline: first column and row even, so that a mosaic stays one."""
-    reach = outline.radius * (1 + _MARGIN) + 4
-    left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (outline.column, outline.row))
-    right, bottom = (
-        min(int(np.ceil(centre + reach)), size)
-        for centre, size in zip((outline.column, outline.row), shape[::-1], strict=True)
-    )
+    return _box(outline.column, outline.row, outline.radius * (1 + _MARGIN) + 4, shape)
+
+
+def _box(column: float, row: float, reach: float, shape: tuple[int, ...]) -> Region:
+    left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (column, row))
+    right, bottom = (int(np.ceil(min(at + reach, size))) for at, size in zip((column, row), shape[::-1], strict=True))
     return left, top, right - left, bottom - top
 
 
