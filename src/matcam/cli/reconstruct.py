@@ -20,6 +20,14 @@ def command(
     diffuse: Annotated[
         bool, typer.Option("--diffuse/--no-diffuse", help="Whether the material may have a Lambertian part.")
     ] = True,
+    rig_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig-from",
+            metavar="FILE",
+            help="JSON file of an earlier reconstruction by the same rig, whose lens, distances and lamps are the prior.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -60,7 +68,12 @@ def command(
 
     with show.stepping() as watch:
         result = reconstruct(
-            capture, ndf, masking=None if masking == "none" else masking, diffuse=diffuse, progress=watch
+            capture,
+            ndf,
+            masking=None if masking == "none" else masking,
+            diffuse=diffuse,
+            rig_from=rig_from,
+            progress=watch,
         )
     document = {**result.to_dict(), "files": [str(path) for path in files.values()]}
     _write(result, document, files, capture, force)
