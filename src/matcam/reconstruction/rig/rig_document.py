@@ -73,6 +73,7 @@ class _Fresnel(_Strict):
     std: list[list[FiniteFloat | None]]
     model: list[str]
     absolute: bool
+    unit_std: list[FiniteFloat | None] | None
 
 
 class _Picture(_Strict):
