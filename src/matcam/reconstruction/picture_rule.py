@@ -87,7 +87,7 @@ def window_about(
     column, row = centre[0] + radius * p_x, centre[1] - radius * p_y
     true, tilt = (float(column), float(row)), 0.0
     if field is not None:
-        column, row = field.seen_at(column, row)
+        column, row = map(float, field.seen_at(*true))
         tilt = _tilt(field, true, turned)
         cos, sin = np.cos(tilt), np.sin(tilt)
         along, across = along * cos + across * sin, across * cos - along * sin

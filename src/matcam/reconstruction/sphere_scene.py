@@ -132,9 +132,9 @@ def prior_of(
     if field is not None:
         column, line_up, grown = outline_slopes(field, tuple(scene.centres.mean(axis=0)), scene.radius)
         moved = np.repeat([column, line_up, grown], [k, k, 1])
-        for index, known in enumerate((field.k1, field.growth)):
-            if known.std > 0 and not in_rig[3 + index]:
-                unit(FIELD[index], layout.field.start + index, known.std, 0.0)
+        for index, one in enumerate((field.k1, field.growth)):
+            if one.std > 0 and not in_rig[3 + index]:
+                unit(FIELD[index], layout.field.start + index, one.std, 0.0)
     for line in root:
         row = np.zeros(layout.size)
         row[places] = line

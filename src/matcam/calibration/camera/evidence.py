@@ -227,7 +227,7 @@ class Evidence:
         dots = [one for f in self._findings for one in f.dots]
         edges, (shape,) = self.table(), shapes
         # pictures of other apertures have other blurs
-        blurs = [BlurPlaces(*one.seen.T, one.sigma, one.sigma_std) for one in dots]
+        blurs = [BlurPlaces(one.seen[:, 0], one.seen[:, 1], one.sigma, one.sigma_std) for one in dots]
         for source in () if edges is None else dict.fromkeys(edges.source.tolist()):
             assert edges is not None
             of = edges.source == source

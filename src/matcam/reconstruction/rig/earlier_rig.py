@@ -58,7 +58,7 @@ class KnownRig(NamedTuple):
             frames: of the pictures' lamps.
         """
         chosen, rows, values = [], [], []
-        for index in np.flatnonzero(self.knows):
+        for index in np.flatnonzero(self.knows).tolist():
             row = np.zeros(size)
             row[places[index]] = 1.0
             chosen.append(index)
