@@ -47,7 +47,9 @@ def document():
             "lamps": lamps, "camera_radii": [40.0, 0.2], "lamp_radii": [25.0, 0.1], "sigma_px": 0.55, "field": field,
             "covariance": {"names": names, "matrix": covariance().tolist()},
         },
-        "fresnel": {"theta_d_deg": [], "channels": [], "value": [], "std": [], "model": [], "absolute": False, "unit_std": None},
+        "fresnel": {
+            "theta_d_deg": [], "channels": [], "value": [], "std": [], "model": [], "absolute": False, "unit_std": None
+        },
         "budget": {}, "unexplained": 0.0, "tried": {}, "pictures": [], "not_determined": [], "radiometry": None, "left_out": [],
         "remarks": [],
     }  # fmt: skip
