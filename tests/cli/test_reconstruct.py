@@ -9,6 +9,7 @@ from matcam import read_merl
 from matcam.app.exploring.fitted_pictures import fitted_pictures
 from matcam.core.grid import merl_grid
 from matcam.io import read_netcdf
+from matcam.reconstruction.rig.rig_document import read_rig
 from tests.oracle.capture import METALS, Sensor, draw
 from tests.oracle.sphere_picture import Surface, View, fresnel
 
@@ -41,6 +42,9 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
         "chrome.binary", "chrome-pinhole.binary", "chrome.nc", "chrome.json", "chrome.html"
     }  # fmt: skip
     found = json.loads((tmp_path / "chrome.json").read_text())
+    rig = read_rig(tmp_path / "chrome.json")  # which checks the document against its schema
+    assert rig.lamps == tuple(lamp["lamp"] for lamp in drawn.truth["lamps"])
+    assert rig.frame == VIEW.shape[::-1]
 
     def pull(pair, truth):
         return abs(pair[0] - truth) / pair[1]

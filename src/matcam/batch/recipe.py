@@ -183,7 +183,14 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     source = Provenance(
         source=f"blur fitted jointly to {names}, a {best.family} lobe for each", notes="; ".join(map(str, best.remarks))
     )
-    return Camera(camera.optics, camera.pixel, camera.sensor, uncertainty=camera.uncertainty, provenance=source)
+    return Camera(
+        camera.optics,
+        camera.pixel,
+        camera.sensor,
+        uncertainty=camera.uncertainty,
+        provenance=source,
+        field=camera.field,
+    )
 
 
 def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, xr.DataArray]]:

@@ -17,7 +17,16 @@ _LARGEST = 0.5  # of a coefficient: beyond it no lens would be called one with a
 
 
 class Coefficient(NamedTuple):
-    """Hold a coefficient with its standard deviation, no unit."""
+    """Hold a coefficient of a lens over the field.
+
+    Attributes:
+        value: no unit. Default: 0.
+        std: standard deviation, no unit. Default: 0, exact.
+
+    Example:
+        >>> matcam.camera.Coefficient(-0.01, 0.001).std
+        0.001
+    """
 
     value: float = 0.0
     std: float = 0.0
@@ -28,20 +37,21 @@ _NONE = Coefficient()
 
 @dataclass(frozen=True)
 class LensField:
-    """Describe a lens over the field: a place at rho units from the centre is seen at rho (1 + k1 rho^2 + k2 rho^4).
+    """Describe distortion and blur of a lens over the field.
 
-    The lens's width grows as 1 + growth (rho^2 - rho0^2), rho0 being where the profile's own lens holds.
+    A place at rho units from the centre is seen at rho (1 + k1 rho^2 + k2 rho^4). The lens's width grows as
+    1 + growth (rho^2 - rho0^2), rho0 being where the profile's own lens holds.
 
     Attributes:
         centre: column and row of the distortion's centre, px.
         unit: length in which rho is counted, px: half the picture's diagonal, where `calibrate` has measured it.
-        k1: radial distortion of third order, no unit.
+        k1: radial distortion of third order, no unit. Default: 0, exact.
         k2: of fifth order. Default: 0, exact.
         growth: of the lens's width with rho^2. Default: 0, exact.
         holds_at: distance from the centre at which the profile's lens holds, px. Default: 0.
 
     Example:
-        >>> field = LensField((500.0, 400.0), 640.0, Coefficient(0.01, 0.001))
+        >>> field = matcam.camera.LensField((500.0, 400.0), 640.0, matcam.camera.Coefficient(0.01, 0.001))
         >>> column, row = field.seen_at(1000.0, 400.0)
         >>> round(float(column), 3), round(float(field.true_place(column, row)[0]), 6)
         (1003.052, 1000.0)
@@ -66,17 +76,31 @@ class LensField:
             raise ArgumentError("k1 and k2 fold the picture over itself within 1.2 units: give smaller ones")
 
     def wider(self, factor: float) -> LensField:
-        """Return the field whose distortion is known that many times worse."""
+        """Return the field with a distortion that is known less well.
+
+        Args:
+            factor: by which the standard deviation of k1 is multiplied, no unit.
+        """
         return replace(self, k1=Coefficient(self.k1.value, self.k1.std * factor))
 
     def seen_at(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return where places of the undistorted picture are seen, px."""
+        """Return where places of the undistorted picture are seen, px.
+
+        Args:
+            column: undistorted column, px; broadcasts with row.
+            row: undistorted row, px.
+        """
         x, y, rho2 = self._from_centre(column, row)
         bent = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
         return self.centre[0] + x * bent, self.centre[1] + y * bent
 
     def true_place(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return the undistorted places of what is seen at columns and rows, px; far outside of it they are clipped."""
+        """Return the undistorted places of what is seen, px.
+
+        Args:
+            column: px; broadcasts with row. Further than 1.5 units from the centre places are clipped.
+            row: px.
+        """
         x, y, seen2 = self._from_centre(column, row)
         seen = np.minimum(np.sqrt(seen2), 1.5)
         rho = seen.copy()
@@ -90,26 +114,53 @@ class LensField:
         return self.centre[0] + x * bent, self.centre[1] + y * bent
 
     def stretch(self, column: float, row: float) -> np.ndarray:
-        """Return the derivatives of where a place is seen, by its column and row, (2, 2)."""
+        """Return the derivatives of seen by true places, (2, 2).
+
+        Args:
+            column: undistorted column, px.
+            row: undistorted row, px.
+        """
         x, y, rho2 = self._from_centre(column, row)
         bent = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
         growing = 2 * (self.k1.value + 2 * self.k2.value * rho2) / self.unit**2
         return np.asarray(bent * np.eye(2) + growing * np.outer([x, y], [x, y]))
 
     def blur_scale(self, column: float, row: float) -> float:
-        """Return the lens's width at a place over that of the profile, no unit."""
+        """Return the lens's width at a place over the profile's, no unit.
+
+        Args:
+            column: undistorted column, px.
+            row: undistorted row, px.
+        """
         return float(np.clip(1 + self.growth.value * self.beyond(column, row), 0.2, 5.0))
 
     def beyond(self, column: float, row: float) -> float:
-        """Return rho^2 of a place less that at which the profile's lens holds, no unit."""
+        """Return rho^2 of a place beyond where the profile's lens holds.
+
+        Args:
+            column: undistorted column, px.
+            row: undistorted row, px.
+        """
         return float(self._from_centre(column, row)[2] - (self.holds_at / self.unit) ** 2)
 
     def seen_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
-        """Return the circle (column, row, radius) as which a circle of the undistorted picture is seen, px, in the mean."""
+        """Return the circle as which an undistorted circle is seen, px.
+
+        Args:
+            column: of its centre, px.
+            row: of its centre, px.
+            radius: px.
+        """
         return _circle_through(*self.seen_at(*_on_circle(column, row, radius)))
 
     def true_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
-        """Return the undistorted circle of one that is seen, px, in the mean."""
+        """Return the undistorted circle of one that is seen, px.
+
+        Args:
+            column: of its centre, px.
+            row: of its centre, px.
+            radius: px.
+        """
         return _circle_through(*self.true_place(*_on_circle(column, row, radius)))
 
     def _from_centre(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -21,6 +21,14 @@ def command(
     diffuse: Annotated[
         bool, typer.Option("--diffuse/--no-diffuse", help="Whether the material may have a Lambertian part.")
     ] = True,
+    rig_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig-from",
+            metavar="FILE",
+            help="JSON file of an earlier reconstruction by the same rig, whose lens, distances and lamps are the prior.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -74,6 +82,7 @@ def command(
             ndf,
             masking=None if masking == "none" else masking,
             diffuse=diffuse,
+            rig_from=rig_from,
             progress=watch,
             workers=workers or min(os.cpu_count() or 1, 4),
             keep=user_cache_folder() / "captures",

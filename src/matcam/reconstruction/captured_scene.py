@@ -28,6 +28,8 @@ from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
+from matcam.reconstruction.rig.earlier_rig import known_rig
+from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import Known, SphereScene, lens_std
 
 Progress = Callable[[str, int, int], None]
@@ -66,6 +68,8 @@ class CapturedScene(NamedTuple):
         remarks: what a reader should know.
         units: of each channel, value of the pictures per radiance under unit irradiance, with relative standard deviation;
             None: there is no reference of known reflectance.
+        frame: width and height of the frames, px; None: none could be read. Default: None.
+        sample_radius: of the sphere, mm. Default: None, not stated.
     """
 
     pictures: list[MergedPicture]
@@ -76,21 +80,29 @@ class CapturedScene(NamedTuple):
     left_out: tuple[str, ...]
     remarks: tuple[Remark, ...]
     units: tuple[Known, ...] | None = None
+    frame: tuple[int, int] | None = None
+    sample_radius: Stated | None = None
 
 
 def captured_scene(
-    capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
+    capture: Capture,
+    progress: Progress | None = None,
+    earlier: EarlierRig | None = None,
+    *,
+    workers: int = 1,
+    kept: KeptWork | None = None,
 ) -> CapturedScene:
     """Merge a capture's frames, and find outline, highlights and lamps.
 
     Args:
         capture: as from `read_capture`.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        earlier: the rig as another reconstruction found it. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
         kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Raises:
-        ArgumentError: the capture is not of a sphere.
+        ArgumentError: the capture is not of a sphere, or `earlier` is of another rig.
         FitError: there is no sphere, or fewer than three pictures show a highlight.
     """
     kind = capture.settings["sample"]["kind"]
@@ -111,8 +123,26 @@ def captured_scene(
         spread = _GUESSED_LENS.std / _GUESSED_LENS.value
     else:
         spread = lens_std(camera)
+    frame, rig = _frame_size(capture), None
+    if earlier is not None:
+        sigma, radius = camera.parameters().get("optics.sigma_px"), capture.radius_mm
+        rig, said = known_rig(
+            earlier,
+            list(capture.lamps),
+            frame,
+            None if radius is None else radius.value,
+            None if sigma is None else float(sigma),
+        )
+        remarks.extend(said)
+        camera = camera.with_field(earlier.field)
     camera_nearness = _nearness(capture.camera_radii, "camera", remarks)
     lamp_nearness = _nearness(capture.lamp_radii, "lamp", remarks)
+    if rig is not None:
+        std = np.sqrt(np.diag(rig.covariance))
+        camera_nearness, lamp_nearness = (
+            Known(float(rig.values[at]), float(std[at])) if rig.knows[at] else stated
+            for at, stated in ((1, camera_nearness), (2, lamp_nearness))
+        )
     distance = 1 / camera_nearness.value if camera_nearness.value > 0 else np.inf
     sighting = Sighting(distance=distance)
     outline, region = None, capture.region
@@ -149,9 +179,17 @@ def captured_scene(
     lamps = np.array([lamp_from_highlight(one, ball, far)[0] for one in highlights if one is not None])
     pictures = [pictures[k] for k in seen]
     centres = np.tile([ball.column, ball.row], (len(seen), 1)) if centres is None else centres[seen]
-    stated, stds = _stated_lamps(capture, [one.name for one in pictures], lamps, remarks)
+    names = [one.name for one in pictures]
+    if rig is None:
+        stated, stds = _stated_lamps(capture, names, lamps, remarks)
+    else:
+        every = list(capture.lamps)
+        rig = rig._replace(lamps=rig.lamps[[every.index(name) for name in names]])
+        stated, stds = _stated_lamps(capture, names, lamps, [])
+        known = rig.lamps >= 0
+        stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    light = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, lamp_nearness, remarks)
+    light = _gains(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
     lamp_radius = _lamp_radius(capture)
     scene = SphereScene(
         camera=camera,
@@ -168,14 +206,28 @@ def captured_scene(
         gain_std=np.sqrt(np.diag(light.covariance)),
         gain=light.gain,
         gain_correlation=_correlation(light.covariance),
+        rig=rig,
     )
     units = None if light.units is None else tuple(Known(*one) for one in light.units)
-    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, tuple(dict.fromkeys(remarks)), units)
+    said_once = tuple(dict.fromkeys(remarks))
+    radius = capture.radius_mm
+    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, said_once, units, frame, radius)
 
 
 def _correlation(covariance: np.ndarray) -> np.ndarray:
     std = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(std, std))
+
+
+def _frame_size(capture: Capture) -> tuple[int, int] | None:
+    """Return width and height of the first frame that can be read."""
+    for frame in capture.frames[:3]:
+        try:
+            height, width = capture.read(frame).values.shape[:2]
+        except MatcamError:
+            continue
+        return int(width), int(height)
+    return None
 
 
 def _with_field(camera: Camera, outline: Outline) -> Camera:

@@ -40,6 +40,7 @@ _WIDENED = {
     "lamp": "the lamps are not where the table says",
     "camera distance": "the camera's distance is not as stated",
     "lamp distance": "the lamp's distance is not as stated",
+    "rig": "the rig is not as the earlier reconstruction found it",
     "gain": "the light of the pictures varies more than stated",
 }
 
@@ -220,7 +221,7 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         off = wide @ solution.p - wanted[chosen]
         push = old.T @ away[rows] - wide.T @ off
         step = solution.covariance_with(wide.T @ wide - old.T @ old) @ push
-        count = values.get(name, 1)
+        count = values.get(name, int(rows.sum()))
         explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
         if np.isfinite(explains) and np.isfinite(pull):
@@ -240,6 +241,9 @@ def _rms(values: np.ndarray) -> float:
 def _widened(scene: SphereScene, source: str, factor: float) -> SphereScene:
     if source == "lamp":
         return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
+    if source == "rig":
+        assert scene.rig is not None
+        return replace(scene, rig=scene.rig._replace(covariance=scene.rig.covariance * factor**2))
     if source == "distortion":
         field = scene.camera.field
         assert field is not None

@@ -22,7 +22,7 @@ from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, PictureModel, Recorded
-from matcam.reconstruction.rig.field_change import FIELD, FieldChange
+from matcam.reconstruction.rig.field_change import FIELD, STEP, FieldChange
 
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
 _HUBER = 4.0
@@ -133,14 +133,14 @@ class JointProblem:
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
         """Return what the chosen pixels of picture k record of unit strengths, window first, with derivatives."""
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
-        there, column, row = at, pixels.column, pixels.row
+        window, column, row = pixels.window, pixels.column, pixels.row
         if self.changes:
-            there = self.changes[k].applied(at, p[self.layout.field], self.layout.lobe)
-            column, row = self.changes[k].moved(column, row, p[self.layout.field])
-        near, near_slopes = self.model.window(there, frame, pixels.window, slopes=slopes)
+            window = self.changes[k].window(window, p[self.layout.field])
+            column, row = self.changes[k].places(p[self.layout.field])
+        near, near_slopes = self.model.window(at, frame, window, slopes=slopes)
         # blur matters to pixels next to the highlight only: there it is the highlight's
         beside = at.copy()
-        beside[self.layout.lobe] += np.log(pixels.window.widened)
+        beside[self.layout.lobe] += np.log(window.widened)
         far, far_slopes = self.model.pixels(beside, frame, column, row, slopes=slopes)
 
         def joined(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -178,13 +178,24 @@ class JointProblem:
         angle = np.zeros(layout.size)
         angle[columns] = derivative.theta_d[peak]
         if self.changes:
-            by_field = self.changes[k].slopes(p[layout.of_picture(k)], layout.lobe)
-            jacobian[:, layout.field] = jacobian[:, columns] @ by_field
-            centre = layout.own(k).start + np.arange(2)
-            far = slice(value.size - pixels.column.size, None)
-            jacobian[far, layout.field] = 0.0
-            jacobian[far, layout.field.start] = (jacobian[far][:, centre] * self.changes[k].away.T).sum(axis=1)
-            angle[layout.field] = derivative.theta_d[peak] @ by_field
+            of_k1, of_growth = layout.field.start, layout.field.start + 1
+            change, wider = p[layout.field], self.changes[k].widening(p[layout.field])
+            jacobian[:, of_growth] = jacobian[:, layout.lobe] * wider
+            angle[of_growth] = angle[layout.lobe] * wider
+            window = self.changes[k].window(pixels.window, change + np.array([STEP, 0.0]))
+            moved, _ = self.model.window(p[columns], self.frames[k], window, slopes=False)
+            near = slice(0, window.pixel_u.size * window.pixel_v.size)
+            by_k1 = Recorded(*((np.asarray(a).ravel() - b[near]) / STEP for a, b in zip(moved, recorded, strict=True)))
+            angle[of_k1] = by_k1.theta_d[peak] if peak < near.stop else 0.0
+            jacobian[near, of_k1] = gain * (
+                (strength * bend)[near] * by_k1.lobe
+                + (strength * slope * recorded.lobe)[near] * (by_k1.theta_d - angle[of_k1])
+                + diffuse[near] * by_k1.lambert
+            )
+            # a pixel read elsewhere is a sphere that has moved the other way
+            far, centre = slice(near.stop, None), layout.own(k).start + np.arange(2)
+            away = self.changes[k].places_slopes(change).T
+            jacobian[far, of_k1] = -(jacobian[far][:, centre] * away).sum(axis=1)
         jacobian[:, layout.gain(k)] = value
         everything = np.arange(value.size)
         jacobian[everything, layout.strengths(k).start + channel] = gain * bend * recorded.lobe

@@ -85,15 +85,10 @@ def window_about(
     turned = abs(p_y) > abs(p_x)
     along, across = (p_y, p_x) if turned else (p_x, p_y)
     column, row = centre[0] + radius * p_x, centre[1] - radius * p_y
-    stretch, shift, tilt, widened = np.eye(2), np.zeros(2), 0.0, 1.0
+    true, tilt = (float(column), float(row)), 0.0
     if field is not None:
-        seen, stretch, true = np.array(field.seen_at(column, row)), field.stretch(column, row), np.array([column, row])
-        widened = field.blur_scale(column, row)
-        if turned:
-            seen, stretch, true = seen[::-1], stretch[::-1, ::-1], true[::-1]
-        shift = seen - stretch @ true
-        column, row = seen[::-1] if turned else seen
-        tilt = float(np.arctan2(stretch[1, 0], stretch[1, 1]))
+        column, row = map(float, field.seen_at(*true))
+        tilt = _tilt(field, true, turned)
         cos, sin = np.cos(tilt), np.sin(tilt)
         along, across = along * cos + across * sin, across * cos - along * sin
     column, row = np.round(column), np.round(row)
@@ -118,7 +113,36 @@ def window_about(
         low_u, high_u, peak_u, scale / np.cos(peak_v), plateau / np.cos(peak_v), radius * np.cos(peak_v)
     )
     weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
-    return Window(u, v, weight, pixel_u, pixel_v, float(turned), stretch, shift, tilt, widened)
+    window = Window(u, v, weight, pixel_u, pixel_v, float(turned))
+    return window if field is None else through_lens(window, field, true)
+
+
+def through_lens(window: Window, field: LensField, highlight: tuple[float, float]) -> Window:
+    """Return a window as a lens shows it that is an affine map about a highlight.
+
+    Args:
+        window: its nodes and pixels stay.
+        field: distortion and blur.
+        highlight: its column and row, px, without distortion.
+    """
+    seen, stretch, true = np.array(field.seen_at(*highlight)), field.stretch(*highlight), np.array(highlight)
+    turned = window.turned > 0
+    if turned:
+        seen, stretch, true = seen[::-1], stretch[::-1, ::-1], true[::-1]
+    return window._replace(
+        stretch=np.ascontiguousarray(stretch),
+        shift=seen - stretch @ true,
+        tilt=_tilt(field, highlight, turned),
+        widened=field.blur_scale(*highlight),
+    )
+
+
+def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> float:
+    """Return the turn of the nodes' disc at which nodes of one v are seen in one line of pixels, rad."""
+    stretch = field.stretch(*highlight)
+    if turned:
+        stretch = stretch[::-1, ::-1]
+    return float(np.arctan2(stretch[1, 0], stretch[1, 1]))
 
 
 def _graded(

@@ -12,6 +12,7 @@ import xarray as xr
 
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
+from matcam.camera.profile import field_document
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.registry import FAMILIES
@@ -35,10 +36,12 @@ from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
+from matcam.reconstruction.rig.earlier_rig import rig_covariance
+from matcam.reconstruction.rig.field_change import found_field
+from matcam.reconstruction.rig.rig_document import FORMAT, SCENE_NAMES, VERSION, EarlierRig, read_rig
 from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 
-FORMAT, VERSION = "matcam reconstruction", 1
 _JUDGED = np.radians(75.0)
 """theta_d at which the error budget is stated, where pictures reach it."""
 _BEYOND = np.radians(2.0)
@@ -117,7 +120,16 @@ class Reconstruction:
             value, one = scene[name]
             return [1 / value, one / value**2] if value > 0 else [None, None]
 
+        sigma = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
+        field, frames = fit.scene.camera.field, solution.problem.frames
+        own = [layout.own(k).start + 2 for k in range(layout.pictures)]
+        rig = rig_covariance(covariance, layout.scene, layout.field, own, frames, fit.lamps)
+        turns = [f"{name} {turn}" for name in fit.names for turn in "ab"]
+        captured = self.captured
+        radius = None if captured is None or captured.sample_radius is None else captured.sample_radius.value
         return {
+            "frame_px": None if captured is None or captured.frame is None else list(captured.frame),
+            "sample_radius_mm": radius,
             "centre_px": [centres.mean(axis=0).tolist(), spread.mean(axis=0).tolist()],
             "radius_px": [float(x) for x in scene["radius"]],
             "lamps": [
@@ -132,6 +144,9 @@ class Reconstruction:
             ],
             "camera_radii": distance("camera"),
             "lamp_radii": distance("lamp"),
+            "sigma_px": sigma * float(np.exp(scene["lens"][0])) if np.isfinite(sigma) else None,
+            "field": None if field is None else field_document(found_field(field, p[layout.field], std[layout.field])),
+            "covariance": {"names": [*SCENE_NAMES, *turns], "matrix": rig.tolist()},
         }
 
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
@@ -243,6 +258,7 @@ def reconstruct(
     *,
     masking: Masking = "smith",
     diffuse: bool = True,
+    rig_from: EarlierRig | str | Path | None = None,
     progress: Progress | None = None,
     workers: int = 1,
     keep: str | Path | None = None,
@@ -259,6 +275,8 @@ def reconstruct(
             "epd", bent where that explains more.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         diffuse: whether the material may have a Lambertian part. Default: True.
+        rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and distortion, with
+            their covariance, stand for what the capture states of them. Default: None.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
         workers: lamp positions whose frames are read at a time, in threads. Default: 1.
         keep: folder in which what was read of the frames is kept until the end, so that a run that is cut off goes on.
@@ -268,7 +286,7 @@ def reconstruct(
         Table, parameters, geometry, error budget and remarks.
 
     Raises:
-        ArgumentError: an argument is wrong, or the capture is not of a sphere.
+        ArgumentError: an argument is wrong, the capture is not of a sphere, or `rig_from` is of another rig.
         FileFormatError: the capture's files are wrong.
         FitError: there is no sphere, too few highlights, or nothing to fit.
 
@@ -291,7 +309,8 @@ def reconstruct(
     if type(workers) is not int or workers < 1:
         raise ArgumentError(f"workers must be a whole number >= 1, got {workers!r:.60}")
     kept = None if keep is None else KeptWork(Path(keep))
-    found = captured_scene(capture, progress, workers=workers, kept=kept)
+    earlier = read_rig(rig_from) if isinstance(rig_from, str | Path) else rig_from
+    found = captured_scene(capture, progress, earlier, workers=workers, kept=kept)
     steps = iter(range(1, 1000))
     result = reconstructed(
         found.pictures,

@@ -31,7 +31,7 @@ from matcam.reconstruction.joint_fit import (
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
-from matcam.reconstruction.rig.field_change import FIELD, FieldChange, changed_field, field_change
+from matcam.reconstruction.rig.field_change import FIELD, FieldChange, changed_field
 from matcam.reconstruction.sphere_scene import SphereScene, part_of, prior_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -281,8 +281,7 @@ def _problem(
     model = _model(kind, scene, points, scene.lamp_radius if with_disc else 0.0)
     frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
     pixels, changes = [], list[FieldChange]()
-    base = p[layout.field]
-    field = None if scene.camera.field is None else changed_field(scene.camera.field, base)
+    field = None if scene.camera.field is None else changed_field(scene.camera.field, p[layout.field])
     for k, picture in enumerate(pictures):
         column, row = p[layout.own(k)][:2]
         distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
@@ -292,10 +291,9 @@ def _problem(
         plateau = scene.lamp_radius / 2 if with_disc else 0.0
         last = None if keep is None else keep[k]
         pixels.append(chosen_pixels(picture, place, scale=width / 3, plateau=plateau, seed=k, keep=last, field=field))
-        if field is not None:
-            highlight_px = float(at_column), float(at_row)
-            far = pixels[-1].column, pixels[-1].row
-            changes.append(field_change(field, base, (column, row), highlight_px, far))
+        if scene.camera.field is not None:
+            at = float(column + radius * highlight[0]), float(row - radius * highlight[1])
+            changes.append(FieldChange(scene.camera.field, at, pixels[-1].seen))
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
     if not diffuse:

@@ -14,6 +14,7 @@ from matcam.material.ndf.free_lobe import KNOTS
 from matcam.numerics.approximation import smoothness
 from matcam.reconstruction.joint_fit import JointLayout
 from matcam.reconstruction.picture_model import SCENE, LampFrame
+from matcam.reconstruction.rig.earlier_rig import KnownRig
 from matcam.reconstruction.rig.field_change import FIELD, outline_slopes
 
 
@@ -44,6 +45,8 @@ class SphereScene:
         gain: light of each picture relative to their mean, as a reference says, (pictures,). Default: None, 1 each.
         gain_correlation: of the errors of ln gain between pictures, (pictures, pictures): where a reference stands is one error
             of all. Default: None, each is its own.
+        rig: what an earlier reconstruction found; it stands for what is stated of lens, distances, lamps and distortion.
+            Default: None.
     """
 
     camera: Camera
@@ -60,6 +63,7 @@ class SphereScene:
     gain_std: float | np.ndarray = 0.005
     gain: np.ndarray | None = None
     gain_correlation: np.ndarray | None = None
+    rig: KnownRig | None = None
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
@@ -73,6 +77,7 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
         gain_std=np.broadcast_to(scene.gain_std, count)[keep],
         gain=None if scene.gain is None else scene.gain[keep],
         gain_correlation=None if scene.gain_correlation is None else scene.gain_correlation[np.ix_(keep, keep)],
+        rig=None if scene.rig is None else scene.rig._replace(lamps=scene.rig.lamps[keep]),
     )
 
 
@@ -94,10 +99,19 @@ def prior_of(
         row[index] = 1 / std
         add(source, row, value / std)
 
-    if scene.lens_std > 0:
+    field, in_rig = scene.camera.field, np.zeros(5, bool)
+    lens = layout.lobe + SCENE.index("lens")
+    if scene.rig is not None:
+        in_rig = scene.rig.knows
+        places = [lens, *(layout.lobe + SCENE.index(name) for name in ("camera", "lamp"))]
+        places += [layout.field.start, layout.field.start + 1]
+        own_lamps = [layout.own(i).start + 2 for i in range(layout.pictures)]
+        for row, value in zip(*scene.rig.prior(layout.size, places, own_lamps, frames), strict=True):
+            add("rig", row, float(value))
+    if scene.lens_std > 0 and not in_rig[0]:
         unit("lens", layout.lobe, scene.lens_std, 0.0)
-    for name, known in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
-        if known.std > 0:
+    for at, (name, known) in enumerate((("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness))):
+        if known.std > 0 and not in_rig[1 + at]:
             unit(f"{name} distance", layout.lobe + SCENE.index(name), known.std, known.value)
     # outline: column, row and radius are shared, each picture's centre has a shift of its own
     k = layout.pictures
@@ -114,13 +128,13 @@ def prior_of(
     places = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
     places.append(layout.lobe + SCENE.index("radius"))
     expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
-    field, moved = scene.camera.field, np.zeros(2 * k + 1)
+    moved = np.zeros(2 * k + 1)
     if field is not None:
         column, line_up, grown = outline_slopes(field, tuple(scene.centres.mean(axis=0)), scene.radius)
         moved = np.repeat([column, line_up, grown], [k, k, 1])
-        for index, known in enumerate((field.k1, field.growth)):
-            if known.std > 0:
-                unit(FIELD[index], layout.field.start + index, known.std, 0.0)
+        for index, one in enumerate((field.k1, field.growth)):
+            if one.std > 0 and not in_rig[3 + index]:
+                unit(FIELD[index], layout.field.start + index, one.std, 0.0)
     for line in root:
         row = np.zeros(layout.size)
         row[places] = line
@@ -134,7 +148,8 @@ def prior_of(
         stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
-            unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
+            if scene.rig is None or scene.rig.lamps[i] < 0:
+                unit("lamp", layout.own(i).start + 2 + axis, float(stds[i]), float(stated @ tangent) / max(along, 0.1))
     root = np.eye(k)
     if scene.gain_correlation is not None:
         root = np.linalg.inv(np.linalg.cholesky(scene.gain_correlation + 1e-9 * np.eye(k)))

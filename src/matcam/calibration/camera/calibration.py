@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -198,6 +198,7 @@ def calibrate(
         evidence = Evidence(f for f in findings if f.channel == channel)
         measured.remarks += evidence.check(channel, accept_sharpened=accept_sharpened)
         fit = fit_camera(evidence, channel, request)
+        fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))
 

@@ -211,7 +211,8 @@ class CameraFit:
         """
         c = self.camera
         return replace(
-            self, camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance)
+            self,
+            camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance, field=c.field),
         )
 
 

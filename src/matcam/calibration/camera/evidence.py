@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
-from matcam.calibration.chart.chart import Chart, Patch, Square
+from matcam.calibration.camera.lens_over_field import BlurPlaces, DotPlaces, lens_over_field
+from matcam.calibration.chart.chart import Chart, Dots, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
@@ -19,7 +21,8 @@ from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.targets import measure_targets
+from matcam.calibration.targets.targets import Targets, measure_targets
+from matcam.camera.lens_field import LensField
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
@@ -97,6 +100,8 @@ class Finding(NamedTuple):
         f_number: f-number of the picture; None if it is not known.
         edges: its edges; None if there are none.
         samples: MTF values of its other targets.
+        dots: places of its grids' dots, page and picture.
+        shape: height and width of the picture, px; None: there is no picture.
     """
 
     channel: str
@@ -104,6 +109,8 @@ class Finding(NamedTuple):
     f_number: float | None
     edges: EdgeStack | None
     samples: tuple[MTFSamples, ...]
+    dots: tuple[DotPlaces, ...] = ()
+    shape: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -143,9 +150,11 @@ class PicturePlan:
             remarks = remarks or list(plane.remarks)
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
+            dots: tuple[DotPlaces, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 registration, samples = targets.registration, targets.samples
+                dots = _dot_places(self.chart, targets)
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
             if edges is not None:
                 try:
@@ -155,8 +164,22 @@ class PicturePlan:
                         raise
                 else:
                     remarks += edge_remarks(result, plane.channel)
-            findings.append(Finding(plane.channel, name, f_number, result, samples))
+            findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape))
         return findings, remarks
+
+
+def _dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
+    """Return every measured dot of a picture with its place on the page, which the registration tells well enough."""
+    printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
+    if not printed or not targets.grids:
+        return ()
+    page = np.concatenate(printed)
+    expected = cKDTree(targets.registration(page))
+    places = []
+    for grid in targets.grids:
+        seen = np.column_stack([grid.x, grid.y])
+        places.append((page[expected.query(seen)[1]], seen, grid.sigma, grid.sigma_std))
+    return (DotPlaces(*(np.concatenate(column) for column in zip(*places, strict=True))),)
 
 
 class Evidence:
@@ -166,7 +189,7 @@ class Evidence:
     """
 
     def __init__(self, findings: Iterable[Finding]) -> None:
-        findings = tuple(findings)
+        self._findings = findings = tuple(findings)
         found = [f for f in findings if f.edges is not None]
         stacks = in_consensus([f.edges for f in found if f.edges is not None])
         self._stacks = [(edges, f.source, f.f_number) for edges, f in zip(stacks, found, strict=True)]
@@ -195,6 +218,21 @@ class Evidence:
             value_measurements([(s, lens_at(s.f_number)) for s in self._samples]),
             tuple(groups),
         )
+
+    def field(self) -> LensField | None:
+        """Return how the lens differs over the field, as edges and dots say; None where they do not."""
+        shapes = {f.shape for f in self._findings if f.shape is not None}
+        if len(shapes) != 1:
+            return None
+        dots = [one for f in self._findings for one in f.dots]
+        edges, (shape,) = self.table(), shapes
+        # pictures of other apertures have other blurs
+        blurs = [BlurPlaces(one.seen[:, 0], one.seen[:, 1], one.sigma, one.sigma_std) for one in dots]
+        for source in () if edges is None else dict.fromkeys(edges.source.tolist()):
+            assert edges is not None
+            of = edges.source == source
+            blurs.append(BlurPlaces(edges.x[of], edges.y[of], edges.sigma[of], edges.sigma_std[of]))
+        return lens_over_field(dots, blurs, shape)
 
     def table(self) -> EdgeTable | None:
         """Return all edges without problems; None if there are no edges."""

@@ -32,6 +32,7 @@ _RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 
 _SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
 _NEAR = 0.06  # of the chart's size in the picture: how far a mark may lie from where four others put it
 _SETTLED = 0.1  # of that: mean distance at which no better match is looked for
+_FEWEST_PLACES = 12
 _WORST = 3.0  # px: root mean square of what the fit may leave
 
 
@@ -137,6 +138,42 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     places = np.array([chart.fiducials[i].centre for i, _ in best.pairs])
     seen = np.array([marks[j][:2] for _, j in best.pairs])
     return _registration_through(places, seen, picture.shape)
+
+
+def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
+    """Return a of the distorted radius r (1 + a r^2), and its standard deviation by the scatter of the places.
+
+    Args:
+        places: (n, 2) on a plane page, any unit.
+        seen: (n, 2) in the picture, px.
+        shape: height and width of the picture, px; r counts in its half diagonal.
+
+    Raises:
+        FitError: fewer than 12 places, or they do not determine a pinhole's view.
+    """
+    if len(places) < _FEWEST_PLACES:
+        raise FitError(f"{len(places)} places do not tell the distortion; at least {_FEWEST_PLACES} are needed")
+    middle, spread = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
+    at, used = (places - middle) / spread, np.ones(len(places), bool)
+    for _ in range(3):
+        try:
+            start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
+        except np.linalg.LinAlgError:
+            raise FitError("the places do not determine how the page stands to the camera") from None
+        size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
+
+        def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
+            return np.asarray(_project(np.append(p * size, 0.0), at, (shape[0], shape[1])) - seen)
+
+        fit = least_squares(lambda p: off(p)[used].ravel(), start / size, x_scale="jac")  # noqa: B023
+        left = np.hypot(*off(fit.x).T)
+        good = left < 4 * max(float(np.median(left[used])), 1e-9)
+        if good.sum() < _FEWEST_PLACES or np.array_equal(good, used):
+            break
+        used = good
+    variance = 2 * fit.cost / max(fit.fun.size - fit.x.size, 1)
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * variance
+    return float(fit.x[8] * size[8]), float(np.sqrt(covariance[8, 8]) * size[8])
 
 
 def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:

@@ -1,8 +1,8 @@
-"""What a small change of the lens's distortion or of its blur over the field does to one picture's highlight.
+"""What a change of the lens's distortion, or of its blur over the field, does to one picture.
 
-About a highlight, a change of k1 moves and magnifies the picture: to first order it is another centre and another radius of
-the outline, so that the model of a picture needs no parameters of its own for it. What it does to the outline itself is part of
-what is stated of the outline.
+About a highlight the lens is an affine map, which changes with k1: nodes stay where they are on the sphere, and are seen
+elsewhere. Scattered pixels are read at other undistorted places. What a change does to the outline itself is part of what is
+stated of the outline.
 """
 
 from __future__ import annotations
@@ -13,79 +13,43 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.camera.lens_field import Coefficient, LensField
-from matcam.reconstruction.picture_model import SCENE
+from matcam.reconstruction.picture_rule import Window, through_lens
 
 FIELD = ("distortion", "blur growth")
 """Differences of k1 and of the blur's growth from the profile, no unit."""
+STEP = 1e-4
+"""Of k1, by which derivatives are taken."""
 
 
 class FieldChange(NamedTuple):
-    """Say what one unit of k1 and of the blur's growth does to a picture.
+    """Apply changes of k1 and of the blur's growth, (2,), to the pixels of one picture.
 
     Attributes:
-        base: changes that the pixels' places already contain, (2,).
-        column: by which the outline's centre moves, px, by k1.
-        row: likewise, px.
-        magnified: by which the logarithm of its radius grows, by k1.
-        widened: by which the logarithm of the lens's width grows, by its growth.
-        away: by which scattered pixels are seen further to the right and further down, px, by k1, (2, pixels).
+        field: of the lens, without changes.
+        highlight: its column and row, px, without distortion.
+        seen: columns and rows at which scattered pixels are seen, px, (2, pixels).
     """
 
-    base: np.ndarray
-    column: float
-    row: float
-    magnified: float
-    widened: float
-    away: np.ndarray
+    field: LensField
+    highlight: tuple[float, float]
+    seen: np.ndarray
 
-    def moved(self, column: np.ndarray, row: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the undistorted places of scattered pixels, px, under changes of the field, (2,)."""
-        k1 = change[0] - self.base[0]
-        return column - k1 * self.away[0], row - k1 * self.away[1]
+    def window(self, window: Window, change: np.ndarray) -> Window:
+        """Return a window's nodes as they are seen after the changes."""
+        return through_lens(window, changed_field(self.field, change), self.highlight)
 
-    def applied(self, at: np.ndarray, change: np.ndarray, lobe: int) -> np.ndarray:
-        """Return a picture's parameters, (parameters,), under changes of the field, (2,). lobe: number of the lobe's."""
-        k1, growth = change - self.base
-        there = at.copy()
-        there[lobe + SCENE.index("lens")] += self.widened * growth
-        there[lobe + SCENE.index("radius")] *= 1 + self.magnified * k1
-        there[lobe + len(SCENE)] += self.column * k1
-        there[lobe + len(SCENE) + 1] += self.row * k1
-        return there
+    def places(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the undistorted columns and rows of the scattered pixels, px."""
+        return changed_field(self.field, change).true_place(*self.seen)
 
-    def slopes(self, at: np.ndarray, lobe: int) -> np.ndarray:
-        """Return the derivatives of a picture's parameters by both changes, (parameters, 2)."""
-        slopes = np.zeros((at.size, len(FIELD)))
-        slopes[lobe + SCENE.index("lens"), 1] = self.widened
-        slopes[lobe + SCENE.index("radius"), 0] = self.magnified * at[lobe + SCENE.index("radius")]
-        slopes[lobe + len(SCENE) : lobe + len(SCENE) + 2, 0] = self.column, self.row
-        return slopes
+    def places_slopes(self, change: np.ndarray) -> np.ndarray:
+        """Return the derivatives of `places` by k1, (2, pixels)."""
+        ahead, here = (np.array(self.places(np.array([change[0] + by, change[1]]))) for by in (STEP, 0.0))
+        return (ahead - here) / STEP
 
-
-def field_change(
-    field: LensField,
-    base: np.ndarray,
-    centre: tuple[float, float],
-    highlight: tuple[float, float],
-    scattered: tuple[np.ndarray, np.ndarray],
-) -> FieldChange:
-    """Return what changes of a field do about a highlight.
-
-    Args:
-        field: of the lens.
-        base: changes that it already contains, (2,).
-        centre: column and row of the outline's centre, px.
-        highlight: its column and row, px.
-        scattered: columns and rows of pixels elsewhere, px; all without distortion.
-    """
-    away = np.array(highlight) - field.centre
-    rho2 = float(away @ away) / field.unit**2
-    magnified = 2 * rho2  # mean of 1 and 3 rho^2, across and along the radius
-    column, row = away * rho2 - magnified * (np.array(highlight) - centre)
-    widened = field.beyond(*highlight) / field.blur_scale(*highlight)
-    there = np.array(scattered) - np.array(field.centre)[:, None]
-    bent = there * (there**2).sum(0) / field.unit**2
-    return FieldChange(base.copy(), float(column), float(row), magnified, widened, np.where(abs(bent) < 1e3, bent, 0.0))
+    def widening(self, change: np.ndarray) -> float:
+        """Return the derivative of ln of the lens's width at the highlight by the growth."""
+        return self.field.beyond(*self.highlight) / changed_field(self.field, change).blur_scale(*self.highlight)
 
 
 def changed_field(field: LensField, change: np.ndarray) -> LensField:
@@ -95,6 +59,13 @@ def changed_field(field: LensField, change: np.ndarray) -> LensField:
         for one, by in zip((field.k1, field.growth), change, strict=True)
     )
     return replace(field, k1=k1, growth=growth)
+
+
+def found_field(field: LensField, change: np.ndarray, std: np.ndarray) -> LensField:
+    """Return a field with the changes that were found, (2,), and their standard deviations, (2,)."""
+    found = changed_field(field, change)
+    k1, growth = (Coefficient(one.value, float(by)) for one, by in zip((found.k1, found.growth), std, strict=True))
+    return replace(found, k1=k1, growth=growth)
 
 
 def outline_slopes(field: LensField, centre: tuple[float, float], radius: float) -> tuple[float, float, float]:
