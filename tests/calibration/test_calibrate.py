@@ -41,6 +41,9 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert loaded.pixel.half_width == 0.4
     assert "16 edges" in loaded.provenance.source
     assert found.edges_dataset().sizes["edge"] == 16
+    # edges tell that the blur does not grow; nothing tells the distortion
+    assert loaded.field.k1 == (0.0, 0.01)
+    assert abs(loaded.field.growth.value) < 4 * loaded.field.growth.std < 0.4
 
 
 def test_a_linear_image_is_a_picture_of_one_colour():

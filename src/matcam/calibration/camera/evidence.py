@@ -154,7 +154,7 @@ class PicturePlan:
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 registration, samples = targets.registration, targets.samples
-                dots = _dot_places(self.chart, targets)
+                dots = dot_places(self.chart, targets)
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
             if edges is not None:
                 try:
@@ -168,7 +168,7 @@ class PicturePlan:
         return findings, remarks
 
 
-def _dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
+def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
     """Return every measured dot of a picture with its place on the page, which the registration tells well enough."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
