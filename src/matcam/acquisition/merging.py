@@ -14,6 +14,7 @@ import numpy as np
 
 from matcam.acquisition.bracket_sample import same_colour_neighbours
 from matcam.acquisition.light.bracket_reading import in_order
+from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
@@ -29,7 +30,12 @@ _BRIGHT = 30.0
 
 
 def merge(
-    capture: Capture, region: Region | None = None, progress: Progress | None = None, *, workers: int = 1
+    capture: Capture,
+    region: Region | None = None,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    kept: KeptWork | None = None,
 ) -> tuple[list[MergedPicture], Radiometry]:
     """Measure a capture's radiometry, and merge the exposures of every lamp position.
 
@@ -41,6 +47,7 @@ def merge(
             own, or all. Default: None.
         progress: called after each lamp position of both passes. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Returns:
         The merged pictures in the order of the lamps, and the radiometry.
@@ -48,25 +55,63 @@ def merge(
     Raises:
         FitError: no lamp position has a frame that can be read.
     """
-    radiometry = measure_radiometry(capture, region, progress, workers=workers)
+    radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     pictures = []
-    for number, picture in enumerate(merged_pictures(capture, radiometry, workers)):
+    for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
         pictures.append(picture)
         if progress:
             progress("merging", number + 1, len(radiometry.used))
     return pictures, radiometry
 
 
-def merged_pictures(capture: Capture, radiometry: Radiometry, workers: int = 1) -> Iterator[MergedPicture]:
+def merged_pictures(
+    capture: Capture, radiometry: Radiometry, workers: int = 1, kept: KeptWork | None = None
+) -> Iterator[MergedPicture]:
     """Yield the merged picture of each lamp position, one at a time.
 
     Args:
         capture: where the frames lie.
         radiometry: what their codes mean, as from `measure_radiometry`.
         workers: lamp positions that are merged at a time. Default: 1.
+        kept: where merged pictures are kept for a run that goes on. Default: None, nowhere.
     """
     reader = MosaicReader(capture)
+    if kept is not None:
+        yield from _kept_pictures(capture, radiometry, reader, workers, kept)
+        return
     yield from in_order(lambda lamp: merge_position(capture, lamp, radiometry, reader), list(radiometry.used), workers)
+
+
+def _kept_pictures(
+    capture: Capture, radiometry: Radiometry, reader: MosaicReader, workers: int, kept: KeptWork
+) -> Iterator[MergedPicture]:
+    """Yield merged pictures, those that were kept from disk."""
+    known = radiometry.to_dict()
+    del known["remarks"], known["lamp_output"]
+    flat = radiometry.flat
+    levels = [value for one in radiometry.darkness.values() for value in (one.level, one.hot)]
+    about = fingerprint(
+        known,
+        capture.settings["camera"],
+        radiometry.region,
+        *levels,
+        *(() if flat is None else (flat.response, flat.std)),
+    )
+
+    def one(lamp: str) -> MergedPicture:
+        paths = [capture.folder / frame.file for frame in radiometry.used[lamp]]
+
+        def made() -> dict[str, np.ndarray]:
+            picture = merge_position(capture, lamp, radiometry, reader)
+            names = ("values", "std", "clipped", "channel", "origin")
+            return {name: np.asarray(getattr(picture, name)) for name in names}
+
+        found = kept.store(f"merged {lamp} {about}\n{identity(paths)}", made)
+        origin = int(found["origin"][0]), int(found["origin"][1])
+        parts = {name: found[name] for name in ("values", "std", "clipped", "channel")}
+        return MergedPicture(lamp, **parts, channels=radiometry.channels, origin=origin)
+
+    yield from in_order(one, list(radiometry.used), workers)
 
 
 def merge_position(

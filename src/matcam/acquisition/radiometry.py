@@ -27,6 +27,7 @@ from matcam.acquisition.exposure_ratios import (
 )
 from matcam.acquisition.light.bracket_reading import BracketReading, in_order
 from matcam.acquisition.light.flat_field import FlatField, measure_flat
+from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
@@ -137,6 +138,7 @@ def measure_radiometry(
     lamps: Sequence[str] | None = None,
     *,
     workers: int = 1,
+    kept: KeptWork | None = None,
 ) -> Radiometry:
     """Measure what the codes of a capture's frames mean.
 
@@ -147,6 +149,7 @@ def measure_radiometry(
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
         workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Returns:
         The radiometry; frames that cannot be used are named in its remarks.
@@ -166,7 +169,7 @@ def measure_radiometry(
     used: dict[str, tuple[CaptureFrame, ...]] = {}
     largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
-    reading = BracketReading(capture, reader, region, names, darkness, noise)
+    reading = BracketReading(capture, reader, region, names, darkness, noise, kept)
     say = progress or (lambda step, done, total: None)
     for number, found in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
         remarks += found.remarks

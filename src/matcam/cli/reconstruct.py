@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,17 +30,26 @@ def command(
             help="MERL file to write; -pinhole.binary, .nc, .json and .html go beside it. Default: DIR-reconstructed.binary.",
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            help="Lamp positions whose frames are read at a time. Default: one for each core, 4 at most.",
+            min=1,
+        ),
+    ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
     """Reconstruct a material from photographs of a sphere under a moved lamp, with its error budget.
 
-    Frames that cannot be used are listed and left out (exit code 1).
+    Frames that cannot be used are listed and left out (exit code 1). A run that was cut off goes on where its frames were read.
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """
     from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
+    from matcam.core.io import check_output, user_cache_folder
 
     target = output or Path(f"{capture.resolve().name}-reconstructed.binary")
     if target.suffix.lower() != ".binary":
@@ -60,7 +70,13 @@ def command(
 
     with show.stepping() as watch:
         result = reconstruct(
-            capture, ndf, masking=None if masking == "none" else masking, diffuse=diffuse, progress=watch
+            capture,
+            ndf,
+            masking=None if masking == "none" else masking,
+            diffuse=diffuse,
+            progress=watch,
+            workers=workers or min(os.cpu_count() or 1, 4),
+            keep=user_cache_folder() / "captures",
         )
     document = {**result.to_dict(), "files": [str(path) for path in files.values()]}
     _write(result, document, files, capture, force)

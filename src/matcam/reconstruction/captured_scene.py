@@ -12,6 +12,7 @@ from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import Highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
 from matcam.acquisition.lamps.lamp_table import explain_lamp_table
+from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
@@ -76,12 +77,16 @@ class CapturedScene(NamedTuple):
     units: tuple[Known, ...] | None = None
 
 
-def captured_scene(capture: Capture, progress: Progress | None = None) -> CapturedScene:
+def captured_scene(
+    capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
+) -> CapturedScene:
     """Merge a capture's frames, and find outline, highlights and lamps.
 
     Args:
         capture: as from `read_capture`.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Raises:
         ArgumentError: the capture is not of a sphere.
@@ -113,7 +118,7 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     if capture.of("outline"):
         outline, shape = _backlit_outline(capture, sighting, capture.region, remarks)
         region = capture.region or _about(outline, shape)
-    pictures, radiometry = merge(capture, region, progress)
+    pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     if capture.settings["lamp"]["intensity"] == "table":
         pictures = _under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)

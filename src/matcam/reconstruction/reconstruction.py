@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core import checks
+from matcam.core.errors import ArgumentError
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, read_capture
@@ -242,6 +244,8 @@ def reconstruct(
     masking: Masking = "smith",
     diffuse: bool = True,
     progress: Progress | None = None,
+    workers: int = 1,
+    keep: str | Path | None = None,
 ) -> Reconstruction:
     """Reconstruct a material from photographs of a sphere under a moved lamp.
 
@@ -256,6 +260,9 @@ def reconstruct(
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         diffuse: whether the material may have a Lambertian part. Default: True.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: lamp positions whose frames are read at a time, in threads. Default: 1.
+        keep: folder in which what was read of the frames is kept until the end, so that a run that is cut off goes on.
+            Default: None, nothing is kept.
 
     Returns:
         Table, parameters, geometry, error budget and remarks.
@@ -281,7 +288,10 @@ def reconstruct(
     if not isinstance(capture, Capture):
         capture = read_capture(capture)
     say = progress or (lambda step, done, total: None)
-    found = captured_scene(capture, progress)
+    if type(workers) is not int or workers < 1:
+        raise ArgumentError(f"workers must be a whole number >= 1, got {workers!r:.60}")
+    kept = None if keep is None else KeptWork(Path(keep))
+    found = captured_scene(capture, progress, workers=workers, kept=kept)
     steps = iter(range(1, 1000))
     result = reconstructed(
         found.pictures,
@@ -297,6 +307,8 @@ def reconstruct(
         ),
         progress=lambda line: say(f"fitting ({line})", next(steps), 0),
     )
+    if kept is not None:
+        kept.clear()
     return replace(result, captured=found)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
@@ -11,6 +11,7 @@ import numpy as np
 
 from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
 from matcam.acquisition.darkness import Darkness
+from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import correlation_remarks
 from matcam.core.errors import FileFormatError
@@ -84,6 +85,7 @@ class BracketReading:
         names: of the exposures.
         darkness: of each exposure.
         noise: standard deviation of one pixel's read noise, DN.
+        kept: where what was read is kept; None: nowhere.
     """
 
     capture: Capture
@@ -92,10 +94,33 @@ class BracketReading:
     names: Sequence[str]
     darkness: dict[str, Darkness]
     noise: float
+    kept: KeptWork | None = None
     _shape: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Tell what all brackets depend on."""
+        about = (
+            self.region,
+            self.capture.reference_region,
+            self.capture.settings["camera"],
+            list(self.names),
+            self.noise,
+        )
+        levels = [value for name in self.names for value in (self.darkness[name].level, self.darkness[name].hot)]
+        self._about = "" if self.kept is None else fingerprint(*about, *levels)
 
     def read(self, numbered: tuple[int, str]) -> ReadBracket:
         """Return what is kept of a lamp position, given its number and name."""
+        if self.kept is None:
+            return self._read(numbered)
+        frames = self.capture.of("frames", lamp=numbered[1])
+        paths = [self.capture.folder / frame.file for frame in frames]
+        text = f"bracket {numbered} {self._shape} {self._about} {frames}\n{identity(paths)}"
+        arrays = self.kept.store(text, lambda: _packed(self._read(numbered), self._shape))
+        self._shape = self._shape or tuple(arrays["shape"].tolist()) or None
+        return _unpacked(arrays, numbered[1], frames)
+
+    def _read(self, numbered: tuple[int, str]) -> ReadBracket:
         number, lamp = numbered
         remarks: list[Remark] = []
         bracket = self._bracket(lamp, remarks)
@@ -175,6 +200,36 @@ class BracketReading:
             numbers,
             np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
         )
+
+
+def _packed(found: ReadBracket, shape: tuple[int, ...] | None) -> dict[str, np.ndarray]:
+    sample = {} if found.sample is None else {f"sample_{k}": np.asarray(v) for k, v in found.sample._asdict().items()}
+    return {
+        "used": np.array([frame.file for frame in found.used], dtype=str),
+        "lacking": np.array(found.lacking, dtype=str),
+        "range": np.array([found.largest, found.smallest]),
+        "codes": np.array([remark.code for remark in found.remarks], dtype=str),
+        "texts": np.array([remark.text for remark in found.remarks], dtype=str),
+        "shape": np.array(shape or (), dtype=int),
+        **sample,
+    }
+
+
+def _unpacked(arrays: Mapping[str, np.ndarray], lamp: str, frames: Sequence[CaptureFrame]) -> ReadBracket:
+    sample = None
+    if "sample_lamp" in arrays:
+        parts = {name: arrays[f"sample_{name}"] for name in BracketSample._fields if name != "lamp"}
+        sample = BracketSample(lamp=lamp, **parts)
+    by_file = {frame.file: frame for frame in frames}
+    largest, smallest = (float(value) for value in arrays["range"])
+    return ReadBracket(
+        tuple(by_file[name] for name in arrays["used"].tolist()),
+        tuple(arrays["lacking"].tolist()),
+        sample,
+        largest,
+        smallest,
+        tuple(Remark(*pair) for pair in zip(arrays["codes"].tolist(), arrays["texts"].tolist(), strict=True)),
+    )
 
 
 def _most(codes: np.ndarray) -> float:

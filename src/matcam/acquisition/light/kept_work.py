@@ -1,0 +1,102 @@
+"""Keep what was read of a capture's frames on disk, so that a run that was cut off goes on where it was.
+
+A file belongs to what it was made of: the frames (name, size, time of change, first and last 64 KiB of each), the settings,
+and the package's version. It is believed only whole (core/sealed.py). A run that ends well removes its files; what is older
+than two weeks is removed by the next.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from matcam.core.sealed import read_sealed, write_sealed
+
+_PIECE = 1 << 16  # bytes of either end of a frame
+_OLD = 14 * 86400.0  # s
+
+
+@dataclass
+class KeptWork:
+    """Keep arrays of one run.
+
+    Attributes:
+        folder: where files lie; it is made when something is kept.
+
+    Example:
+        >>> import tempfile
+        >>> kept = KeptWork(Path(tempfile.mkdtemp()))
+        >>> kept.store("squares", lambda: {"of three": np.array(9)})["of three"]
+        array(9)
+        >>> kept.store("squares", lambda: {})["of three"]  # it is not made again
+        array(9)
+    """
+
+    folder: Path
+    _files: set[Path] = field(default_factory=set)
+
+    def store(self, description: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
+        """Return the arrays that `make` returned for this description before, from disk, or call it.
+
+        Args:
+            description: text that holds all that the arrays depend on.
+            make: function that computes the arrays.
+        """
+        key = f"{metadata.version('matcam')}\n{description}".encode()
+        path = self.folder / f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
+        self._files.add(path)
+        stored = read_sealed(path, key)
+        if stored is not None:
+            with np.load(io.BytesIO(stored), allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
+        arrays = make()
+        packed = io.BytesIO()
+        np.savez(packed, **arrays)  # type: ignore[arg-type]
+        write_sealed(path, key, packed.getvalue())
+        return arrays
+
+    def clear(self) -> None:
+        """Remove what this run kept, and what others left long ago."""
+        with contextlib.suppress(OSError):
+            old = [path for path in self.folder.glob("*.npz") if path.stat().st_mtime < time.time() - _OLD]
+            self._files.update(old)
+        for path in self._files:
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def identity(paths: Iterable[Path]) -> str:
+    """Return what tells these files from others, and from themselves once they have changed."""
+    lines = []
+    for path in paths:
+        try:
+            about = path.stat()
+            with path.open("rb") as file:
+                digest = hashlib.sha256(file.read(_PIECE))
+                file.seek(max(about.st_size - _PIECE, 0))
+                digest.update(file.read(_PIECE))
+        except OSError as error:  # whoever reads it will say what is wrong
+            lines.append(f"{path.name} {error.strerror}")
+            continue
+        lines.append(f"{path.name} {about.st_size} {about.st_mtime_ns} {digest.hexdigest()}")
+    return "\n".join(lines)
+
+
+def fingerprint(*values: object) -> str:
+    """Return a hash of arrays and of plain values."""
+    digest = hashlib.sha256()
+    for value in values:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype} {value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).data)
+        else:
+            digest.update(repr(value).encode())
+    return digest.hexdigest()
