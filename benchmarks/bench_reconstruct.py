@@ -136,7 +136,7 @@ def measure(folder: Path) -> None:
         parts[name], walls[name] = parts.get(name, 0.0) + now - last[0], walls.get(name, 0.0) + wall - last[1]
         last[:] = [now, wall]
 
-    found = reconstruct(folder, progress=progress)
+    found = reconstruct(folder, progress=progress, workers=2)
     progress("table and budget", 1, 1)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     for name, seconds in parts.items():

@@ -62,7 +62,12 @@ def test_a_simulated_capture_is_what_it_states(matcam, tmp_path):
         frame = next(f for f in capture.of("frames", lamp=lamp["lamp"]) if f.exposure == "E3")
         codes = capture.read(frame).values.astype(float)
         view = View(40.0, 40.0, 25.0, 0.5, 0.5, *truth["centre_px"], codes.shape)
-        clean = picture(Surface("ggx", 0.05, n=tuple(n), k=tuple(k), diffuse=(0.0,)), view, np.array(lamp["direction"]))
+        clean = picture(
+            Surface("ggx", 0.05, n=tuple(n), k=tuple(k), diffuse=(0.0,)),
+            view,
+            np.array(lamp["direction"]),
+            lamp["shift_px"],
+        )
         channel = np.tile(np.array(MOSAICS["RGGB"]), (codes.shape[0] // 2, codes.shape[1] // 2))
         clean = np.take_along_axis(clean, channel[..., None], axis=2)[..., 0]
         electrons = truth["electrons_per_radiance"] * 16 * lamp["gain"] * clean
@@ -70,6 +75,16 @@ def test_a_simulated_capture_is_what_it_states(matcam, tmp_path):
         used = (electrons < 29_000) & (np.indices(codes.shape).max(0) > 46)
         assert abs(pull[used].mean()) < 0.05
         assert 0.9 < pull[used].std() < 1.1
+        # the patch, by the law itself: reflectance / pi, cosine over distance squared, from the lamp to its middle
+        middle = np.array([23.5 - truth["centre_px"][0], truth["centre_px"][1] - 23.5, 0]) * np.sqrt(40**2 - 1) ** -1
+        way = 25 * np.array(lamp["direction"]) - middle
+        radiance = truth["patch"]["reflectance"] / np.pi * way[2] * 25**2 / np.linalg.norm(way) ** 3
+        light = (codes[4:44, 4:44].mean() - 256) / 0.5
+        if radiance > 0:
+            assert light == pytest.approx(truth["electrons_per_radiance"] * 16 * lamp["gain"] * radiance, rel=5e-3)
+    stated = np.array([lamp["stated_deg"][0] - lamp["angle_deg"] for lamp in truth["lamps"]])
+    assert 0 < np.abs(stated).max() < 1.5
+    assert all(np.abs(lamp["shift_px"]).max() > 0 for lamp in truth["lamps"])
 
 
 @pytest.mark.slow

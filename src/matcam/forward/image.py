@@ -43,6 +43,7 @@ def picture(
     azimuth: ArrayLike = 0.0,
     *,
     shape: tuple[int, int] | None = None,
+    shift: tuple[float, float] = (0.0, 0.0),
     error: float | None = None,
     exposure: float | None = None,
     seed: Seed | None = None,
@@ -64,6 +65,8 @@ def picture(
         azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. The pixels do not turn with it. On a cylinder 0
             or pi. Default: 0, the lamp towards +x (right); pi / 2 is towards +y (up).
         shape: (height, width), px. Default: the rig's crop, or what holds the sample and its blur.
+        shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
+            none.
         error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
             Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak).
         exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
@@ -90,6 +93,9 @@ def picture(
         (('row', 'column', 'channel'), (3, 5, 1))
     """
     view = _view(material, rig, (lamp_angle, azimuth), shape)
+    if any(shift):
+        right, down = (float(checks.within(f"shift[{k}]", one, -1e4, 1e4, "px")) for k, one in enumerate(shift))
+        view = view._replace(x=view.x - right, y=view.y + down)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
     if error is None:
         values = _exact_record(material, view)

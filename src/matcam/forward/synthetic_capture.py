@@ -1,7 +1,8 @@
 """A whole capture of a known material, as a rig would have taken it: brackets of mosaic frames, darks, outline, reference.
 
 For practice and for planning. It is drawn with this package's own forward model: what is reconstructed from it tests everything
-but that model. The sphere does not move from one lamp position to the next.
+but that model. What the capture states is wrong as a lab's is: lamp table, exposure times, distances, reflectance of the patch.
+The sphere moves a little from one lamp position to the next, and the lamp's light drifts.
 """
 
 from __future__ import annotations
@@ -35,6 +36,22 @@ _FIELD = 0.6  # of the full well, by the bright field of an outline frame
 _FINE = 8  # points a px along a limb
 
 
+class WhitePatch(NamedTuple):
+    """State a white patch beside the sphere that faces the camera, and how well that is known.
+
+    Attributes:
+        reflectance: no unit. Default: 0.98.
+        reflectance_std: error of what is stated of it. Default: 0.003.
+        depth: how far it stands before the sphere's centre, towards the camera, radii. Default: 0.
+        depth_std: error of what is stated of it, radii. Default: 0.02.
+    """
+
+    reflectance: float = 0.98
+    reflectance_std: float = 0.003
+    depth: float = 0.0
+    depth_std: float = 0.02
+
+
 class CapturePlan(NamedTuple):
     """State what a synthetic capture consists of, and what is wrong with what it states.
 
@@ -47,6 +64,9 @@ class CapturePlan(NamedTuple):
         gain_std: of the lamp's light from one lamp position to the next, relative. Default: 0.005.
         time_std: true over nominal exposure time, relative. Default: 0.05.
         error: of the drawn pictures, a share of their peak (`picture`). Default: 1e-4.
+        shift_std: of the sphere from one lamp position to the next, along columns and rows, px. Default: 0.2.
+        distance_std: error of the stated distances, relative. Default: 0.005.
+        patch: the white patch that is in every frame; None: light that follows the lamp's output. Default: a usual one.
     """
 
     theta_d: Sequence[float]
@@ -57,6 +77,9 @@ class CapturePlan(NamedTuple):
     gain_std: float = 0.005
     time_std: float = 0.05
     error: float = 1e-4
+    shift_std: float = 0.2
+    distance_std: float = 0.005
+    patch: WhitePatch | None = WhitePatch()
 
 
 def simulate_capture(
@@ -117,17 +140,24 @@ def simulate_capture(
         about |= {} if lamp is None else {"azimuth_deg": f"{lamp['stated_deg'][1]:.4f}"}
         rows.append({"file": file, "exposure": names[exposure], "time_s": f"{nominal[exposure]:.8g}", **about})
 
+    shape = pictures[0].shape[:2]
     for lamp, radiance in zip(lamps, pictures, strict=True):
         for k, share in enumerate(relative):
             electrons = scale * share * lamp["gain"] * _mosaic(sensor, radiance)
             column, row, width, height = _REFERENCE
-            electrons[row : row + height, column : column + width] = _FIELD * well * share / relative[-1] * lamp["gain"]
+            here = np.s_[row : row + height, column : column + width]
+            if plan.patch is None:
+                electrons[here] = _FIELD * well * share / relative[-1] * lamp["gain"]
+            else:
+                electrons[here] = scale * share * lamp["gain"] * _patch_radiance(plan.patch, rig, sphere, lamp, shape)
             add(f"frames/{lamp['lamp']}_{names[k]}.tif", electrons, k, lamp)
-    shape = pictures[0].shape[:2]
     for k in range(plan.exposures):
         for number in (1, 2):
             add(f"dark/D{number}_{names[k]}.tif", np.zeros(shape), k)
-    add("outline/O1.tif", _FIELD * well * _before_field(rig, sphere, shape), 0)
+    outline_shifts = plan.shift_std * rng.standard_normal((2, 2))
+    for number, shift in enumerate(outline_shifts):
+        add(f"outline/O{number + 1}.tif", _FIELD * well * _before_field(rig, sphere, shape, shift), 0)
+    settings = _settings(rig, sphere, sensor, plan, rng)
     truth = {
         "format": "matcam capture truth",
         "material": repr(material),
@@ -135,14 +165,19 @@ def simulate_capture(
         "centre_px": [(shape[1] - 1) / 2, (shape[0] - 1) / 2],
         "camera_radii": _finite(sphere.distance),
         "lamp_radii": _finite(_lamp_distance(rig)),
-        "lamps": [{name: value for name, value in lamp.items() if name != "stated_deg"} for lamp in lamps],
-        "exposures": [{"exposure": n, "relative": float(r)} for n, r in zip(names, relative, strict=True)],
+        "lamps": lamps,
+        "outline_shift_px": outline_shifts.tolist(),
+        "patch": None if plan.patch is None else plan.patch._asdict(),
+        "exposures": [
+            {"exposure": n, "relative": float(r), "nominal_s": float(t)}
+            for n, r, t in zip(names, relative, nominal, strict=True)
+        ],
         "electrons_per_radiance": scale,
         "clip_dn": float(sensor.saturation * sensor.gain + sensor.black_level),
         "gain_dn_per_electron": float(sensor.gain),
         "seed": seed,
     }
-    write_description(folder, _settings(rig, sphere, sensor, plan), rows, force=force)
+    write_description(folder, settings, rows, force=force)
     with replacing(folder / "camera.json", force=force) as temporary:
         temporary.write_text(json.dumps(rig.camera.profile(), indent=2) + "\n", encoding="utf-8")
     write_json(folder / "truth.json", truth, force=force)
@@ -182,6 +217,7 @@ def _lamps(plan: CapturePlan, sphere: Sphere, rig: Rig, rng: np.random.Generator
             "azimuth_deg": math.degrees(plan.azimuth),
             "theta_d_deg": math.degrees(float(np.asarray(plan.theta_d, float)[number])),
             "gain": math.exp(plan.gain_std * rng.standard_normal()),
+            "shift_px": (plan.shift_std * rng.standard_normal(2)).tolist(),
             "stated_deg": stated.tolist(),
         }
 
@@ -190,7 +226,8 @@ def _drawn(material: Material, rig: Rig, sphere: Sphere, plan: CapturePlan, lamp
     """Return radiance (height, width, channels) of one lamp position."""
     side = 2 * (math.ceil(float(sphere.radius)) + _MARGIN)
     angle = math.radians(lamp["angle_deg"])
-    image = picture(material, rig, angle, plan.azimuth, shape=(side, side), error=plan.error).values
+    shift = (lamp["shift_px"][0], lamp["shift_px"][1])
+    image = picture(material, rig, angle, plan.azimuth, shape=(side, side), shift=shift, error=plan.error).values
     return image if image.ndim == 3 else image[..., None]
 
 
@@ -211,13 +248,29 @@ def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) ->
     return np.clip(np.round(code + float(sensor.black_level)), 0, 2 ** int(sensor.bits or 16) - 1)
 
 
-def _before_field(rig: Rig, sphere: Sphere, shape: tuple[int, int]) -> np.ndarray:
+def _patch_radiance(
+    patch: WhitePatch, rig: Rig, sphere: Sphere, lamp: dict[str, Any], shape: tuple[int, int]
+) -> np.ndarray:
+    """Return the radiance of a white patch under unit irradiance at the sphere's centre (docs/model.md 10), 1/sr."""
+    column, row, width, height = _REFERENCE
+    x, y = np.meshgrid(
+        np.arange(column, column + width) - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - np.arange(row, row + height)
+    )
+    q, w = (0.0 if math.isinf(d) else 1 / d for d in (float(sphere.distance), _lamp_distance(rig)))
+    shrink = (1 - q * patch.depth) / (float(sphere.radius) * math.sqrt(1 - q**2))
+    place = np.stack([x * shrink, y * shrink, np.full(x.shape, patch.depth)], axis=-1)
+    way = np.array(lamp["direction"]) - w * place
+    irradiance = np.maximum(way[..., 2], 0) / np.linalg.norm(way, axis=-1) ** 3
+    return np.asarray(patch.reflectance / math.pi * irradiance)
+
+
+def _before_field(rig: Rig, sphere: Sphere, shape: tuple[int, int], shift: np.ndarray) -> np.ndarray:
     """Return the share of a bright field's light that each pixel sees past the sphere.
 
     Along a limb of hundreds of pixels' radius the edge is straight: the camera's edge spread function at the distance from it.
     """
     rows, columns = np.indices(shape)
-    x, y = columns - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - rows
+    x, y = columns - (shape[1] - 1) / 2 - shift[0], (shape[0] - 1) / 2 + shift[1] - rows
     beyond = np.hypot(x, y) - float(sphere.radius)
     near = np.abs(beyond) < 12
     out = (beyond > 0).astype(float)
@@ -240,15 +293,30 @@ def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(float(value)) else None
 
 
-def _settings(rig: Rig, sphere: Sphere, sensor: Sensor, plan: CapturePlan) -> dict[str, Any]:
-    distances = {"camera_mm": float(sphere.distance), "lamp_mm": _lamp_distance(rig)}
+def _settings(rig: Rig, sphere: Sphere, sensor: Sensor, plan: CapturePlan, rng: np.random.Generator) -> dict[str, Any]:
+    """Return capture.toml: what is known, as wrong as it is stated to be."""
+    spread = plan.distance_std
+    distances = {
+        "camera_mm": float(sphere.distance) * (1 + spread * rng.standard_normal()),
+        "lamp_mm": _lamp_distance(rig) * (1 + spread * rng.standard_normal()),
+    }
+    reference: dict[str, Any] = {"kind": "monitor", "region_px": list(_REFERENCE)}
+    if plan.patch is not None:
+        stated = plan.patch.reflectance + plan.patch.reflectance_std * rng.standard_normal()
+        depth = plan.patch.depth + plan.patch.depth_std * rng.standard_normal()
+        reference |= {
+            "kind": "diffuse",
+            "reflectance": [float(min(stated, 1.0)), plan.patch.reflectance_std],
+            "depth_mm": [_RADIUS_MM * depth, _RADIUS_MM * plan.patch.depth_std],
+            "tilt_std_deg": 0.1,
+        }
     return {
         "format": "matcam capture",
         "version": 1,
         "camera": {"profile": "camera.json"} | ({"cfa": sensor.cfa} if sensor.cfa else {}),
         "sample": {"kind": "sphere", "radius_mm": [_RADIUS_MM, 0.005]},
         "distances": {
-            name: [_RADIUS_MM * d, 0.005 * _RADIUS_MM * d] for name, d in distances.items() if math.isfinite(d)
+            name: [_RADIUS_MM * d, spread * _RADIUS_MM * d] for name, d in distances.items() if math.isfinite(d)
         },
         "lamp": {
             "motion": "arc",
@@ -256,6 +324,6 @@ def _settings(rig: Rig, sphere: Sphere, sensor: Sensor, plan: CapturePlan) -> di
             "intensity": "reference",
             "gain_std": max(plan.gain_std, 1e-4),
         },
-        "reference": {"kind": "monitor", "region_px": list(_REFERENCE)},
+        "reference": reference,
         "outline": {"field_beyond_deg": 0.0},
     }

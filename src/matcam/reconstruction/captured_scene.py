@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.capture_check import dark_disc
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import Highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
@@ -116,11 +117,12 @@ def captured_scene(
     sighting = Sighting(distance=distance)
     outline, region = None, capture.region
     if capture.of("outline"):
-        outline, shape = _backlit_outline(capture, sighting, capture.region, remarks)
+        found, shape = (capture.region, ()) if capture.region else _about_disc(capture)
+        outline = _backlit_outline(capture, sighting, found, remarks)
         region = capture.region or _about(outline, shape)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
-    if capture.settings["lamp"]["intensity"] == "table":
-        pictures = _under_one_light(pictures, capture)
+    shares = _light_shares(capture, pictures) if capture.settings["lamp"]["intensity"] == "table" else {}
+    pictures = [_under_one_light(one, shares[one.name]) if shares else one for one in pictures]
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
@@ -149,7 +151,7 @@ def captured_scene(
     centres = np.tile([ball.column, ball.row], (len(seen), 1)) if centres is None else centres[seen]
     stated, stds = _stated_lamps(capture, [one.name for one in pictures], lamps, remarks)
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    light = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, lamp_nearness, remarks)
+    light = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, lamp_nearness, shares, remarks)
     lamp_radius = _lamp_radius(capture)
     scene = SphereScene(
         camera=camera,
@@ -205,11 +207,11 @@ def _undistorted(
     return true, centres, moved
 
 
-def _under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
-    """Divide the pictures by their lamps' stated light; their mean over lamps and colours is kept."""
+def _light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[str, np.ndarray]:
+    """Return the lamps' stated light over the mean of lamps and colours, by channel."""
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
     mean = float(np.mean([light.mean() for light in stated.values()]))
-    found = []
+    found = {}
     for one in pictures:
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
@@ -217,9 +219,13 @@ def _under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> lis
                 f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
                 "colours: give one, or one of each"
             )
-        share = np.broadcast_to(light, len(one.channels))[one.channel]
-        found.append(replace(one, values=one.values / share, std=one.std / share))
+        found[one.name] = np.broadcast_to(light, len(one.channels))
     return found
+
+
+def _under_one_light(one: MergedPicture, share: np.ndarray) -> MergedPicture:
+    """Divide a picture by its lamp's stated light."""
+    return replace(one, values=one.values / share[one.channel], std=one.std / share[one.channel])
 
 
 def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
@@ -237,10 +243,8 @@ def _lamp_radius(capture: Capture) -> float:
     return 0.0 if distance is None else float(radius / distance[0])
 
 
-def _backlit_outline(
-    capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]
-) -> tuple[Outline, tuple[int, ...]]:
-    """Return the outline before a bright field, from the mean of the frames that show one, and their height and width."""
+def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]) -> Outline:
+    """Return the outline before a bright field, from the mean of the frames that show one."""
     reader = MosaicReader(capture)
     total: np.ndarray | None = None
     count, scatter = 0, 0.0
@@ -280,7 +284,24 @@ def _backlit_outline(
     )
     beyond = np.radians(capture.settings["outline"]["field_beyond_deg"])
     reach = float(beyond), float(beyond) / 3
-    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach), mean.shape
+    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach)
+
+
+def _about_disc(capture: Capture) -> tuple[Region | None, tuple[int, ...]]:
+    """Return the part of the frames about the dark disc of the first outline frame, and the frames' shape.
+
+    None: all of them, as there is no plain disc.
+    """
+    reader = MosaicReader(capture)
+    for frame in capture.of("outline"):
+        try:
+            codes = reader.read(frame)
+        except MatcamError:
+            continue
+        column, row, radius = dark_disc(codes)
+        reach = radius * (1 + 2 * _MARGIN) + 8
+        return (_box(column, row, reach, codes.shape) if np.isfinite(radius) else None), codes.shape
+    return None, ()
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
@@ -299,12 +320,12 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
 
 def _about(outline: Outline, shape: tuple[int, ...]) -> Region:
     """Return the part of a frame about an outline: first column and row even, so that a mosaic stays one."""
-    reach = outline.radius * (1 + _MARGIN) + 4
-    left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (outline.column, outline.row))
-    right, bottom = (
-        min(int(np.ceil(centre + reach)), size)
-        for centre, size in zip((outline.column, outline.row), shape[::-1], strict=True)
-    )
+    return _box(outline.column, outline.row, outline.radius * (1 + _MARGIN) + 4, shape)
+
+
+def _box(column: float, row: float, reach: float, shape: tuple[int, ...]) -> Region:
+    left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (column, row))
+    right, bottom = (int(np.ceil(min(at + reach, size))) for at, size in zip((column, row), shape[::-1], strict=True))
     return left, top, right - left, bottom - top
 
 
@@ -357,6 +378,7 @@ def _gains(
     lamps: np.ndarray,
     ball: MirrorBall,
     nearness: Known,
+    shares: dict[str, np.ndarray],
     remarks: list[Remark],
 ) -> PatchLight:
     """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
@@ -366,7 +388,7 @@ def _gains(
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
         found = patch_light(
             _patch(capture, region),
-            [radiometry.reference_light[name] for name in names],
+            [_divided(radiometry.reference_light[name], shares.get(name)) for name in names],
             lamps,
             ball,
             Stated(*nearness),
@@ -389,7 +411,15 @@ def _gains(
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
+    gain = gain / [shares[name].mean() if shares and good else 1.0 for name, good in zip(names, known, strict=True)]
     return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
+
+
+def _divided(light: Sequence[Stated], share: np.ndarray | None) -> Sequence[Stated]:
+    """Return the reference's light under a lamp of the usual light, as the pictures are."""
+    if share is None:
+        return light
+    return [Stated(one.value / float(part), one.std / float(part)) for one, part in zip(light, share, strict=True)]
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:
