@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from jax.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 
 
-def number(name: str, value: ArrayLike) -> jax.Array:
+def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Return `value` as a float64 array; ArgumentError where it is not numeric or not finite."""
     if not is_concrete(value):
         return jnp.asarray(value, dtype=jnp.float64)
@@ -103,7 +104,7 @@ def not_masked(name: str, value: Any) -> None:
         )
 
 
-def _as_float64(name: str, value: ArrayLike) -> np.ndarray:
+def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:
     not_masked(name, value)
     try:
         array = np.asarray(value)

@@ -62,7 +62,7 @@ def unpack_program(packed: bytes) -> Any:
     output = jax.tree.structure(_as_tuples(json.loads(head)))
     client = jax.devices()[0].client
     unloaded, infos, no_kwargs = _Unpickler(io.BytesIO(stored), client, client.devices()).load()
-    inputs = jax.tree.structure(((0,) * len(infos), {}))
+    inputs: Any = jax.tree.structure(((0,) * len(infos), {}))
     return jax.stages.Compiled(unloaded.load(), [], inputs.unflatten(infos), output, no_kwargs=no_kwargs)
 
 

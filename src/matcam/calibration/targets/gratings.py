@@ -194,7 +194,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
         >>> np.round(matcam.targets.coltman(f, [0.95, 0.7, 0.4, 0.15, 0.0]), 3)
         array([0.851, 0.55 , 0.314, 0.118, 0.   ])
     """
-    f, c = (np.asarray(checks.number(*a)) for a in (("frequency", frequency), ("contrast", contrast)))
+    f, c = np.asarray(checks.number("frequency", frequency)), np.asarray(checks.number("contrast", contrast))
     if f.ndim != 1 or f.shape != c.shape or f.size < 2 or not (np.diff(f) > 0).all() or not f[0] > 0:
         raise ArgumentError(
             f"frequency must rise from above 0, with one finite contrast each, got {f.shape} and {c.shape}"
