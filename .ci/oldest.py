@@ -11,7 +11,7 @@ from pathlib import Path
 
 EXTRAS = ("app", "raw", "render", "scale")
 ALSO = ("pandas<3", "pyparsing<3.3", "click<8.3")
-"""Not asked for by us, but by the oldest xarray, Matplotlib and typer: with later ones they warn, which fails tests."""
+"""Needed by the oldest xarray, Matplotlib and typer, which warn with later ones: a warning fails a test."""
 
 
 def constraints(project: dict) -> list[str]:
