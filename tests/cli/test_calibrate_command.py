@@ -43,7 +43,8 @@ def chart(tmp_path):
 
 
 def test_profile_page_and_table(calibrate, chart, tmp_path):
-    code, out, err = calibrate("chart.tif", "--tone", "linear")
+    chart = chart.rename("chart$^x$.tif")  # no formula: it would be none
+    code, out, err = calibrate(chart.name, "--tone", "linear")
     assert code == 0, err
     assert "grey: optics.sigma_px = 0.5" in out
     assert "the camera explains the edges" in out
@@ -51,26 +52,26 @@ def test_profile_page_and_table(calibrate, chart, tmp_path):
         "camera-edges.csv",
         "camera.json",
         "camera.png",
-        "chart.tif",
+        "chart$^x$.tif",
     ]
     camera = Camera.load("camera.json")
     std = camera.uncertainty.std()["optics.sigma_px"]
     assert abs(camera.optics.sigma - 0.5) < 4 * std
-    assert "chart.tif" in camera.provenance.source
+    assert "chart$^x$.tif" in camera.provenance.source
     header, *lines = (tmp_path / "camera-edges.csv").read_text().splitlines()
     assert header.startswith("edge,x_px,y_px,angle_rad,sigma_px,mtf50_cycles_per_px")
     assert len(lines) == 16
-    code, _, err = calibrate("chart.tif")
+    code, _, err = calibrate(chart.name)
     assert (code, err.count("\n")) == (2, 1)
     assert "camera.json exists: use --force" in err
     # a bad picture among good ones: the rest is used
     (tmp_path / "bad.png").write_bytes(b"nothing")
     code, out, err = calibrate(
-        "chart.tif", "bad.png", "--tone", "linear", "--json", "-o", "out/c.json", "--figure", "out/c.svg"
+        chart.name, "bad.png", "--tone", "linear", "--json", "-o", "out/c.json", "--figure", "out/c.svg"
     )
     assert code == 1, err
     found = json.loads(out)
-    assert found["pictures"] == ["chart.tif"]
+    assert found["pictures"] == [chart.name]
     assert found["failed"] == {"bad.png": "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"}
     assert found["channels"]["grey"]["consistent"] is True
     assert err == "matcam: left out: bad.png: neither TIFF, PNG, JPEG, OpenEXR nor camera raw\n"

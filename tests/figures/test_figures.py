@@ -25,7 +25,7 @@ def figures():
     result.attrs["source"] = "a-rather-long-name-of-a-material.binary"
     edge = slanted_edge.photographs(slanted_edge.gaussian(0.5), 100, 1, 3)[0]
     return {
-        "edge": edge_figure(edge_mtf(edge), edge, None, "a-rather-long-name-of-a-photograph.tif"),
+        "edge": edge_figure(edge_mtf(edge), edge, None, r"a-rather-long-name-$\frac$-photograph.tif"),
         "figure 3": highlight_figure(paper.figure_3_4(10.0)),
         "figure 4": highlight_figure(paper.figure_3_4(1.0)),
         "figure 5": loss_figure(paper.figure_5()),

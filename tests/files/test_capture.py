@@ -96,6 +96,11 @@ BAD_SETTINGS = {
     "reflectance": ({**SETTINGS, "reference": {"kind": "diffuse", "reflectance": 98}}, "field reference.reflectance"),
     "profile outside": ({**SETTINGS, "camera": {"profile": "../camera.json"}}, "leads out of"),
     "not TOML": ("format = matcam capture", "not TOML"),
+    "lamp inside": ({**SETTINGS, "distances": {"lamp_mm": 24}}, "field distances.lamp_mm: must lie outside"),
+    "too many digits": ("format = 'matcam capture'\nversion = " + "9" * 900, "version 9999"),
+    "a number that no float holds": ({**SETTINGS, "sample": {"radius_mm": 10**400}}, "must be finite"),
+    "a key without end": ("a." * 30_000 + "a = 1", "line 1 has 60005 characters"),
+    "a name that is none": ({**SETTINGS, "camera": {"profile": "a\0.json"}}, "no name that is plain text"),
     "infinite": ("format = 'matcam capture'\nversion = 1\n[sample]\nradius_mm = inf", "must be finite"),
 }
 

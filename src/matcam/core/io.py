@@ -309,7 +309,7 @@ def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
-    return f"field {printable(field):.100}: {first['msg'][0].lower()}{first['msg'][1:]}"
+    return printable(f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}")
 
 
 def plain(value: Any) -> Any:

@@ -39,7 +39,11 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
         _draw_edge_mtf(axes["mtf"], result)
         _draw_edge_residuals(axes["residual"], result)
         figure.suptitle(
-            f"{name}: edge with its normal at {np.degrees(result.angle):.2f}°", x=0.01, ha="left", fontsize=11
+            f"{name}: edge with its normal at {np.degrees(result.angle):.2f}°",
+            x=0.01,
+            ha="left",
+            fontsize=11,
+            parse_math=False,  # dollars may stand in a file's name
         )
     return figure
 
@@ -157,13 +161,21 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
         _draw_field(axes["field"], found, picture)
         axes["words"].axis("off")
         axes["words"].text(
-            0, 1, "\n".join(lines), va="top", fontsize=8.5, family="monospace", transform=axes["words"].transAxes
+            0,
+            1,
+            "\n".join(lines),
+            va="top",
+            fontsize=8.5,
+            family="monospace",
+            transform=axes["words"].transAxes,
+            parse_math=False,
         )
     return figure
 
 
 def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channel: str) -> None:
-    axes.set_title(f"Edges of {fit.edges.source[0] if fit.edges is not None else 'no picture'}, {channel}", loc="left")
+    source = fit.edges.source[0] if fit.edges is not None else "no picture"
+    axes.set_title(f"Edges of {source}, {channel}", loc="left", parse_math=False)
     axes.grid(False)
     if picture is None or fit.edges is None:
         axes.axis("off")

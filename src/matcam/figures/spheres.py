@@ -88,7 +88,7 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
             figure.subplots(1, len(pictures), squeeze=False)[0], pictures.items(), strict=True
         ):
             axes.imshow(srgb.encoded(np.clip(picture * exposure, 0, 1)), interpolation="nearest")
-            axes.set_title(title)
+            axes.set_title(title, parse_math=False)
             axes.set_axis_off()
         figure.supxlabel(f"{light}; white: radiance {1 / exposure:.3g}", fontsize=8.5, color=GREY)
     return figure

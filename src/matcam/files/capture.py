@@ -39,7 +39,7 @@ KINDS = ("frames", "dark", "flat", "outline", "reference")
 COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
 _WHAT = "a capture"
 _LARGEST = 4 << 20  # bytes of frames.csv
-_TOO_LARGE = 1e300
+_TOO_LARGE = 1e12
 _MOST = 20_000  # lines of frames.csv
 _NAME = re.compile(r"[\w.+-]{1,60}")
 
@@ -299,6 +299,13 @@ def read_settings(path: Path) -> dict[str, Any]:
         settings = _Settings.model_validate(document).model_dump()
     except ValidationError as error:
         raise FileFormatError(f"{path}: {first_problem(error)}") from None
+    radius = settings["sample"]["radius_mm"]
+    for name, distance in settings["distances"].items():
+        if radius is not None and distance is not None and not distance[0] > radius[0]:
+            raise FileFormatError(
+                f"{path}: field distances.{name}: must lie outside of the sample, whose radius is {radius[0]:g} mm, "
+                f"got {distance[0]:g} mm"
+            )
     cfa = settings["camera"]["cfa"]
     if cfa is not None and cfa not in CFAS:
         raise FileFormatError(f"{path}: field camera.cfa: must be one of {', '.join(CFAS)}, got {cfa!r:.20}")

@@ -107,7 +107,10 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
         raise ArgumentError(f"tone curve is not monotone: it falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
     at = np.arange(int(np.ceil(codes[-1])) + 1)
     with np.errstate(all="ignore"):  # codes or values of 1e-300: what is not finite then is refused
-        inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
+        try:
+            inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
+        except ValueError:
+            raise ArgumentError("tone curve is too steep to be followed: give points that lie less close") from None
         slope = (values[1] - values[0]) / (codes[1] - codes[0])
         curve = inside + np.minimum(at - codes[0], 0) * slope
     return checked_curve(curve)
