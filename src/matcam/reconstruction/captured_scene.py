@@ -48,7 +48,7 @@ class CapturedScene(NamedTuple):
         scene: what is known beforehand.
         lamps: directions to the lamps as the highlights say, (pictures, 3).
         radiometry: what the codes mean.
-        outline: the sphere's outline.
+        outline: the sphere's outline; None: of another sample.
         left_out: names of the lamp positions that cannot be used.
         remarks: what a reader should know.
     """
@@ -57,7 +57,7 @@ class CapturedScene(NamedTuple):
     scene: SphereScene
     lamps: np.ndarray
     radiometry: Radiometry
-    outline: Outline
+    outline: Outline | None
     left_out: tuple[str, ...]
     remarks: tuple[Remark, ...]
 
@@ -75,24 +75,11 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     """
     kind = capture.settings["sample"]["kind"]
     if kind != "sphere":
-        raise ArgumentError(
-            f"{capture.folder}: sample.kind is {kind!r}: photographs of a sphere can be reconstructed so far"
-        )
+        raise ArgumentError(f"{capture.folder}: sample.kind is {kind!r}: the outline of a 'sphere' is looked for here")
     remarks: list[Remark] = list(capture.problems)
-    camera = capture_camera(capture)
-    if camera is None:
-        camera = Camera(GaussianOptics(_GUESSED_LENS.value))
-        remarks.append(
-            Remark(
-                "lens-guessed",
-                f"no camera profile: the lens is taken as {_GUESSED_LENS.value:g} +- {_GUESSED_LENS.std:g} px",
-            )
-        )
-        spread = _GUESSED_LENS.std / _GUESSED_LENS.value
-    else:
-        spread = lens_std(camera)
-    camera_nearness = _nearness(capture.camera_radii, "camera", remarks)
-    lamp_nearness = _nearness(capture.lamp_radii, "lamp", remarks)
+    camera, spread = captured_lens(capture, remarks)
+    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
+    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
     distance = 1 / camera_nearness.value if camera_nearness.value > 0 else np.inf
     sighting = Sighting(distance=distance)
     outline, region = None, capture.region
@@ -126,8 +113,8 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     centres = np.tile([outline.column, outline.row], (len(seen), 1)) if centres is None else centres[seen]
     stated, stds = _stated_lamps(capture, [one.name for one in pictures], lamps, remarks)
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    gain, gain_std = _gains(capture, radiometry, [one.name for one in pictures], lamps, ball, far)
-    lamp_radius = _lamp_radius(capture)
+    gain, gain_std = gains_of(capture, radiometry, [one.name for one in pictures], lamps, ball, far)
+    lamp_radius = lamp_radius_of(capture)
     scene = SphereScene(
         camera=camera,
         lens_std=spread,
@@ -146,7 +133,18 @@ def captured_scene(capture: Capture, progress: Progress | None = None) -> Captur
     return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, tuple(dict.fromkeys(remarks)))
 
 
-def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
+def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
+    """Return a capture's camera and the relative standard deviation of its lens; without a profile a guess, remarked."""
+    camera = capture_camera(capture)
+    if camera is not None:
+        return camera, lens_std(camera)
+    value, std = _GUESSED_LENS
+    remarks.append(Remark("lens-guessed", f"no camera profile: the lens is taken as {value:g} +- {std:g} px"))
+    return Camera(GaussianOptics(value)), std / value
+
+
+def known_nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
+    """Return one over a stated distance, in radii; of one that is not stated a guess, remarked."""
     if distance is None:
         remarks.append(
             Remark(f"{of}-distance-not-stated", f"the {of}'s distance is not stated: 25 radii or more are assumed")
@@ -155,7 +153,7 @@ def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
     return Known(1 / distance.value, max(distance.std, 1e-6 * distance.value) / distance.value**2)
 
 
-def _lamp_radius(capture: Capture) -> float:
+def lamp_radius_of(capture: Capture) -> float:
     """Return the lamp's angular radius, rad; 0 where its size or distance is not stated."""
     radius, distance = capture.settings["lamp"]["radius_mm"][0], capture.settings["distances"]["lamp_mm"]
     return 0.0 if distance is None else float(radius / distance[0])
@@ -164,24 +162,7 @@ def _lamp_radius(capture: Capture) -> float:
 def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]) -> Outline:
     """Return the outline before a bright field, from the mean of the frames that show one."""
     reader = MosaicReader(capture)
-    total: np.ndarray | None = None
-    count, scatter = 0, 0.0
-    for frame in capture.of("outline"):
-        try:
-            codes = reader.read(frame, region).astype(np.float64) - _dark(reader, capture, frame, region)
-        except MatcamError as error:
-            remarks.append(Remark("bad-frame", str(error)))
-            continue
-        if total is not None and total.shape != codes.shape:
-            remarks.append(
-                Remark("bad-frame", f"{capture.folder / frame.file}: is not of the other outline frames' size")
-            )
-            continue
-        total = codes if total is None else total + codes
-        count += 1
-    if total is None:
-        raise FitError(f"{capture.folder / 'outline'}: none of its frames can be read")
-    mean = total / count
+    mean = mean_outline_frame(reader, capture, region, remarks)
     # photon noise in codes, from the smoothest neighbourhoods: differences of pixels of one colour
     step = 1 if reader.cfa is None else 2
     difference = mean[step:] - mean[:-step]
@@ -202,6 +183,30 @@ def _backlit_outline(capture: Capture, sighting: Sighting, region: Region | None
     )
     beyond = np.radians(capture.settings["outline"]["field_beyond_deg"])
     return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=(float(beyond), float(beyond) / 3))
+
+
+def mean_outline_frame(
+    reader: MosaicReader, capture: Capture, region: Region | None, remarks: list[Remark]
+) -> np.ndarray:
+    """Return the mean of the frames before a bright field, less dark; those that cannot be used are remarked."""
+    total: np.ndarray | None = None
+    count = 0
+    for frame in capture.of("outline"):
+        try:
+            codes = reader.read(frame, region).astype(np.float64) - _dark(reader, capture, frame, region)
+        except MatcamError as error:
+            remarks.append(Remark("bad-frame", str(error)))
+            continue
+        if total is not None and total.shape != codes.shape:
+            remarks.append(
+                Remark("bad-frame", f"{capture.folder / frame.file}: is not of the other outline frames' size")
+            )
+            continue
+        total = codes if total is None else total + codes
+        count += 1
+    if total is None:
+        raise FitError(f"{capture.folder / 'outline'}: none of its frames can be read")
+    return np.asarray(total / count)
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
@@ -247,7 +252,7 @@ def _stated_lamps(
     return stated, stds
 
 
-def _gains(
+def gains_of(
     capture: Capture, radiometry: Radiometry, names: Sequence[str], lamps: np.ndarray, ball: MirrorBall, far: float
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return each picture's light by the reference and its relative standard deviation; where there is none, what is stated."""

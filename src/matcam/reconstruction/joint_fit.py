@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -21,7 +21,7 @@ from scipy.special import log_ndtr
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.observed_pixels import ObservedPixels
-from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, PictureModel, Recorded
+from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, Recorded
 
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
 _HUBER = 4.0
@@ -87,6 +87,18 @@ class JointLayout(NamedTuple):
         return np.concatenate([np.arange(self.lobe + len(SCENE)), np.arange(own.start, own.stop)])
 
 
+class PixelModel(Protocol):
+    """Say what pixels record of unit strengths, with derivatives by the parameters of one picture where asked for."""
+
+    def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
+        """Return what the pixels about the highlight record; two axes, flattened in order."""
+
+    def pixels(
+        self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        """Return what the other pixels record; one axis."""
+
+
 @dataclass(frozen=True)
 class JointProblem:
     """Hold pictures, model and what is known beforehand.
@@ -105,7 +117,7 @@ class JointProblem:
         fixed: parameters that stay as they are, (size,).
     """
 
-    model: PictureModel
+    model: PixelModel
     layout: JointLayout
     pixels: Sequence[ObservedPixels]
     frames: Sequence[LampFrame]

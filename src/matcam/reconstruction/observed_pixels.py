@@ -6,12 +6,12 @@ half angle say what tails and diffuse part are. They are drawn evenly in the log
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.reconstruction.picture_rule import WINDOW, Window, window_about
+from matcam.reconstruction.picture_rule import WINDOW, window_about
 
 SCATTERED = 768
 """Pixels of a picture beside its window."""
@@ -26,7 +26,7 @@ class ObservedPixels(NamedTuple):
     """Hold the chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
 
     Attributes:
-        window: nodes and pixels about the highlight.
+        window: nodes and pixels about the highlight, as the model takes them.
         column: of the scattered pixels, px, (SCATTERED,).
         row: of the scattered pixels, px, (SCATTERED,).
         values: of all pixels, (WINDOW^2 + SCATTERED,); 0 where not used.
@@ -36,7 +36,7 @@ class ObservedPixels(NamedTuple):
         used: pixels that hold a value and are fitted.
     """
 
-    window: Window
+    window: Any
     column: np.ndarray
     row: np.ndarray
     values: np.ndarray

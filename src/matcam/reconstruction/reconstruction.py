@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,14 @@ from matcam.core import checks
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, read_capture
-from matcam.inverse.fit.fit_parameters import half_maximum_angle, readable_value
+from matcam.inverse.fit.fit_parameters import LobeKind, half_maximum_angle, readable_value
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import MASKINGS, Masking
 from matcam.reconstruction.captured_scene import INCOMPLETE, CapturedScene, Progress, captured_scene
-from matcam.reconstruction.chosen_lobe import chosen_fit
+from matcam.reconstruction.chosen_lobe import FitOfPictures, chosen_fit
+from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
+from matcam.reconstruction.cylinder.captured_cylinder import captured_cylinder
+from matcam.reconstruction.cylinder.cylinder_fit import fit_cylinder
 from matcam.reconstruction.error_budget import (
     Inseparable,
     Ratio,
@@ -29,11 +33,12 @@ from matcam.reconstruction.error_budget import (
     reflectance_ratio,
     strongest,
 )
+from matcam.reconstruction.flat.flat_reconstruction import FlatReconstruction, reconstruct_flat
 from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
-from matcam.reconstruction.sphere_fit import SphereFit
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 
 FORMAT, VERSION = "matcam reconstruction", 1
@@ -49,7 +54,8 @@ class Reconstruction:
     """Hold the material that photographs show, and how well they determine it.
 
     Attributes:
-        table: Dataset over the MERL grid: `brdf` and `brdf_std` (1/sr), `supported`.
+        table: Dataset with `brdf` and `brdf_std` (1/sr), `supported`: over the MERL grid; of an anisotropic material over
+            theta_h, phi_h, theta_d and phi_d.
         pinhole: what binning the same pictures as a perfect camera gives, 1/sr; None: not made.
         fit: the joint fit.
         curves: F of each channel over theta_d.
@@ -60,6 +66,7 @@ class Reconstruction:
         tried: unexplained share of the light by lobe.
         remarks: what a reader should know.
         captured: what the capture's frames said before the fit; None: the pictures were merged elsewhere. Default: None.
+        sample: "sphere" or "cylinder": what was photographed. Default: "sphere".
     """
 
     table: xr.Dataset
@@ -72,6 +79,7 @@ class Reconstruction:
     tried: dict[str, float]
     remarks: tuple[Remark, ...]
     captured: CapturedScene | None = None
+    sample: str = "sphere"
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -83,8 +91,7 @@ class Reconstruction:
             if not fit.kind.bends:  # of a bent lobe they say nothing
                 value, slope = readable_value(name, float(p[index]))
                 found[name] = value, slope * float(std[index])
-        lobe = slice(0, fit.kind.size)
-        found["hwhm_rad"] = half_maximum_angle(fit.kind, p[lobe], fit.solution.covariance[lobe, lobe])
+        found |= _half_widths(fit)
         width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
         scale = float(np.exp(p[fit.layout.scene][0]))
         scale_std = scale * float(std[fit.layout.scene][0])
@@ -149,10 +156,11 @@ class Reconstruction:
     @property
     def verdict(self) -> str:
         """Say what came out, in plain words."""
-        value, std = np.degrees(self.parameters["hwhm_rad"])
+        widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
+        half_width = " and ".join(f"{value:.4g} +- {std:.1g}°" for value, std in widths)
         low, high = np.degrees(self.measured_range)
         bent = " bent" if self.fit.kind.bends else ""
-        lobe = f"{self.fit.kind.family} lobe{bent} of half width {value:.4g} +- {std:.1g}°"
+        lobe = f"{self.fit.kind.family} lobe{bent} of half width {half_width}"
         words = [
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the table's entries are supported."
@@ -202,7 +210,13 @@ class Reconstruction:
             "format": FORMAT,
             "version": VERSION,
             "verdict": self.verdict,
-            "lobe": {"family": fit.kind.family, "masking": fit.kind.masking, "bent": fit.kind.bends > 0},
+            "sample": self.sample,
+            "lobe": {
+                "family": fit.kind.family,
+                "masking": fit.kind.masking,
+                "bent": fit.kind.bends > 0,
+                "anisotropic": fit.kind.stretched,
+            },
             "parameters": {name: list(pair) for name, pair in self.parameters.items()},
             "geometry": self.geometry,
             "fresnel": {
@@ -234,28 +248,30 @@ def reconstruct(
     masking: Masking = "smith",
     diffuse: bool = True,
     progress: Progress | None = None,
-) -> Reconstruction:
-    """Reconstruct a material from photographs of a sphere under a moved lamp.
+) -> Reconstruction | FlatReconstruction:
+    """Reconstruct a material from photographs of a sample under a moved lamp.
 
-    Frames are merged by what they say of exposures, noise and clipping. Outline and highlights give the geometry a start. Then
-    lobe, reflectance, diffuse part, lens, outline, lamps and distances are fitted to the pixels of all pictures at once, within
-    what the capture states of each. Every error of the result contains all of them, and what the fit does not explain.
+    The sample is a sphere, a cylinder or a flat one. Frames are merged by what they say of exposures, noise and clipping.
+    Outline and highlights give the geometry a start. Then lobe, reflectance, diffuse part, lens, outline, lamps and distances
+    are fitted to the pixels of all pictures at once, within what the capture states of each. Every error of the result
+    contains all of them, and what the fit does not explain.
+    Of a flat sample maps are estimated, frequency by frequency of its texture.
 
     Args:
         capture: as from `files.capture.read_capture`, or its folder.
         ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the likelier of "ggx" and
-            "epd", bent where that explains more.
+            "epd", bent where that explains more; of a cylinder with strips of several turns, GGX with two roughnesses.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         diffuse: whether the material may have a Lambertian part. Default: True.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
 
     Returns:
-        Table, parameters, geometry, error budget and remarks.
+        Table, parameters, geometry, error budget and remarks; of a flat sample maps and what of them is lost.
 
     Raises:
-        ArgumentError: an argument is wrong, or the capture is not of a sphere.
+        ArgumentError: an argument is wrong, or does not suit the sample.
         FileFormatError: the capture's files are wrong.
-        FitError: there is no sphere, too few highlights, or nothing to fit.
+        FitError: there is no sphere or cylinder, too few highlights, or nothing to fit.
 
     Source:
         docs/model.md 10.
@@ -273,8 +289,17 @@ def reconstruct(
     if not isinstance(capture, Capture):
         capture = read_capture(capture)
     say = progress or (lambda step, done, total: None)
-    found = captured_scene(capture, progress)
     steps = iter(range(1, 1000))
+
+    def fitting(line: str) -> None:
+        say(f"fitting ({line})", next(steps), 0)
+
+    kind = capture.settings["sample"]["kind"]
+    if kind == "flat":
+        return reconstruct_flat(capture, ndf, masking=masking, progress=progress)
+    if kind == "cylinder":
+        return _of_cylinder(capture, ndf, masking, diffuse, progress, fitting)
+    found = captured_scene(capture, progress)
     result = reconstructed(
         found.pictures,
         found.scene,
@@ -284,9 +309,36 @@ def reconstruct(
         diffuse=diffuse,
         remarks=found.remarks,
         pinhole=lambda fit, unit: pinhole_reading([one for one in found.pictures if one.name in fit.names], fit, unit),
-        progress=lambda line: say(f"fitting ({line})", next(steps), 0),
+        progress=fitting,
     )
     return replace(result, captured=found)
+
+
+def _of_cylinder(
+    capture: Capture,
+    ndf: str,
+    masking: Masking,
+    diffuse: bool,
+    progress: Progress | None,
+    fitting: Callable[[str], None],
+) -> Reconstruction:
+    """Reconstruct from a cylinder: with two roughnesses where strips of different turns can tell them apart."""
+    found = captured_cylinder(capture, progress)
+    scene = found.scene
+    turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in found.strips}) > 1
+    stretched = ndf == AUTO and turned
+    result = reconstructed(
+        scene.pictures,
+        scene.scene,
+        scene.lamps,
+        family="ggx" if stretched else ndf,
+        masking=masking,
+        diffuse=diffuse,
+        remarks=scene.remarks,
+        progress=fitting,
+        fit_pictures=partial(fit_cylinder, strips=found.strips, stretched=stretched),
+    )
+    return replace(result, captured=scene, sample="cylinder")
 
 
 def reconstructed(
@@ -301,6 +353,7 @@ def reconstructed(
     remarks: Sequence[Remark] = (),
     pinhole: Callable[[SphereFit, float], xr.DataArray] | None = None,
     progress: Callable[[str], None] | None = None,
+    fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
 ) -> Reconstruction:
     """Reconstruct a material from merged pictures whose geometry is roughly known.
 
@@ -315,8 +368,18 @@ def reconstructed(
         remarks: of the steps before. Default: ().
         pinhole: makes the table of a pinhole from the fitted geometry and the unit. Default: None.
         progress: is called with a line about each step. Default: None.
+        fit_pictures: fits one family; of another sample than a sphere, its own. Default: `fit_sphere`.
     """
-    chosen = chosen_fit(pictures, scene, lamps, family, masking=masking, diffuse=diffuse, progress=progress)
+    chosen = chosen_fit(
+        pictures,
+        scene,
+        lamps,
+        family,
+        masking=masking,
+        diffuse=diffuse,
+        progress=progress,
+        fit_pictures=fit_pictures,
+    )
     fit = chosen.fit
     theta = fit.solution.theta_d
     curves = tuple(
@@ -348,7 +411,7 @@ def reconstructed(
         )
     spread = max(unit.std, 0.0) if np.isfinite(unit.std) else 0.0
     return Reconstruction(
-        table=material_table(fit, curves, unit.value, spread),
+        table=(anisotropic_table if fit.kind.stretched else material_table)(fit, curves, unit.value, spread),
         pinhole=None if pinhole is None else pinhole(fit, unit.value),
         fit=fit,
         curves=curves,
@@ -358,3 +421,15 @@ def reconstructed(
         tried=chosen.tried,
         remarks=tuple(every),
     )
+
+
+def _half_widths(fit: SphereFit) -> dict[str, tuple[float, float]]:
+    """Return the half width at half maximum of the lobe, rad; of one with two roughnesses along x and y."""
+    q, covariance = fit.solution.p, fit.solution.covariance
+    if not fit.kind.stretched:
+        lobe = slice(0, fit.kind.size)
+        return {"hwhm_rad": half_maximum_angle(fit.kind, q[lobe], covariance[lobe, lobe])}
+    # along an axis of the slopes the lobe is the isotropic one of that axis's roughness
+    plain = LobeKind(fit.kind.family, fit.kind.masking)
+    axes = (("x", slice(0, 1)), ("y", slice(1, 2)))
+    return {f"hwhm_{name}_rad": half_maximum_angle(plain, q[one], covariance[one, one]) for name, one in axes}
