@@ -30,7 +30,7 @@ from .material.ndf.ggx import GGX
 from .material.ndf.power_lobes import EPD, SGD
 from .material.optical_constants import metal
 from .material.reflectance import Conductor, Dielectric, Schlick, fresnel_conductor
-from .reconstruction.reconstruction import reconstruct
+from .reconstruction.from_capture import reconstruct
 from .rigs import Rig
 from .sample.curved import Cylinder, Sphere
 from .sample.shape import Flat

@@ -95,6 +95,18 @@ BAD_SETTINGS = {
     "mosaic": ({**SETTINGS, "camera": {"cfa": "RGBW"}}, "field camera.cfa: must be one of"),
     "reflectance": ({**SETTINGS, "reference": {"kind": "diffuse", "reflectance": 98}}, "field reference.reflectance"),
     "profile outside": ({**SETTINGS, "camera": {"profile": "../camera.json"}}, "leads out of"),
+    "strips of a sphere": (
+        {**SETTINGS, "sample": {"strip_rows_px": [[0, 9]]}},
+        "field sample: .*strip_rows_px belongs to a cylinder, and kind is sphere",
+    ),
+    "turns without strips": (
+        {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[0, 9]], "strip_turn_deg": [0.0, 90.0]}},
+        "field sample: .*strip_turn_deg has 2 angles for 1 strips",
+    ),
+    "rows backwards": (
+        {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[9, 0]]}},
+        "field sample: .*first row, last row",
+    ),
     "not TOML": ("format = matcam capture", "not TOML"),
     "lamp inside": ({**SETTINGS, "distances": {"lamp_mm": 24}}, "field distances.lamp_mm: must lie outside"),
     "too many digits": ("format = 'matcam capture'\nversion = " + "9" * 900, "version 9999"),

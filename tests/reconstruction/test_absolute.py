@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from matcam.files.capture import read_capture
-from matcam.reconstruction.reconstruction import reconstruct
+from matcam.reconstruction.from_capture import reconstruct
 from tests.oracle.capture import METALS, draw
 from tests.oracle.sphere_picture import Surface, View, fresnel
 

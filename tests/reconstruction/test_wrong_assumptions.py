@@ -6,7 +6,7 @@ Chromium, alpha = 0.02, 8 lamps, a grey sensor, drawn by the independent rendere
 import numpy as np
 import pytest
 
-from matcam.reconstruction.reconstruction import reconstruct
+from matcam.reconstruction.from_capture import reconstruct
 from tests.oracle.capture import METALS, Faults, Sensor, draw
 from tests.oracle.sphere_picture import Surface, View, fresnel
 

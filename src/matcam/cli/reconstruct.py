@@ -1,4 +1,4 @@
-"""`matcam reconstruct`: from a folder of photographs of a sphere to its material."""
+"""`matcam reconstruct`: from a folder of photographs of a sphere or another sample to its material."""
 
 from __future__ import annotations
 
@@ -50,14 +50,16 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Reconstruct a material from photographs of a sphere under a moved lamp, with its error budget.
+    """Reconstruct a material from photographs of a sphere, cylinder or flat sample, with its errors.
 
     Frames that cannot be used are listed and left out (exit code 1). A run that was cut off goes on where its frames were read.
+    Of a cylinder there is no pinhole table; an anisotropic material is in the .nc alone, which has the half vector's azimuth.
+    Maps of a flat sample are in the .nc.
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """
     from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output, user_cache_folder
+    from matcam.core.io import check_output, plain, user_cache_folder
 
     target = output or Path(f"{capture.resolve().name}-reconstructed.binary")
     if target.suffix.lower() != ".binary":
@@ -74,10 +76,10 @@ def command(
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    from matcam.reconstruction.reconstruction import reconstruct
+    from matcam.reconstruction.from_capture import reconstruct
 
     with show.stepping() as watch:
-        result = reconstruct(
+        result: Any = reconstruct(
             capture,
             ndf,
             masking=None if masking == "none" else masking,
@@ -87,14 +89,34 @@ def command(
             workers=workers or min(os.cpu_count() or 1, 4),
             keep=user_cache_folder() / "captures",
         )
-    document = {**result.to_dict(), "files": [str(path) for path in files.values()]}
-    _write(result, document, files, capture, force)
+    files = {name: path for name, path in files.items() if name in _files_of(result)}
+    document = plain({**result.to_dict(), "files": [str(path) for path in files.values()]})
+    if result.sample == "flat":
+        _write_maps(result, document, files, force)
+    else:
+        _write(result, document, files, capture, force)
     if json:
         show.as_json(document)
     else:
         _print(result, document)
     if not result.complete:
         raise typer.Exit(_SOME_FAILED)
+
+
+def _files_of(result: Any) -> tuple[str, ...]:
+    """Return which files a result fills."""
+    if result.sample == "flat":
+        return "data", "document"
+    table = () if "phi_h" in result.table.dims else ("table",)  # a MERL file has no azimuth of the half vector
+    return (*table, *(() if result.pinhole is None else ("pinhole",)), "data", "document", "page")
+
+
+def _write_maps(result: Any, document: dict[str, Any], files: dict[str, Path], force: bool) -> None:
+    from matcam.core.io import write_json
+    from matcam.files.datasets import write_netcdf
+
+    write_netcdf(files["data"], result.maps, force=force)
+    write_json(files["document"], document, force=force)
 
 
 def _write(result: Any, document: dict[str, Any], files: dict[str, Path], capture: Path, force: bool) -> None:
@@ -105,10 +127,16 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
     from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
 
-    write_merl(files["table"], result.table["brdf"], force=force)
-    # noise about 0 may be negative, which the format cannot say; the NetCDF file keeps it
-    write_merl(files["pinhole"], result.pinhole.clip(min=0.0, keep_attrs=True), force=force)
-    write_netcdf(files["data"], result.table.assign(pinhole=result.pinhole).merge(fitted_windows(result)), force=force)
+    data = result.table
+    if "table" in files:
+        write_merl(files["table"], data["brdf"], force=force)
+    if "pinhole" in files:
+        # noise about 0 may be negative, which the format cannot say; the NetCDF file keeps it
+        write_merl(files["pinhole"], result.pinhole.clip(min=0.0, keep_attrs=True), force=force)
+        data = data.assign(pinhole=result.pinhole)
+    if result.sample == "sphere":
+        data = data.merge(fitted_windows(result))
+    write_netcdf(files["data"], data, force=force)
     write_json(files["document"], document, force=force)
     exposures = [(name, value, std / value) for name, (value, std) in document["radiometry"]["exposures"].items()]
     write_reconstruction_page(
@@ -127,13 +155,13 @@ def _print(result: Any, document: dict[str, Any]) -> None:
         ("parameter", "value", "std"),
         [(name, f"{value:.5g}", f"{std:.2g}") for name, (value, std) in result.parameters.items()],
     )
-    budget = result.budget
-    columns = [("ratio", "F at grazing, %"), ("level", "absolute F, %"), ("roughness", "roughness, %")]
-    columns = [column for column in columns if column[0] in budget["total"]]
-    show.table(
-        ("source of error", *(words for _, words in columns)),
-        [(source, *(f"{100 * parts[key]:.2g}" for key, _ in columns)) for source, parts in budget.items()],
-    )
+    if result.sample != "flat":
+        columns = [("ratio", "F at grazing, %"), ("level", "absolute F, %"), ("roughness", "roughness, %")]
+        columns = [column for column in columns if column[0] in result.budget["total"]]
+        show.table(
+            ("source of error", *(words for _, words in columns)),
+            [(source, *(f"{100 * parts[key]:.2g}" for key, _ in columns)) for source, parts in result.budget.items()],
+        )
     show.say(document["verdict"])
     for one in document["remarks"]:
         show.say(f"note: {one['text']}")

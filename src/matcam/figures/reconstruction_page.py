@@ -13,6 +13,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.grid import merl_grid
 from matcam.core.remark import texts
 from matcam.figures.fitted_windows import fitted_windows, pinhole_slice
+from matcam.figures.strip_profiles import profile_figure
 from matcam.figures.style import BLUE, CYCLE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.reconstruction.picture_rule import WINDOW
 
@@ -48,16 +49,7 @@ def write_reconstruction_page(
         exposures: name, relative light and its standard deviation of each exposure. Default: none.
         force: whether to replace the file. Default: False.
     """
-    figures = [
-        ("Fresnel term: as the pictures say, and the curve through them", reflectance_figure(result)),
-        (
-            "The lobe, as a perfect camera would have measured it, and as a pinhole reads the same pictures",
-            lobe_figure(result),
-        ),
-        ("Highlights: recorded, fitted, and what is left", highlight_figure(result)),
-    ]
-    if overview is not None:
-        figures.insert(0, ("Outline and highlights that were found", overview_figure(result, overview)))
+    figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
     columns = [column for column in _BUDGET if column[0] in result.budget["total"]]
     content = {
         "name": name,
@@ -74,6 +66,27 @@ def write_reconstruction_page(
         "figures": [(title, inline_png(figure)) for title, figure in figures],
     }
     write_page(path, "reconstruction_page.html", content, force=force)
+
+
+def _of_cylinder(result: Reconstruction) -> list[tuple[str, Figure]]:
+    return [
+        ("Profiles of the strips about their highlights: recorded and fitted", profile_figure(result)),
+        ("Fresnel term: as the pictures say, and the curve through them", reflectance_figure(result)),
+    ]
+
+
+def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[tuple[str, Figure]]:
+    figures = [
+        ("Fresnel term: as the pictures say, and the curve through them", reflectance_figure(result)),
+        (
+            "The lobe, as a perfect camera would have measured it, and as a pinhole reads the same pictures",
+            lobe_figure(result),
+        ),
+        ("Highlights: recorded, fitted, and what is left", highlight_figure(result)),
+    ]
+    if overview is not None:
+        figures.insert(0, ("Outline and highlights that were found", overview_figure(result, overview)))
+    return figures
 
 
 def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:

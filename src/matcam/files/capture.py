@@ -21,16 +21,17 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError, WithJsonSchema
+from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
 from matcam.core.io import check_within, checked_version, first_problem, read_toml, reading
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture_frames import INTENSITY, CaptureFrame, LampGuess, stated_intensity
+from matcam.files.capture_settings import CaptureSettings, Stated
 from matcam.files.photographs import PICTURES, Photograph, open_photograph
 
 FORMAT, VERSION = "matcam capture", 1
@@ -39,99 +40,11 @@ KINDS = ("frames", "dark", "flat", "outline", "reference")
 COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
 _WHAT = "a capture"
 _LARGEST = 4 << 20  # bytes of frames.csv
-_TOO_LARGE = 1e12
 _MOST = 20_000  # lines of frames.csv
 _NAME = re.compile(r"[\w.+-]{1,60}")
 
 Region = tuple[int, int, int, int]
 """Part of a frame: first column, first row, width, height, px."""
-
-
-class Stated(NamedTuple):
-    """Hold a stated value with its standard deviation, in one unit; a standard deviation of 0 says that it is exact."""
-
-    value: float
-    std: float = 0.0
-
-
-def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJsonSchema]:
-    """Return what checks a value or [value, standard deviation] within limits, and its schema; it is kept as a list of two."""
-
-    def check(value: Any) -> list[float]:
-        pair = value if isinstance(value, list) else [value, 0.0]
-        if len(pair) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in pair):
-            raise ValueError("must be a value or [value, standard deviation]")
-        if not all(abs(v) < _TOO_LARGE for v in pair) or pair[1] < 0:  # whole numbers may be too large for a float
-            raise ValueError("must be finite, with a standard deviation of at least 0")
-        number, std = map(float, pair)
-        if not low <= number <= high:
-            raise ValueError(f"must lie in [{low:g}, {high:g}], got {number:g}")
-        return [number, std]
-
-    number = {"type": "number", "minimum": low}
-    pair = {"type": "array", "prefixItems": [number, {"type": "number", "minimum": 0}], "minItems": 2, "maxItems": 2}
-    return BeforeValidator(check), WithJsonSchema({"anyOf": [number, pair]})
-
-
-_Positive = Annotated[list[float], *_stated(1e-12)]
-_Share = Annotated[list[float], *_stated(0.0, 1.0)]
-_NotNegative = Annotated[list[float], *_stated(0.0)]
-_Either = Annotated[list[float], *_stated(-1e6)]
-_Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Camera(_Strict):
-    profile: str | None = None
-    cfa: str | None = None
-    tone: Literal["linear", "srgb"] = "linear"
-    accept_processed: bool = False
-    black_level_dn: FiniteFloat | None = None
-
-
-class _Sample(_Strict):
-    kind: Literal["sphere", "cylinder", "flat"] = "sphere"
-    radius_mm: _Positive | None = None
-    region_px: _Box | None = None
-
-
-class _Distances(_Strict):
-    camera_mm: _Positive | None = None
-    lamp_mm: _Positive | None = None
-
-
-class _LampSection(_Strict):
-    radius_mm: _NotNegative = [0.0, 0.0]
-    motion: Literal["arc", "free", "table"] = "free"
-    intensity: Literal["reference", "constant", "table"] = "constant"
-    gain_std: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.005
-    direction_std_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
-
-
-class _Reference(_Strict):
-    kind: Literal["diffuse", "monitor"]
-    reflectance: _Share | None = None
-    depth_mm: _Either | None = None
-    tilt_std_deg: Annotated[FiniteFloat, Field(ge=0, le=45)] = 1.0
-    region_px: _Box | None = None
-
-
-class _Outline(_Strict):
-    field_beyond_deg: Annotated[FiniteFloat, Field(ge=0, le=90)] = 3.0
-
-
-class _Settings(_Strict):
-    format: Literal["matcam capture"]
-    version: Literal[1]
-    camera: _Camera = _Camera()
-    sample: _Sample = _Sample()
-    distances: _Distances = _Distances()
-    lamp: _LampSection = _LampSection()
-    reference: _Reference | None = None
-    outline: _Outline = _Outline()
 
 
 @dataclass(frozen=True)
@@ -182,6 +95,10 @@ class Capture:
     def radius_mm(self) -> Stated | None:
         """Return the sample's radius, mm; None: not stated."""
         return _as_stated(self.settings["sample"]["radius_mm"])
+
+    def stated(self, name: str) -> Stated | None:
+        """Return a value of [sample] by its field's name, such as "axis_column_px"; None: not stated."""
+        return _as_stated(self.settings["sample"][name])
 
     @property
     def camera_radii(self) -> Stated | None:
@@ -296,7 +213,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     document = read_toml(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
     try:
-        settings = _Settings.model_validate(document).model_dump()
+        settings = CaptureSettings.model_validate(document).model_dump()
     except ValidationError as error:
         raise FileFormatError(f"{path}: {first_problem(error)}") from None
     radius = settings["sample"]["radius_mm"]
@@ -314,7 +231,7 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema of capture.toml."""
-    return _Settings.model_json_schema()
+    return CaptureSettings.model_json_schema()
 
 
 def _text(path: Path) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -59,6 +59,15 @@ class ChosenFit(NamedTuple):
     remarks: tuple[Remark, ...]
 
 
+class FitOfPictures(Protocol):
+    """Fit one family of lobes to all pictures of a sample: `fit_sphere`, or what stands in for it."""
+
+    def __call__(
+        self, pictures: Sequence[MergedPicture], scene: SphereScene, family: str = "ggx", **more: object
+    ) -> SphereFit:
+        """Return the fit; further arguments as of `fit_sphere`."""
+
+
 def chosen_fit(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
@@ -68,6 +77,7 @@ def chosen_fit(
     masking: Masking = "smith",
     diffuse: bool = True,
     progress: Callable[[str], None] | None = None,
+    fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
 ) -> ChosenFit:
     """Fit lobes of the candidate families and return the likeliest.
 
@@ -79,13 +89,14 @@ def chosen_fit(
         masking: the lobe's G. Default: "smith".
         diffuse: whether there is a Lambertian part. Default: True.
         progress: is called with a line about each step. Default: None.
+        fit_pictures: fits one family; of another sample than a sphere, its own. Default: `fit_sphere`.
     """
     say = progress or (lambda _: None)
     first = CANDIDATES[0] if family == AUTO else family
     remarks: list[Remark] = []
 
     def fitted(name: str, scene: SphereScene, **more: object) -> SphereFit:
-        return fit_sphere(
+        return fit_pictures(
             pictures,
             scene,
             name,
@@ -93,7 +104,7 @@ def chosen_fit(
             diffuse=diffuse,
             lamps=lamps,
             progress=lambda line: say(f"{name}: {line}"),
-            **more,  # type: ignore[arg-type]
+            **more,
         )
 
     best = fitted(first, scene)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -21,7 +21,7 @@ from scipy.special import log_ndtr
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.observed_pixels import ObservedPixels
-from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, PictureModel, Recorded
+from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, Recorded
 from matcam.reconstruction.rig.field_change import FIELD, STEP, FieldChange
 
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
@@ -93,6 +93,18 @@ class JointLayout(NamedTuple):
         return np.concatenate([np.arange(self.lobe + len(SCENE)), np.arange(own.start, own.stop)])
 
 
+class PixelModel(Protocol):
+    """Say what pixels record of unit strengths, with derivatives by the parameters of one picture where asked for."""
+
+    def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
+        """Return what the pixels about the highlight record; two axes, flattened in order."""
+
+    def pixels(
+        self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        """Return what the other pixels record; one axis."""
+
+
 @dataclass(frozen=True)
 class JointProblem:
     """Hold pictures, model and what is known beforehand.
@@ -112,7 +124,7 @@ class JointProblem:
         changes: what a change of the lens's field does to each picture; empty where the field is exact.
     """
 
-    model: PictureModel
+    model: PixelModel
     layout: JointLayout
     pixels: Sequence[ObservedPixels]
     frames: Sequence[LampFrame]
@@ -134,13 +146,14 @@ class JointProblem:
         """Return what the chosen pixels of picture k record of unit strengths, window first, with derivatives."""
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
         window, column, row = pixels.window, pixels.column, pixels.row
+        beside = at
         if self.changes:
             window = self.changes[k].window(window, p[self.layout.field])
             column, row = self.changes[k].places(p[self.layout.field])
+            # blur matters to pixels next to the highlight only: there it is the highlight's
+            beside = at.copy()
+            beside[self.layout.lobe] += np.log(window.widened)
         near, near_slopes = self.model.window(at, frame, window, slopes=slopes)
-        # blur matters to pixels next to the highlight only: there it is the highlight's
-        beside = at.copy()
-        beside[self.layout.lobe] += np.log(window.widened)
         far, far_slopes = self.model.pixels(beside, frame, column, row, slopes=slopes)
 
         def joined(first: np.ndarray, second: np.ndarray) -> np.ndarray:

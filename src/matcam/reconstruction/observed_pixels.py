@@ -6,13 +6,13 @@ half angle say what tails and diffuse part are. They are drawn evenly in the log
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.lens_field import LensField
-from matcam.reconstruction.picture_rule import WINDOW, Window, window_about
+from matcam.reconstruction.picture_rule import WINDOW, window_about
 
 SCATTERED = 768
 """Pixels of a picture beside its window."""
@@ -27,7 +27,7 @@ class ObservedPixels(NamedTuple):
     """Hold the chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
 
     Attributes:
-        window: nodes and pixels about the highlight.
+        window: nodes and pixels about the highlight, as the model takes them.
         column: of the scattered pixels, px without the lens's distortion, (SCATTERED,).
         row: likewise, (SCATTERED,).
         values: of all pixels, (WINDOW^2 + SCATTERED,); 0 where not used.
@@ -38,7 +38,7 @@ class ObservedPixels(NamedTuple):
         seen: columns and rows at which the frame shows the scattered pixels, px, (2, SCATTERED).
     """
 
-    window: Window
+    window: Any
     column: np.ndarray
     row: np.ndarray
     values: np.ndarray

@@ -108,8 +108,8 @@ def window_about(
     chord = np.maximum(chord, 1e-3)
     low_u = np.arcsin(np.clip((along - reach) / chord, -1, 1)).min()
     high_u = np.arcsin(np.clip((along + reach) / chord, -1, 1)).max()
-    v, weight_v = _graded(low_v, high_v, peak_v, scale, plateau, radius)
-    u, weight_u = _graded(
+    v, weight_v = graded_nodes(low_v, high_v, peak_v, scale, plateau, radius)
+    u, weight_u = graded_nodes(
         low_u, high_u, peak_u, scale / np.cos(peak_v), plateau / np.cos(peak_v), radius * np.cos(peak_v)
     )
     weight = (np.cos(v) ** 2 * weight_v)[:, None] * (np.cos(u) * weight_u)[None, :]
@@ -145,10 +145,10 @@ def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> flo
     return float(np.arctan2(stretch[1, 0], stretch[1, 1]))
 
 
-def _graded(
-    low: float, high: float, peak: float, scale: float, plateau: float, radius: float
+def graded_nodes(
+    low: float, high: float, peak: float, scale: float, plateau: float, radius: float, nodes: int = NODES
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return NODES nodes and weights in [low, high], in panels of Gauss's rule that hold an equal share of a density."""
+    """Return nodes and weights in [low, high], in panels of Gauss's rule that hold an equal share of a density."""
 
     def share(t: np.ndarray) -> np.ndarray:
         aside = t - peak
@@ -165,7 +165,7 @@ def _graded(
     )
     table = np.unique(np.clip(table, low, high))
     shares = share(table)
-    borders = np.interp(np.linspace(shares[0], shares[-1], NODES // _ORDER + 1), shares, table)
+    borders = np.interp(np.linspace(shares[0], shares[-1], nodes // _ORDER + 1), shares, table)
     borders[0], borders[-1] = low, high
     x, w = np.polynomial.legendre.leggauss(_ORDER)
     middle, half = (borders[1:] + borders[:-1]) / 2, np.diff(borders) / 2

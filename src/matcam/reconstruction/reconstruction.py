@@ -1,28 +1,22 @@
-"""The material behind photographs of a sphere, with its error budget: what `reconstruct` returns."""
+"""The material behind photographs, with its error budget: what `reconstruct` returns."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.profile import field_document
-from matcam.core import checks
-from matcam.core.errors import ArgumentError
-from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture, read_capture
-from matcam.inverse.fit.fit_parameters import half_maximum_angle, readable_value
+from matcam.inverse.fit.fit_parameters import LobeKind, half_maximum_angle, readable_value
 from matcam.inverse.fit.fit_setup import AUTO
-from matcam.material.masking import MASKINGS, Masking
-from matcam.reconstruction.captured_scene import INCOMPLETE, CapturedScene, Progress, captured_scene
-from matcam.reconstruction.chosen_lobe import chosen_fit
+from matcam.material.masking import Masking
+from matcam.reconstruction.chosen_lobe import FitOfPictures, chosen_fit
+from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
 from matcam.reconstruction.error_budget import (
     Inseparable,
     Ratio,
@@ -34,17 +28,16 @@ from matcam.reconstruction.error_budget import (
 )
 from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
-from matcam.reconstruction.pinhole_reading import pinhole_reading
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve, reflectance_curve
 from matcam.reconstruction.rig.earlier_rig import rig_covariance
 from matcam.reconstruction.rig.field_change import found_field
-from matcam.reconstruction.rig.rig_document import FORMAT, SCENE_NAMES, VERSION, EarlierRig, read_rig
-from matcam.reconstruction.sphere_fit import SphereFit
+from matcam.reconstruction.rig.rig_document import FORMAT, SCENE_NAMES, VERSION
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene
+from matcam.reconstruction.stated.captured_scene import INCOMPLETE, CapturedScene
 
 _JUDGED = np.radians(75.0)
 """theta_d at which the error budget is stated, where pictures reach it."""
-_BEYOND = np.radians(2.0)
 _POOR = 0.03
 """Unexplained share of the light from which the verdict warns."""
 
@@ -54,7 +47,8 @@ class Reconstruction:
     """Hold the material that photographs show, and how well they determine it.
 
     Attributes:
-        table: Dataset over the MERL grid: `brdf` and `brdf_std` (1/sr), `supported`.
+        table: Dataset with `brdf` and `brdf_std` (1/sr), `supported`: over the MERL grid; of an anisotropic material over
+            theta_h, phi_h, theta_d and phi_d.
         pinhole: what binning the same pictures as a perfect camera gives, 1/sr; None: not made.
         fit: the joint fit.
         curves: F of each channel over theta_d.
@@ -65,6 +59,7 @@ class Reconstruction:
         tried: unexplained share of the light by lobe.
         remarks: what a reader should know.
         captured: what the capture's frames said before the fit; None: the pictures were merged elsewhere. Default: None.
+        sample: "sphere" or "cylinder": what was photographed. Default: "sphere".
     """
 
     table: xr.Dataset
@@ -77,6 +72,7 @@ class Reconstruction:
     tried: dict[str, float]
     remarks: tuple[Remark, ...]
     captured: CapturedScene | None = None
+    sample: str = "sphere"
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -88,8 +84,7 @@ class Reconstruction:
             if not fit.kind.bends:  # of a bent lobe they say nothing
                 value, slope = readable_value(name, float(p[index]))
                 found[name] = value, slope * float(std[index])
-        lobe = slice(0, fit.kind.size)
-        found["hwhm_rad"] = half_maximum_angle(fit.kind, p[lobe], fit.solution.covariance[lobe, lobe])
+        found |= _half_widths(fit)
         width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
         scale = float(np.exp(p[fit.layout.scene][0]))
         scale_std = scale * float(std[fit.layout.scene][0])
@@ -167,10 +162,11 @@ class Reconstruction:
     @property
     def verdict(self) -> str:
         """Say what came out, in plain words."""
-        value, std = np.degrees(self.parameters["hwhm_rad"])
+        widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
+        half_width = " and ".join(f"{value:.4g} +- {std:.1g}°" for value, std in widths)
         low, high = np.degrees(self.measured_range)
         bent = " bent" if self.fit.kind.bends else ""
-        lobe = f"{self.fit.kind.family} lobe{bent} of half width {value:.4g} +- {std:.1g}°"
+        lobe = f"{self.fit.kind.family} lobe{bent} of half width {half_width}"
         words = [
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the table's entries are supported."
@@ -226,7 +222,13 @@ class Reconstruction:
             "format": FORMAT,
             "version": VERSION,
             "verdict": self.verdict,
-            "lobe": {"family": fit.kind.family, "masking": fit.kind.masking, "bent": fit.kind.bends > 0},
+            "sample": self.sample,
+            "lobe": {
+                "family": fit.kind.family,
+                "masking": fit.kind.masking,
+                "bent": fit.kind.bends > 0,
+                "anisotropic": fit.kind.stretched,
+            },
             "parameters": {name: list(pair) for name, pair in self.parameters.items()},
             "geometry": self.geometry,
             "fresnel": {
@@ -252,85 +254,6 @@ class Reconstruction:
         }
 
 
-def reconstruct(
-    capture: Capture | str | Path,
-    ndf: str = AUTO,
-    *,
-    masking: Masking = "smith",
-    diffuse: bool = True,
-    rig_from: EarlierRig | str | Path | None = None,
-    progress: Progress | None = None,
-    workers: int = 1,
-    keep: str | Path | None = None,
-) -> Reconstruction:
-    """Reconstruct a material from photographs of a sphere under a moved lamp.
-
-    Frames are merged by what they say of exposures, noise and clipping. Outline and highlights give the geometry a start. Then
-    lobe, reflectance, diffuse part, lens, outline, lamps and distances are fitted to the pixels of all pictures at once, within
-    what the capture states of each. Every error of the result contains all of them, and what the fit does not explain.
-
-    Args:
-        capture: as from `files.capture.read_capture`, or its folder.
-        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the likelier of "ggx" and
-            "epd", bent where that explains more.
-        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        diffuse: whether the material may have a Lambertian part. Default: True.
-        rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and distortion, with
-            their covariance, stand for what the capture states of them. Default: None.
-        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
-        workers: lamp positions whose frames are read at a time, in threads. Default: 1.
-        keep: folder in which what was read of the frames is kept until the end, so that a run that is cut off goes on.
-            Default: None, nothing is kept.
-
-    Returns:
-        Table, parameters, geometry, error budget and remarks.
-
-    Raises:
-        ArgumentError: an argument is wrong, the capture is not of a sphere, or `rig_from` is of another rig.
-        FileFormatError: the capture's files are wrong.
-        FitError: there is no sphere, too few highlights, or nothing to fit.
-
-    Source:
-        docs/model.md 10.
-
-    Example:
-        >>> found = matcam.reconstruct("shots/")  # doctest: +SKIP
-        >>> print(found.verdict)  # doctest: +SKIP
-        >>> matcam.reconstruct("no-such-folder")
-        Traceback (most recent call last):
-        ...
-        matcam.core.errors.FileFormatError: no-such-folder: no such folder
-    """
-    checks.choice("ndf", ndf, (AUTO, *FAMILIES))
-    checks.choice("masking", masking, MASKINGS)
-    if not isinstance(capture, Capture):
-        capture = read_capture(capture)
-    say = progress or (lambda step, done, total: None)
-    if type(workers) is not int or workers < 1:
-        raise ArgumentError(f"workers must be a whole number >= 1, got {workers!r:.60}")
-    kept = None if keep is None else KeptWork(Path(keep))
-    earlier = read_rig(rig_from) if isinstance(rig_from, str | Path) else rig_from
-    found = captured_scene(capture, progress, earlier, workers=workers, kept=kept)
-    steps = iter(range(1, 1000))
-    result = reconstructed(
-        found.pictures,
-        found.scene,
-        found.lamps,
-        units=found.units,
-        family=ndf,
-        masking=masking,
-        diffuse=diffuse,
-        remarks=found.remarks,
-        pinhole=lambda fit, units: pinhole_reading(
-            [one for one in found.pictures if one.name in fit.names], fit, units
-        ),
-        progress=lambda line: say(f"fitting ({line})", next(steps), 0),
-    )
-    if kept is not None:
-        kept.clear()
-    return replace(result, captured=found)
-
-
 def reconstructed(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
@@ -343,6 +266,7 @@ def reconstructed(
     remarks: Sequence[Remark] = (),
     pinhole: Callable[[SphereFit, np.ndarray], xr.DataArray] | None = None,
     progress: Callable[[str], None] | None = None,
+    fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
 ) -> Reconstruction:
     """Reconstruct a material from merged pictures whose geometry is roughly known.
 
@@ -358,8 +282,18 @@ def reconstructed(
         remarks: of the steps before. Default: ().
         pinhole: makes the table of a pinhole from the fitted geometry and the unit. Default: None.
         progress: is called with a line about each step. Default: None.
+        fit_pictures: fits one family; of another sample than a sphere, its own. Default: `fit_sphere`.
     """
-    chosen = chosen_fit(pictures, scene, lamps, family, masking=masking, diffuse=diffuse, progress=progress)
+    chosen = chosen_fit(
+        pictures,
+        scene,
+        lamps,
+        family,
+        masking=masking,
+        diffuse=diffuse,
+        progress=progress,
+        fit_pictures=fit_pictures,
+    )
     fit = chosen.fit
     theta = fit.solution.theta_d
     curves = tuple(
@@ -390,7 +324,7 @@ def reconstructed(
             )
         )
     return Reconstruction(
-        table=material_table(fit, curves, units),
+        table=(anisotropic_table if fit.kind.stretched else material_table)(fit, curves, units),
         pinhole=None if pinhole is None else pinhole(fit, np.array([one.value for one in units])),
         fit=fit,
         curves=curves,
@@ -400,3 +334,15 @@ def reconstructed(
         tried=chosen.tried,
         remarks=tuple(every),
     )
+
+
+def _half_widths(fit: SphereFit) -> dict[str, tuple[float, float]]:
+    """Return the half width at half maximum of the lobe, rad; of one with two roughnesses along x and y."""
+    q, covariance = fit.solution.p, fit.solution.covariance
+    if not fit.kind.stretched:
+        lobe = slice(0, fit.kind.size)
+        return {"hwhm_rad": half_maximum_angle(fit.kind, q[lobe], covariance[lobe, lobe])}
+    # along an axis of the slopes the lobe is the isotropic one of that axis's roughness
+    plain = LobeKind(fit.kind.family, fit.kind.masking)
+    axes = (("x", slice(0, 1)), ("y", slice(1, 2)))
+    return {f"hwhm_{name}_rad": half_maximum_angle(plain, q[one], covariance[one, one]) for name, one in axes}

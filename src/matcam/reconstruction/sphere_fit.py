@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -24,12 +25,13 @@ from matcam.reconstruction.joint_fit import (
     JointProblem,
     JointSolution,
     Likelihood,
+    PixelModel,
     solve,
     summed_up,
     unexplained_share,
 )
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
-from matcam.reconstruction.picture_model import SCENE, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.picture_model import SCENE, LampFrame, PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_disc
 from matcam.reconstruction.rig.field_change import FIELD, FieldChange, changed_field
 from matcam.reconstruction.sphere_scene import SphereScene, part_of, prior_of
@@ -46,9 +48,29 @@ _DISC_POINTS = 36
 _NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
 
 
+class LayProblem(Protocol):
+    """Lay out what is fitted, for a kind of sample: which pixels, through which model, with which prior."""
+
+    def __call__(
+        self,
+        pictures: Sequence[MergedPicture],
+        scene: SphereScene,
+        known: SphereScene,
+        kind: LobeKind,
+        p: np.ndarray,
+        slope: np.ndarray,
+        *,
+        diffuse: bool,
+        bend: float,
+        disc: bool = True,
+        keep: Sequence[ObservedPixels] | None = None,
+    ) -> JointProblem:
+        """Return the problem at the parameters p: the prior of `scene`, with the lamps of `known` as base."""
+
+
 @dataclass(frozen=True)
 class SphereFit:
-    """Hold the joint fit of a sphere's pictures.
+    """Hold the joint fit of the pictures of a sphere, or of another sample whose parameters are the same.
 
     Attributes:
         scene: what was known.
@@ -126,8 +148,10 @@ def fit_sphere(
     widths: np.ndarray = _WIDTHS,
     rounds: int = _ROUNDS,
     progress: Callable[[str], None] | None = None,
+    lay: LayProblem | None = None,
+    stretched: bool = False,
 ) -> SphereFit:
-    """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere.
+    """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere, or of another sample.
 
     Args:
         pictures: merged pictures, one per lamp position.
@@ -142,10 +166,14 @@ def fit_sphere(
         widths: widths (the lobe's first parameter) among which it is looked for, where there is no start.
         rounds: most rounds of refinement. Default: 4.
         progress: is called with a line about each round. Default: None.
+        lay: lays out the problem of another sample than a sphere. Default: None, a sphere.
+        stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
     """
     if len(pictures) < 2:
         raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
-    kind = LobeKind(family, masking, KNOTS if bend else 0)
+    again = lay is None
+    lay = lay or sphere_problem
+    kind = LobeKind(family, masking, KNOTS if bend else 0, stretched=stretched)
     channels = pictures[0].channels
     layout = JointLayout(kind.size, len(channels), len(pictures))
     say = progress or (lambda _: None)
@@ -153,7 +181,7 @@ def fit_sphere(
     _write_scene(p, layout, scene)
     known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
     if start is None:
-        lobe = _searched(pictures, known, kind, widths, say)
+        lobe = _searched(pictures, known, kind, widths, say, lay)
         p[: lobe.size] = lobe
     else:
         old, q = start.layout, start.solution.p
@@ -167,7 +195,7 @@ def fit_sphere(
     unexplained, solution = 0.02, None
     for turn in range(rounds):
         last = None if solution is None else solution.problem.pixels
-        problem = _problem(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
+        problem = lay(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
@@ -180,7 +208,8 @@ def fit_sphere(
         unexplained = share
         solution = summed_up(problem, p, unexplained)
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
-        known, slope = replace(scene, lamps=_lamps_again(found, pictures)), _slopes(found)
+        lamps_now = _lamps_again(found, pictures) if again else found.lamps
+        known, slope = replace(scene, lamps=lamps_now), _slopes(found)
         say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {unexplained:.2%}")
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
         if (
@@ -206,33 +235,39 @@ def _searched(
     kind: LobeKind,
     widths: np.ndarray,
     say: Callable[[str], None],
+    lay: LayProblem,
 ) -> np.ndarray:
     """Return the lobe of a lattice that explains a few pictures best, their strengths solved for."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
     layout = JointLayout(kind.size, len(pictures[0].channels), len(some))
-    powers = _POWERS[kind.family] if kind.family in WITH_POWER else (None,)
     best: tuple[float, np.ndarray] | None = None
-    for width in widths:
-        for power in powers:
-            p = np.zeros(layout.size)
-            p[0] = np.log(width)
-            if power is not None:
-                p[1] = np.log(power)
-            _write_scene(p, layout, part)
-            slope = np.zeros((layout.pictures, layout.channels))
-            problem = _problem(some, part, part, kind, p, slope, diffuse=True, bend=0.0, disc=False)
-            p = _with_strengths(problem, p, 0.05)
-            judge = Likelihood(0.05)
-            cost = sum(
-                judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(layout.pictures)
-            )
-            if best is None or cost < best[0]:
-                best = cost, p[: kind.size].copy()
+    for lobe in _lattice(kind, widths):
+        p = np.zeros(layout.size)
+        p[: len(lobe)] = np.log(lobe)
+        _write_scene(p, layout, part)
+        slope = np.zeros((layout.pictures, layout.channels))
+        problem = lay(some, part, part, kind, p, slope, diffuse=True, bend=0.0, disc=False)
+        p = _with_strengths(problem, p, 0.05)
+        judge = Likelihood(0.05)
+        cost = sum(
+            judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(layout.pictures)
+        )
+        if best is None or cost < best[0]:
+            best = cost, p[: kind.size].copy()
     assert best is not None
     say(f"start: width {np.exp(best[1][0]):.4g}")
     return best[1]
+
+
+def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
+    """Return the lobes among which one is looked for: of those with two roughnesses every second width."""
+    if kind.stretched:
+        return [(along, across) for along in widths[::2] for across in widths[::2]]
+    if kind.family in WITH_POWER:
+        return [(width, power) for width in widths for power in _POWERS[kind.family]]
+    return [(width,) for width in widths]
 
 
 def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) -> np.ndarray:
@@ -259,7 +294,7 @@ def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) ->
     return np.clip(p, problem.low, problem.high)
 
 
-def _problem(
+def sphere_problem(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
     known: SphereScene,
@@ -294,6 +329,36 @@ def _problem(
         if scene.camera.field is not None:
             at = float(column + radius * highlight[0]), float(row - radius * highlight[1])
             changes.append(FieldChange(scene.camera.field, at, pixels[-1].seen))
+    return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, bend=bend, changes=changes)
+
+
+def joint_problem(
+    layout: JointLayout,
+    kind: LobeKind,
+    scene: SphereScene,
+    model: PixelModel,
+    pixels: Sequence[ObservedPixels],
+    frames: Sequence[LampFrame],
+    slope: np.ndarray,
+    *,
+    diffuse: bool,
+    bend: float,
+    changes: Sequence[FieldChange] = (),
+) -> JointProblem:
+    """Return the problem of chosen pixels and their model: with bounds, priors, and what is not fitted.
+
+    Args:
+        layout: order of the parameters.
+        kind: what the lobe's parameters mean.
+        scene: what is known beforehand.
+        model: what the pixels record.
+        pixels: of each picture.
+        frames: base direction of each picture's lamp.
+        slope: d ln F / d theta_d of each picture and channel, 1/rad.
+        diffuse: whether there is a Lambertian part.
+        bend: how far ln D may leave its family.
+        changes: what a change of the lens's field does to each picture. Default: none, the field is not fitted.
+    """
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
     if not diffuse:

@@ -13,7 +13,7 @@ from matcam.core.shading import Shading, Vector, shading
 from matcam.inverse.operator.lobe_operator import quick_lambda
 from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
-from matcam.material.ndf.distribution import NDF
+from matcam.material.ndf.distribution import NDF, SlopeDistribution
 
 _LEAST = 1e-9  # cosine to the line of sight: on the outline itself there is no surface to see
 
@@ -65,7 +65,9 @@ def sphere_shading(
     return shading(normal, tangent, light, view), closeness
 
 
-def radiance(ndf: NDF, masking: Masking, at: Shading, closeness: jax.Array) -> tuple[jax.Array, jax.Array]:
+def radiance(
+    slopes: SlopeDistribution, masking: Masking, at: Shading, closeness: jax.Array
+) -> tuple[jax.Array, jax.Array]:
     """Return the radiance of a lobe with F = 1, and of a white Lambertian surface, under unit irradiance at the centre.
 
     It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
@@ -73,11 +75,17 @@ def radiance(ndf: NDF, masking: Masking, at: Shading, closeness: jax.Array) -> t
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)
     lobe = (
-        ndf.density(at.slope_along, at.slope_across) * (1 + at.slope_along**2 + at.slope_across**2) ** 2 / (4 * cos_o)
+        slopes.density(at.slope_along, at.slope_across)
+        * (1 + at.slope_along**2 + at.slope_across**2) ** 2
+        / (4 * cos_o)
     )
     if masking is not None:
         azimuth = azimuth_difference(theta_h_of(at), at.theta_d, at.phi_d)
-        lobe *= g2(masking, quick_lambda(ndf, cos_i), quick_lambda(ndf, cos_o), azimuth)
+        if isinstance(slopes, NDF):
+            lambdas = quick_lambda(slopes, cos_i), quick_lambda(slopes, cos_o)
+        else:
+            lambdas = slopes.lambdas(at._replace(cos_i=cos_i, cos_o=cos_o))
+        lobe *= g2(masking, *lambdas, azimuth)
     lambert = jnp.maximum(at.cos_i, 0.0) / jnp.pi
     return jnp.where(seen, lobe * closeness, 0.0), jnp.where(at.cos_o > _LEAST, lambert * closeness, 0.0)
 

@@ -15,8 +15,9 @@ from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
-from matcam.material.ndf.distribution import NDF
+from matcam.material.ndf.distribution import NDF, SlopeDistribution
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, ShadowedNDF
+from matcam.material.ndf.ggx import AnisotropicGGX
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
 
 FresnelModel = str
@@ -46,16 +47,20 @@ class LobeKind(NamedTuple):
         masking: the lobe's G.
         bends: number of parameters that bend the lobe away from its family; 0 or KNOTS.
         shadows: number of parameters of its masking where that is free; 0 or SHADOWS.
+        stretched: whether a "ggx" lobe has one roughness along the surface's first tangent and one across.
     """
 
     family: str
     masking: Masking
     bends: int = 0
     shadows: int = 0
+    stretched: bool = False
 
     @property
     def family_names(self) -> tuple[str, ...]:
-        """Name the family's own parameters as its constructor does."""
+        """Name the family's own parameters as its constructor does; those of a stretched lobe by the tangents x and y."""
+        if self.stretched:
+            return "alpha_x", "alpha_y"
         return tuple(field.name for field in dataclasses.fields(FAMILIES[self.family]))
 
     @property
@@ -78,9 +83,14 @@ class LobeKind(NamedTuple):
             ndf = BentNDF(ndf, bends)
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
 
+    def slopes(self, q: jax.Array) -> SlopeDistribution:
+        """Return the distribution of slopes at coordinates, stretched or not."""
+        return AnisotropicGGX(jnp.exp(q[0]), jnp.exp(q[1])) if self.stretched else self.ndf(q)
+
     def bounds(self, radius: float) -> list[tuple[float, float]]:
         """Bound the coordinates for a lobe on a sphere of `radius` px."""
         bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * FAMILIES[self.family].largest)))]
+        bounds *= 1 + self.stretched
         if self.family in WITH_POWER:
             low, high = _POWER_BOUNDS[self.family]
             bounds.append((float(np.log(low)), float(np.log(high))))

@@ -1,0 +1,127 @@
+"""The fields of capture.toml: their types, limits and defaults. docs/capture.md says what they mean."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, WithJsonSchema, model_validator
+
+_TOO_LARGE = 1e12
+
+
+class Stated(NamedTuple):
+    """Hold a stated value with its standard deviation, in one unit; a standard deviation of 0 says that it is exact."""
+
+    value: float
+    std: float = 0.0
+
+
+def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJsonSchema]:
+    """Return what checks a value or [value, standard deviation] within limits, and its schema; it is kept as a list of two."""
+
+    def check(value: Any) -> list[float]:
+        pair = value if isinstance(value, list) else [value, 0.0]
+        if len(pair) != 2 or any(isinstance(v, bool) or not isinstance(v, int | float) for v in pair):
+            raise ValueError("must be a value or [value, standard deviation]")
+        if not all(abs(v) < _TOO_LARGE for v in pair) or pair[1] < 0:  # whole numbers may be too large for a float
+            raise ValueError("must be finite, with a standard deviation of at least 0")
+        number, std = map(float, pair)
+        if not low <= number <= high:
+            raise ValueError(f"must lie in [{low:g}, {high:g}], got {number:g}")
+        return [number, std]
+
+    number = {"type": "number", "minimum": low}
+    pair = {"type": "array", "prefixItems": [number, {"type": "number", "minimum": 0}], "minItems": 2, "maxItems": 2}
+    return BeforeValidator(check), WithJsonSchema({"anyOf": [number, pair]})
+
+
+_Positive = Annotated[list[float], *_stated(1e-12)]
+_Share = Annotated[list[float], *_stated(0.0, 1.0)]
+_NotNegative = Annotated[list[float], *_stated(0.0)]
+_Either = Annotated[list[float], *_stated(-1e6)]
+_Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
+_Rows = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
+_ONLY = {
+    "flat": ("tilt_deg", "mm_per_px"),
+    "cylinder": ("outline_radius_px", "axis_column_px", "centre_row_px", "strip_rows_px", "strip_turn_deg"),
+}
+"""Fields of [sample] that only one kind of sample has."""
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _Camera(_Strict):
+    profile: str | None = None
+    cfa: str | None = None
+    tone: Literal["linear", "srgb"] = "linear"
+    accept_processed: bool = False
+    black_level_dn: FiniteFloat | None = None
+
+
+class _Sample(_Strict):
+    kind: Literal["sphere", "cylinder", "flat"] = "sphere"
+    radius_mm: _Positive | None = None
+    region_px: _Box | None = None
+    outline_radius_px: _Positive | None = None
+    axis_column_px: _NotNegative | None = None
+    centre_row_px: _NotNegative | None = None
+    strip_rows_px: Annotated[list[_Rows], Field(min_length=1, max_length=64)] | None = None
+    strip_turn_deg: Annotated[list[FiniteFloat], Field(min_length=1, max_length=64)] | None = None
+
+    tilt_deg: Annotated[list[Annotated[FiniteFloat, Field(gt=-85, lt=85)]], Field(min_length=1)] | None = None
+    mm_per_px: _Positive | None = None
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> _Sample:
+        for kind, names in _ONLY.items():
+            for name in names:
+                if self.kind != kind and getattr(self, name) is not None:
+                    raise ValueError(f"{name} belongs to a {kind}, and kind is {self.kind}")
+        rows, turns = self.strip_rows_px, self.strip_turn_deg
+        if turns is not None and len(turns) != len(rows or ()):
+            raise ValueError(f"strip_turn_deg has {len(turns)} angles for {len(rows or ())} strips of strip_rows_px")
+        for first, last in rows or ():
+            if last <= first:
+                raise ValueError(f"strip_rows_px must be [first row, last row] of each strip, got [{first}, {last}]")
+        return self
+
+
+class _Distances(_Strict):
+    camera_mm: _Positive | None = None
+    lamp_mm: _Positive | None = None
+
+
+class _LampSection(_Strict):
+    radius_mm: _NotNegative = [0.0, 0.0]
+    motion: Literal["arc", "free", "table"] = "free"
+    intensity: Literal["reference", "constant", "table"] = "constant"
+    gain_std: Annotated[FiniteFloat, Field(ge=0, lt=1)] = 0.005
+    direction_std_deg: Annotated[FiniteFloat, Field(ge=0, le=180)] = 1.0
+
+
+class _Reference(_Strict):
+    kind: Literal["diffuse", "monitor"]
+    reflectance: _Share | None = None
+    depth_mm: _Either | None = None
+    tilt_std_deg: Annotated[FiniteFloat, Field(ge=0, le=45)] = 1.0
+    region_px: _Box | None = None
+
+
+class _Outline(_Strict):
+    field_beyond_deg: Annotated[FiniteFloat, Field(ge=0, le=90)] = 3.0
+
+
+class CaptureSettings(_Strict):
+    """Check the tables of capture.toml; docs/capture.md says what the fields mean."""
+
+    format: Literal["matcam capture"]
+    version: Literal[1]
+    camera: _Camera = _Camera()
+    sample: _Sample = _Sample()
+    distances: _Distances = _Distances()
+    lamp: _LampSection = _LampSection()
+    reference: _Reference | None = None
+    outline: _Outline = _Outline()

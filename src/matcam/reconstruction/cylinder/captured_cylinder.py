@@ -1,0 +1,156 @@
+"""From a capture of a cylinder to what the joint fit needs: merged pictures, outline, strips, lamps of the table."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.merging import merge
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Region, Stated
+from matcam.reconstruction.cylinder.straight_outline import StraightOutline, straight_outline
+from matcam.reconstruction.cylinder.strips import Strip
+from matcam.reconstruction.sphere_scene import Known, SphereScene
+from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
+from matcam.reconstruction.stated.lamp_light import gains_of, light_shares, under_one_light
+from matcam.reconstruction.stated.outline_frames import mean_outline_frame
+from matcam.reconstruction.stated.stated_rig import FEWEST, captured_lens, known_nearness, lamp_radius_of
+
+_ROW_STD = 0.05
+"""Of a frame's height: how well its middle is the row that the camera looks at squarely."""
+_SHIFT = 0.3
+"""px; how far the axis may move between pictures."""
+_STATED_STD = 0.05
+"""px; of a radius or an axis that is stated without a standard deviation."""
+
+
+class CapturedCylinder(NamedTuple):
+    """Hold what a capture's frames say before the joint fit.
+
+    Attributes:
+        scene: merged pictures, what is known of the rig, directions to the lamps, radiometry, remarks.
+        strips: where strips of material are.
+        outline: the cylinder's outline.
+    """
+
+    scene: CapturedScene
+    strips: tuple[Strip, ...]
+    outline: StraightOutline
+
+
+def captured_cylinder(
+    capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
+) -> CapturedCylinder:
+    """Merge a capture's frames, and find the cylinder's outline.
+
+    Args:
+        capture: of a cylinder, as from `read_capture`.
+        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+
+    Raises:
+        ArgumentError: the capture does not state the lamps' directions.
+        FitError: there is no outline, or fewer than three lamp positions can be used.
+    """
+    remarks: list[Remark] = list(capture.problems)
+    camera, lens = captured_lens(capture, remarks)
+    if camera.field is not None:
+        text = (
+            "the profile's distortion and blur over the field are not allowed for on a cylinder: keep it in the middle"
+        )
+        remarks.append(Remark("field-not-used", text))
+        camera = camera.with_field(None)
+    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
+    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
+    outline = _outline(capture, remarks)
+    remarks.extend(outline.remarks)
+    directions = {name: guess.direction for name, guess in capture.lamps.items()}
+    lost = tuple(name for name, one in directions.items() if not np.all(np.isfinite(one)))
+    if lost:
+        remarks.append(
+            Remark("no-direction", f"{', '.join(lost)}: {LIST_NEEDS}; left out"),
+        )
+    merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
+    shares = light_shares(capture, merged) if capture.settings["lamp"]["intensity"] == "table" else {}
+    merged = [under_one_light(one, shares[one.name]) if shares else one for one in merged]
+    remarks.extend(radiometry.remarks)
+    pictures = [one for one in merged if one.name not in lost]
+    if len(pictures) < FEWEST:
+        raise FitError(
+            f"{capture.folder}: {len(pictures)} lamp positions can be used; {LIST_NEEDS}, for {FEWEST} at least"
+        )
+    height, _ = frame_shape(capture)
+    strips = _strips(capture, pictures[0].values.shape[0], pictures[0].origin[0])
+    row = capture.stated("centre_row_px") or Stated((height - 1) / 2, _ROW_STD * height)
+    lamps = np.array([directions[one.name] for one in pictures])
+    ball = MirrorBall(row.value, outline.column, outline.radius)
+    names = [one.name for one in pictures]
+    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, shares, remarks)
+    covariance = np.zeros((3, 3))
+    covariance[np.ix_([0, 2], [0, 2])] = outline.covariance
+    covariance[1, 1] = max(row.std, 1e-3) ** 2
+    scene = SphereScene(
+        camera=camera,
+        lens_std=lens,
+        centres=np.tile([outline.column, row.value], (len(pictures), 1)),
+        radius=outline.radius,
+        outline_covariance=covariance,
+        shift_std=_SHIFT,
+        camera_nearness=camera_nearness,
+        lamp_nearness=lamp_nearness,
+        lamps=lamps,
+        lamp_std=max(capture.direction_std, 1e-5),
+        lamp_radius=lamp_radius_of(capture),
+        gain_std=np.sqrt(np.diag(light.covariance)),
+        gain=light.gain,
+        gain_correlation=correlation(light.covariance),
+    )
+    units = None if light.units is None else tuple(Known(*one) for one in light.units)
+    found = CapturedScene(pictures, scene, lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)), units)
+    return CapturedCylinder(found, strips, outline)
+
+
+LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must state where the lamp is"
+
+
+def frame_shape(capture: Capture) -> tuple[int, int]:
+    """Return height and width of the capture's frames, px."""
+    frame = capture.of("frames")[0]
+    return capture.read(frame).values.shape[:2]
+
+
+def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
+    """Return the stated strips; without any, one of all rows that are read."""
+    sample = capture.settings["sample"]
+    rows, turns = sample["strip_rows_px"], sample["strip_turn_deg"]
+    if rows is None:
+        return (Strip(first, first + height - 1, 0.0),)
+    turns = turns or [0.0] * len(rows)
+    return tuple(Strip(low, high, float(np.radians(turn))) for (low, high), turn in zip(rows, turns, strict=True))
+
+
+def _outline(capture: Capture, remarks: list[Remark]) -> StraightOutline:
+    """Return the outline before a bright field; without such frames, as it is stated."""
+    if capture.of("outline"):
+        region: Region | None = capture.region
+        reader = MosaicReader(capture)
+        codes = mean_outline_frame(reader, capture, region, remarks)
+        origin = (0, 0) if region is None else (region[1], region[0])
+        beyond = float(np.radians(capture.settings["outline"]["field_beyond_deg"]))
+        return straight_outline(
+            codes, reader.channel_map(codes.shape, origin), origin=origin, reach=(beyond, beyond / 3)
+        )
+    radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
+    if radius is None or axis is None:
+        raise ArgumentError(
+            f"{capture.folder}: give a frame of the cylinder before a bright field, in outline/, or state "
+            "sample.outline_radius_px and sample.axis_column_px"
+        )
+    std = (max(axis.std, 1e-3), max(radius.std, 1e-3)) if axis.std or radius.std else (_STATED_STD,) * 2
+    return StraightOutline(axis.value, radius.value, np.diag(np.square(std)))

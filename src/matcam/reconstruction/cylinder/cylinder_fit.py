@@ -1,0 +1,107 @@
+"""The joint fit of the pictures of a cylinder's strips: the sphere's likelihood, prior and solver, with profiles for pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.errors import ArgumentError
+from matcam.forward.integral.blur import blur_of
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.reconstruction.cylinder.profile_model import ProfileModel
+from matcam.reconstruction.cylinder.profile_rule import CylinderPlace, chosen_columns
+from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
+from matcam.reconstruction.joint_fit import JointLayout, JointProblem
+from matcam.reconstruction.observed_pixels import ObservedPixels
+from matcam.reconstruction.picture_model import lamp_frame
+from matcam.reconstruction.picture_rule import lamp_disc
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, joint_problem
+from matcam.reconstruction.sphere_scene import SphereScene
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
+
+_ROW_RULE = 3
+"""Rows of a strip at which the model is taken, Gauss's."""
+_DISC_POINTS = 36
+_NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
+
+
+def fit_cylinder(
+    pictures: Sequence[MergedPicture],
+    scene: SphereScene,
+    family: str = "ggx",
+    *,
+    strips: Sequence[Strip],
+    stretched: bool = False,
+    **more: Any,
+) -> SphereFit:
+    """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a cylinder.
+
+    The parameters are those of a sphere: a picture's centre is the column of the axis, and the row at which lamp and camera
+    are seen from it.
+
+    Args:
+        pictures: merged pictures, one per lamp position.
+        scene: what is known beforehand; its radius is half the width of the outline.
+        family: family of the lobe. Default: "ggx".
+        strips: where strips of material are, and how they are turned.
+        stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
+        **more: further arguments of `fit_sphere`.
+    """
+    if stretched and family != "ggx":
+        raise ArgumentError(f"family must be ggx for a lobe of two roughnesses, got {family}")
+    if stretched and more.get("bend"):
+        raise ArgumentError("a lobe of two roughnesses is not bent: bend must be 0")
+    profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
+    lay = partial(_cylinder_problem, strips=strips, profiles=profiles)
+    return fit_sphere(pictures, scene, family, stretched=stretched, lay=lay, **more)
+
+
+def _cylinder_problem(
+    pictures: Sequence[MergedPicture],
+    scene: SphereScene,
+    known: SphereScene,
+    kind: LobeKind,
+    p: np.ndarray,
+    slope: np.ndarray,
+    *,
+    diffuse: bool,
+    bend: float,
+    disc: bool = True,
+    keep: Sequence[ObservedPixels] | None = None,
+    strips: Sequence[Strip],
+    profiles: dict[str, Any],
+) -> JointProblem:
+    """Choose the columns of every strip about the highlights at p, with the lamps of `known` as base."""
+    channels = len(pictures[0].channels)
+    layout = JointLayout(kind.size, channels, len(pictures))
+    width = float(np.exp(p[0]))
+    alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
+    _, radius, camera, lamp = p[layout.scene]
+    with_disc = disc and scene.lamp_radius / 2 > _NO_DISC * min(alphas)
+    places, weights = lamp_disc(_DISC_POINTS if with_disc else 1)
+    nodes, row_weights = np.polynomial.legendre.leggauss(_ROW_RULE)
+    rows = np.array([np.add(*strip.read) / 2 + (strip.read[1] - strip.read[0] + 1) / 2 * nodes for strip in strips])
+    model = ProfileModel(
+        kind=kind,
+        channels=channels,
+        blur=blur_of(Rig(scene.camera, Sphere(scene.radius))),
+        places=places * (scene.lamp_radius if with_disc else 0.0),
+        weights=weights,
+        turns=np.array([strip.turn for strip in strips]),
+        rows=rows,
+        row_weights=row_weights / 2,
+    )
+    frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
+    pixels = []
+    for k, picture in enumerate(pictures):
+        axis, row = p[layout.own(k)][:2]
+        place = CylinderPlace(axis, row, radius, camera, lamp, frames[k].base)
+        plateau = scene.lamp_radius / 2 if with_disc else 0.0
+        last = None if keep is None else keep[k]
+        pixels.append(chosen_columns(profiles[picture.name], strips, place, alphas, plateau=plateau, keep=last))
+    return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, bend=bend)

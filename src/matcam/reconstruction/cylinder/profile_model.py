@@ -1,0 +1,174 @@
+"""What the columns of a cylinder's strips record of a lobe, and how that changes with every parameter.
+
+The cylinder's axis is the picture's y axis. Its section is that of the sphere of radius 1, so that its normals are the sphere's
+along the equator. Strips above or below are seen, and lit, from a little below or above where camera and lamp are near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from matcam.core.jax import jax, jnp, plainly_compiled
+from matcam.core.shading import shading
+from matcam.forward.integral.blur import Blur
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.reconstruction.cylinder.profile_rule import ProfileWindow
+from matcam.reconstruction.picture_model import SCENE, LampFrame, Recorded, turned_lamp
+from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance
+
+
+class ProfileModel(eqx.Module):
+    """Evaluate the profiles of one scene, all by four compiled programs.
+
+    Attributes:
+        kind: the lobe's family, masking and splines.
+        channels: number of colours; all record the same of a unit strength.
+        blur: the camera's kernel, its lens a sum of Gaussians.
+        places: places on the lamp's disc as turns of the lamp, rad, (points, 2).
+        weights: of these places, (points,); their sum is 1.
+        turns: angle of each strip's material, rad, (strips,).
+        rows: rows of each strip over which its mean is taken, px, (strips, rule).
+        row_weights: their weights, (rule,); their sum is 1.
+    """
+
+    kind: LobeKind = eqx.field(static=True)
+    channels: int = eqx.field(static=True)
+    blur: Blur
+    places: np.ndarray
+    weights: np.ndarray
+    turns: np.ndarray
+    rows: np.ndarray
+    row_weights: np.ndarray
+
+    def window(
+        self, p: np.ndarray, frame: LampFrame, window: ProfileWindow, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        """Return what the windows record, (channels x strips, WINDOW), and the derivatives, with a trailing (size,)."""
+        return _compiled("_window_slopes" if slopes else "_window_value")(self, p, frame, window)
+
+    def pixels(
+        self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
+    ) -> tuple[Recorded, Recorded | None]:
+        """Return what single columns record, (columns,), and the derivatives; row: index of each one's strip."""
+        name = "_columns_slopes" if slopes else "_columns_value"
+        return _compiled(name)(self, p, frame, column, row.astype(int))
+
+    def _window_value(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> tuple[Recorded, None]:
+        return self._of_window(p, frame, window), None
+
+    def _window_slopes(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> tuple[Recorded, Recorded]:
+        return _with_slopes(lambda p: self._of_window(p, frame, window), p)
+
+    def _columns_value(
+        self, p: jax.Array, frame: LampFrame, column: jax.Array, strip: jax.Array
+    ) -> tuple[Recorded, None]:
+        return self._of_columns(p, frame, column, strip), None
+
+    def _columns_slopes(
+        self, p: jax.Array, frame: LampFrame, column: jax.Array, strip: jax.Array
+    ) -> tuple[Recorded, Recorded]:
+        return _with_slopes(lambda p: self._of_columns(p, frame, column, strip), p)
+
+    def _of_window(self, p: jax.Array, frame: LampFrame, window: ProfileWindow) -> Recorded:
+        lens, radius, axis = self._kernel_parameters(p)
+        turns, rows = jnp.asarray(self.turns), jnp.asarray(self.rows)
+        out, depth = jnp.sin(window.u), jnp.cos(window.u)
+        emitted = self._mean_over_rows(p, frame, out, depth, turns[:, None], rows[:, None])
+        offset = window.column[:, :, None] - (axis + radius * out)[:, None, :]
+        kernel = sum(
+            self.blur.weights[term] * self.blur.pixel.of_gaussian(offset, self.blur.stds[term] * jnp.exp(lens))
+            for term in range(self.blur.stds.size)
+        )
+        lobe, lambert = (jnp.einsum("swn,sn->sw", kernel, part * window.weight * radius) for part in emitted)
+        theta_d = self._theta_d(p, frame, (jnp.asarray(window.column) - axis) / radius, rows.mean(axis=1)[:, None])
+        return Recorded(*(jnp.tile(part, (self.channels, 1)) for part in (lobe, lambert, theta_d)))
+
+    def _of_columns(self, p: jax.Array, frame: LampFrame, column: jax.Array, strip: jax.Array) -> Recorded:
+        lens, radius, axis = self._kernel_parameters(p)
+        centre = (column - axis) / radius
+        turns, rows = jnp.asarray(self.turns)[strip], jnp.asarray(self.rows)[strip]
+        lobe, lambert = jnp.zeros_like(centre), jnp.zeros_like(centre)
+        for term in range(self.blur.stds.size):
+            scaled = eqx.tree_at(lambda b: b.stds, self.blur, self.blur.stds * jnp.exp(lens))
+            offset, weight = scaled.rule(term, jnp.zeros(()))
+            out = centre[:, None] + offset / radius
+            inside = out**2 < 1
+            out = jnp.where(inside, out, 0.0)
+            parts = self._mean_over_rows(p, frame, out, jnp.sqrt(1 - out**2), turns[:, None], rows[:, None])
+            share = jnp.where(inside, self.blur.weights[term] * weight, 0.0)
+            lobe += jnp.sum(parts[0] * share, axis=1)
+            lambert += jnp.sum(parts[1] * share, axis=1)
+        return Recorded(lobe, lambert, self._theta_d(p, frame, centre, rows.mean(axis=1)))
+
+    def _kernel_parameters(self, p: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        n = self.kind.size
+        return p[n + SCENE.index("lens")], p[n + SCENE.index("radius")], p[n + len(SCENE)]
+
+    def _mean_over_rows(
+        self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the radiance of both parts at places of the outline, the mean over a strip's rows. rows: (..., rule)."""
+        parts = self._radiance(p, frame, out[..., None], depth[..., None], turn[..., None], rows)
+        lobe, lambert = (jnp.sum(part * self.row_weights, axis=-1) for part in parts)
+        return lobe, lambert
+
+    def _radiance(
+        self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, row: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Return the radiance of both parts at places of the outline, the mean over the lamp's own disc."""
+        slopes = self.kind.slopes(p[: self.kind.size])
+        normal, point, camera, lamp, (a, b) = self._surface(p, out, depth, row)
+        tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
+
+        def under(place: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            at, weight = place
+            x, y, z = turned_lamp(frame, a + at[0], b + at[1])
+            light, view, closeness = light_and_view(point, (x, y, z), camera, lamp)
+            lobe, lambert = radiance(slopes, self.kind.masking, shading(normal, tangent, light, view), closeness)
+            return weight * lobe, weight * lambert
+
+        if len(self.weights) == 1:
+            return under((self.places[0], self.weights[0]))
+
+        def add(total: Any, place: Any) -> tuple[Any, None]:
+            return jax.tree.map(jnp.add, total, under(place)), None
+
+        start = (jnp.zeros_like(out * row), jnp.zeros_like(out * row))
+        return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
+
+    def _surface(self, p: jax.Array, out: jax.Array, depth: jax.Array, row: jax.Array) -> tuple[Any, ...]:
+        """Return normal, point, both nearnesses and the lamp's turn, where a line of sight meets the cylinder."""
+        n = self.kind.size
+        radius, camera, lamp = (p[n + SCENE.index(name)] for name in ("radius", "camera", "lamp"))
+        centre_row, a, b = p[n + len(SCENE) + 1 :]
+        x, _, z = normal_at(out, jnp.zeros(()), depth, camera)
+        height = (centre_row - row) / (radius * jnp.sqrt(1 - camera**2)) * (1 - camera * z)
+        return (x, jnp.zeros(()), z), (x, height, z), camera, lamp, (a, b)
+
+    def _theta_d(self, p: jax.Array, frame: LampFrame, out: jax.Array, row: jax.Array) -> jax.Array:
+        """Return theta_d where the line of sight through a column's centre meets the cylinder, or passes closest."""
+        out = jnp.clip(out, -0.9999, 0.9999)
+        _, point, camera, lamp, (a, b) = self._surface(p, out, jnp.sqrt(1 - out**2), row)
+        light, view, _ = light_and_view(point, tuple(turned_lamp(frame, a, b)), camera, lamp)
+        cos2 = sum(s * t for s, t in zip(light, view, strict=True))
+        return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
+
+
+def _with_slopes(function: Callable[[jax.Array], Recorded], p: jax.Array) -> tuple[Recorded, Recorded]:
+    def twice(p: jax.Array) -> tuple[Recorded, Recorded]:
+        recorded = function(p)
+        return recorded, recorded
+
+    slopes, recorded = jax.jacfwd(twice, has_aux=True)(p)
+    return recorded, slopes
+
+
+@cache
+def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
+    """Return a method of `ProfileModel`, compiled once for all scenes of one shape."""
+    return jax.jit(getattr(ProfileModel, method), compiler_options=plainly_compiled(once=False))

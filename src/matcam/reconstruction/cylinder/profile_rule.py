@@ -1,0 +1,174 @@
+"""Where a profile across a cylinder is read and integrated: a window of columns about each strip's highlight, and others.
+
+Places on the outline are p = (column - axis) / radius = sin u. In u everything is smooth up to the limb.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.reconstruction.cylinder.strips import Strip, StripProfiles
+from matcam.reconstruction.observed_pixels import ObservedPixels
+from matcam.reconstruction.picture_rule import WINDOW, graded_nodes
+
+_MOST = 2048
+"""Columns beside the windows, of all strips and colours, that are fitted at most."""
+_LIMB = 3.0  # px from the outline within which a column's own rule does not follow the border
+_OUTSIDE = 1.5  # px beyond the outline up to which a window is read: what lies behind is not the sample
+_LIT = 0.1  # least cosine to the lamp: near the terminator a column's own rule meets a kink
+_MARGIN = 4.5  # px about the columns of a window
+_TURNS = 40
+_NODES = 224
+
+
+class ProfileWindow(NamedTuple):
+    """Hold the nodes and columns about the highlight of each strip.
+
+    Attributes:
+        u: nodes, rad, (strips, nodes).
+        weight: their weights in p = sin u, (strips, nodes).
+        column: columns that are read, px, (strips, WINDOW).
+    """
+
+    u: np.ndarray
+    weight: np.ndarray
+    column: np.ndarray
+
+
+class CylinderPlace(NamedTuple):
+    """Say how a cylinder stands in a picture, and where its lamp is.
+
+    Attributes:
+        axis: column of its axis, px.
+        row: at which lamp and camera are seen from the axis, px.
+        radius: half the width of its outline, px.
+        camera: one over the camera's distance, in radii.
+        lamp: one over the lamp's distance, in radii.
+        towards: direction to the lamp, (3,).
+    """
+
+    axis: float
+    row: float
+    radius: float
+    camera: float
+    lamp: float
+    towards: np.ndarray
+
+    def height(self, row: float, normal_z: float) -> float:
+        """Return how far a point of the surface is above the row of the lamp's angles, in radii."""
+        stretch = self.radius * np.sqrt(1 - self.camera**2)
+        return (self.row - row) / stretch * (1 - self.camera * normal_z)
+
+    def brightest(self, strip: Strip, alphas: tuple[float, float]) -> float:
+        """Return the place p in (-1, 1) at which a strip's lobe has its largest density.
+
+        Args:
+            strip: row and turn of the material.
+            alphas: roughness along the material's x axis and across it.
+        """
+        cos, sin = np.cos(strip.turn), np.sin(strip.turn)
+        along, across = 1 / alphas[0] ** 2, 1 / alphas[1] ** 2
+        lean = -sin * cos * (along - across) / (cos**2 * along + sin**2 * across)
+        u = float(np.arctan2(self.towards[0], 1 + self.towards[2]))
+        end = np.arccos(self.camera) - 1e-3
+        for _ in range(_TURNS):
+            point = np.array([np.sin(u), self.height((strip.first + strip.last) / 2, np.cos(u)), np.cos(u)])
+            light, view = self.towards - self.lamp * point, np.array([0.0, 0.0, 1.0]) - self.camera * point
+            half = light / np.linalg.norm(light) + view / np.linalg.norm(view)
+            toward = half[0] * np.sin(u) + half[2] * np.cos(u)
+            aside = half[0] * np.cos(u) - half[2] * np.sin(u)
+            u += float(np.arctan2(aside, toward) - np.arctan(lean * half[1] / max(toward, 1e-6)))
+            u = float(np.clip(u, -end, end))
+        return float(np.sqrt(1 - self.camera**2) * np.sin(u) / (1 - self.camera * np.cos(u)))
+
+
+def chosen_columns(
+    profiles: StripProfiles,
+    strips: Sequence[Strip],
+    place: CylinderPlace,
+    alphas: tuple[float, float],
+    *,
+    plateau: float = 0.0,
+    keep: ObservedPixels | None = None,
+) -> ObservedPixels:
+    """Return the columns of a picture's profiles that are fitted, each as a pixel.
+
+    Args:
+        profiles: of all strips and colours.
+        strips: in the same order.
+        place: how the cylinder stands.
+        alphas: roughness along the material's x axis and across it.
+        plateau: half the lamp's angular radius, rad. Default: 0.
+        keep: a choice whose columns stay where the highlight is still where it was. Default: None.
+
+    Returns:
+        The columns: those of the windows by colour, strip and place, then the others; `row` is the index of the strip.
+    """
+    windows = [
+        _window(strip, place, alphas, plateau, None if keep is None else keep.window.column[s])
+        for s, strip in enumerate(strips)
+    ]
+    window = ProfileWindow(*map(np.stack, zip(*windows, strict=True)))
+    count, rows, width = profiles.values.shape
+    first = profiles.column[0]
+    at = window.column - first
+    inside = (at >= 0) & (at < width)
+    near = np.where(inside, at, 0).astype(int)
+    strip_index = np.arange(rows)[:, None]
+    outside = np.abs(window.column - place.axis) > place.radius + _OUTSIDE
+
+    def of_window(array: np.ndarray) -> np.ndarray:
+        return array[:, strip_index, near].reshape(-1)
+
+    used = of_window(profiles.used) & np.tile((inside & ~outside).ravel(), count)
+    # the others: pixels of a mosaic's colour stand in every second column
+    anywhere: np.ndarray = np.any(profiles.used, axis=1, keepdims=True)
+    candidates = np.flatnonzero(np.broadcast_to(anywhere, profiles.used.shape))
+    step = int(np.ceil(candidates.size / _MOST))
+    candidates = candidates[::step]
+    channel, strip_of, column = np.unravel_index(candidates, profiles.values.shape)
+    p = (profiles.column[column] - place.axis) / place.radius
+    depth = np.sqrt(np.maximum(1 - p**2, 0.0))
+    apart = np.abs(profiles.column[column] - window.column[strip_of, WINDOW // 2]) > WINDOW // 2
+    far = apart & (np.abs(p) < 1 - _LIMB / place.radius)
+    far &= p * place.towards[0] + depth * place.towards[2] > _LIT
+    far &= profiles.used.ravel()[candidates]
+
+    def both(array: np.ndarray, empty: float) -> np.ndarray:
+        values = np.concatenate([of_window(array), array.ravel()[candidates]])
+        return np.where(everything, values, empty)
+
+    everything = np.concatenate([used, far])
+    return ObservedPixels(
+        window=window,
+        column=profiles.column[column],
+        row=strip_of.astype(float),
+        seen=np.stack([profiles.column[column], strip_of.astype(float)]),
+        values=both(profiles.values, 0.0),
+        std=both(profiles.std, 1.0),
+        clipped=both(profiles.clipped, False).astype(bool),
+        channel=np.concatenate([np.repeat(np.arange(count), rows * WINDOW), channel]),
+        used=everything,
+    )
+
+
+def _window(
+    strip: Strip, place: CylinderPlace, alphas: tuple[float, float], plateau: float, keep: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return nodes, weights and columns about a strip's highlight."""
+    peak = place.brightest(strip, alphas)
+    column = np.round(place.axis + place.radius * peak)
+    if keep is not None and abs(keep[WINDOW // 2] - column) <= 1:
+        column = keep[WINDOW // 2]
+    columns = column + np.arange(WINDOW) - WINDOW // 2
+    # the nodes reach as far as the columns and their kernel, wherever these stand
+    low, high = (
+        np.arcsin(np.clip((end - place.axis) / place.radius, -1, 1))
+        for end in (columns[0] - 1 - _MARGIN, columns[-1] + 1 + _MARGIN)
+    )
+    across = np.hypot(np.cos(strip.turn) / alphas[0], np.sin(strip.turn) / alphas[1])
+    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, place.radius, _NODES)
+    return u, weight * np.cos(u), columns

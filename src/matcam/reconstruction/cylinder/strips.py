@@ -1,0 +1,93 @@
+"""Strips of material round a cylinder, one above the other, and their profiles: what each column of a strip records.
+
+Along the cylinder's generator the light hardly changes. So the rows of a strip are averaged, each colour by itself: a profile
+across the cylinder for every strip and colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.core.errors import FitError
+
+MARGIN = 4
+"""Rows at either end of a strip that are left out: the lens mixes the strips there."""
+_FEWEST = 4
+
+
+class Strip(NamedTuple):
+    """Say where a strip lies in the frame, and how its material lies on it.
+
+    Attributes:
+        first: first row, px.
+        last: last row, px.
+        turn: angle of the material's x axis from the direction round the cylinder (to the right), towards up, rad.
+    """
+
+    first: int
+    last: int
+    turn: float
+
+    @property
+    def read(self) -> tuple[int, int]:
+        """First and last row that are averaged, px."""
+        return self.first + MARGIN, self.last - MARGIN
+
+
+class StripProfiles(NamedTuple):
+    """Hold the profiles of one picture, arrays of shape (channels, strips, columns).
+
+    Attributes:
+        column: px in the frame, (columns,).
+        values: mean over the strip's rows; where a pixel is clipped, a value that the truth exceeds. 0 where not used.
+        std: standard deviation of its noise; 1 where not used.
+        clipped: where any of the pixels is clipped.
+        used: where there is a pixel of the colour.
+    """
+
+    column: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
+    clipped: np.ndarray
+    used: np.ndarray
+
+
+def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProfiles:
+    """Average the rows of every strip.
+
+    Args:
+        picture: values and their noise.
+        strips: where the strips are.
+
+    Returns:
+        The profiles.
+
+    Raises:
+        FitError: a strip has too few rows in the picture.
+    """
+    width, count = picture.values.shape[1], len(picture.channels)
+    shape = (count, len(strips), width)
+    values, std, clipped, used = np.zeros(shape), np.ones(shape), np.zeros(shape, bool), np.zeros(shape, bool)
+    for s, strip in enumerate(strips):
+        first, last = (row - picture.origin[0] for row in strip.read)
+        if first < 0 or last >= picture.values.shape[0] or last - first + 1 < _FEWEST:
+            raise FitError(
+                f"strip {s + 1} of rows {strip.first} to {strip.last}: at least {_FEWEST + 2 * MARGIN} rows inside of what is "
+                "read of the frames are needed"
+            )
+        rows = slice(first, last + 1)
+        light, noise = picture.values[rows].astype(float), picture.std[rows].astype(float)
+        good = np.isfinite(light) & (noise > 0)
+        for c in range(count):
+            of = good & (picture.channel[rows] == c)
+            number = of.sum(axis=0)
+            some = np.maximum(number, 1)
+            values[c, s] = np.where(of, light, 0.0).sum(axis=0) / some
+            std[c, s] = np.where(number > 0, np.sqrt((np.where(of, noise, 0.0) ** 2).sum(axis=0)) / some, 1.0)
+            clipped[c, s] = (of & picture.clipped[rows]).any(axis=0)
+            used[c, s] = number > 0
+    return StripProfiles(np.arange(width) + float(picture.origin[1]), values, std, clipped, used)

@@ -1,0 +1,323 @@
+"""The maps behind photographs of a flat textured sample, with their errors and what of them the camera has lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.merging import merge
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.camera.camera import Camera
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.registry import ONE_WIDTH
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture
+from matcam.inverse.fit.fit_setup import AUTO
+from matcam.material.masking import Masking
+from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares, fit_roughness, mean_maps
+from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack, usable
+from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
+from matcam.reconstruction.stated.captured_scene import INCOMPLETE, Progress
+from matcam.reconstruction.stated.lamp_light import light_shares, under_one_light
+from matcam.reconstruction.stated.stated_rig import captured_lens
+
+MAPS = ("diffuse", "specular")
+_FEWEST = 3
+_THETA_D = np.radians(10.0)
+"""Range of theta_d from which the change of F over the stack is remarked."""
+_LOOSE = 0.05  # standard deviation of ln alpha from which it is remarked
+_MISFIT = 1.3
+
+
+@dataclass(frozen=True)
+class FlatReconstruction:
+    """Hold maps of a flat sample, and how well the pictures determine them.
+
+    Attributes:
+        maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative; over
+            frequency_y and frequency_x (cycles/px): `diffuse_error`, the variance of each frequency, `diffuse_resolved`, the
+            share of its prior variance that the pictures take away, and the same of `specular`.
+        parameters: `alpha`, mean of both maps: value and standard deviation.
+        cutoffs: map -> frequency along the rows and across them up to which it is resolved, cycles/px.
+        mm_per_px: size of a texel, mm; None: not stated.
+        family: of the lobe.
+        names: of the pictures that were used.
+        gains: light of each of them, and its standard deviation, (pictures, 2).
+        misfit: mean squared residual of the coarse frequencies, in standard deviations of the noise.
+        left_out: lamp positions that could not be used.
+        remarks: what a reader should know.
+    """
+
+    maps: xr.Dataset
+    parameters: dict[str, tuple[float, float]]
+    cutoffs: dict[str, tuple[float, float]]
+    mm_per_px: float | None
+    family: str
+    names: tuple[str, ...]
+    gains: np.ndarray
+    misfit: float
+    left_out: tuple[str, ...]
+    remarks: tuple[Remark, ...]
+
+    sample = "flat"
+
+    @property
+    def complete(self) -> bool:
+        """Say whether every frame of the capture could be used."""
+        return not self.left_out and not any(remark.code in INCOMPLETE for remark in self.remarks)
+
+    @property
+    def verdict(self) -> str:
+        """Say what came out, in plain words."""
+        alpha, std = self.parameters["alpha"]
+        resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
+        return (
+            f"{len(self.names)} pictures show a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
+            f"Resolved: {resolved}. Finer texture is lost: the maps' errors contain it."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result without its maps as plain numbers: the JSON file."""
+        scale = None if self.mm_per_px is None else 1 / self.mm_per_px
+        return {
+            "format": "matcam reconstruction",
+            "version": 1,
+            "sample": self.sample,
+            "verdict": self.verdict,
+            "lobe": {"family": self.family},
+            "parameters": {name: list(pair) for name, pair in self.parameters.items()},
+            "cutoff_cycles_per_px": {name: list(pair) for name, pair in self.cutoffs.items()},
+            "cutoff_lp_per_mm": None
+            if scale is None
+            else {name: [scale * one for one in pair] for name, pair in self.cutoffs.items()},
+            "pictures": [
+                {"name": name, "gain": gain, "gain_std": std}
+                for name, (gain, std) in zip(self.names, self.gains.tolist(), strict=True)
+            ],
+            "misfit": self.misfit,
+            "left_out": list(self.left_out),
+            "remarks": [remark.to_dict() for remark in self.remarks],
+        }
+
+    def _resolution(self, name: str) -> str:
+        along, across = self.cutoffs[name]
+        text = f"{along:.2f} x {across:.2f} cycles/px"
+        if self.mm_per_px is None:
+            return text
+        return f"{text} ({along / self.mm_per_px:.3g} x {across / self.mm_per_px:.3g} lp/mm)"
+
+
+def reconstruct_flat(
+    capture: Capture,
+    ndf: str = AUTO,
+    *,
+    masking: Masking = "smith",
+    progress: Progress | None = None,
+    workers: int = 1,
+    kept: KeptWork | None = None,
+) -> FlatReconstruction:
+    """Reconstruct diffuse albedo and specular strength of every texel of a flat sample.
+
+    Args:
+        capture: of a flat sample, as from `read_capture`.
+        ndf: family of the lobe, one with a roughness alone. Default: "auto", "ggx".
+        masking: the lobe's G. Default: "smith".
+        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: pictures that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+
+    Raises:
+        ArgumentError: the family has a power, or a tilt is missing.
+        FitError: fewer than three pictures can be used, or they are of a mosaic.
+    """
+    family = "ggx" if ndf == AUTO else ndf
+    if family not in ONE_WIDTH:
+        raise ArgumentError(f"ndf of a flat sample must be one of {', '.join(ONE_WIDTH)}, got {ndf}")
+    remarks: list[Remark] = list(capture.problems)
+    camera, lens = captured_lens(capture, remarks)
+    tilts = _tilts(capture)
+    reader = MosaicReader(capture)
+    reader.read(capture.of("frames")[0], capture.region)
+    if len(reader.channels) > 1:
+        raise FitError(
+            f"{capture.folder}: a flat sample needs grey pictures, got a mosaic: each colour shows a quarter of the texels"
+        )
+    merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
+    light = light_shares(capture, merged) if capture.settings["lamp"]["intensity"] == "table" else {}
+    merged = [under_one_light(one, light[one.name]) if light else one for one in merged]
+    remarks.extend(radiometry.remarks)
+    pictures, lost = [], []
+    for one in merged:
+        towards = capture.lamps[one.name].direction
+        if not np.all(np.isfinite(towards)):
+            lost.append(f"{one.name} has no angle_deg and azimuth_deg")
+        elif not usable(one):
+            lost.append(f"{one.name} has {one.clipped.mean():.1%} of its pixels clipped in every exposure")
+        else:
+            output = radiometry.lamp_output.get(one.name)
+            known = output is not None and np.isfinite(output.value) and output.value > 0
+            std = output.std / output.value if known and output is not None else capture.settings["lamp"]["gain_std"]
+            pictures.append(FlatPicture(one, tilts[one.name], towards, float(std)))
+    remarks.extend(Remark("picture-left-out", f"{text}; left out") for text in lost)
+    if len(pictures) < _FEWEST:
+        raise FitError(
+            f"{capture.folder}: {len(pictures)} pictures of the flat sample can be used; {_FEWEST} are needed"
+        )
+    size = capture.stated("mm_per_px")
+    left_out = tuple(text.split(" ")[0] for text in lost)
+    return reconstructed_flat(
+        pictures, camera, family, masking=masking, lens_std=lens, mm_per_px=size, left_out=left_out, remarks=remarks
+    )
+
+
+def reconstructed_flat(
+    pictures: Sequence[FlatPicture],
+    camera: Camera,
+    family: str = "ggx",
+    *,
+    masking: Masking = "smith",
+    lens_std: float = 0.0,
+    mm_per_px: tuple[float, float] | None = None,
+    left_out: tuple[str, ...] = (),
+    remarks: Sequence[Remark] = (),
+) -> FlatReconstruction:
+    """Reconstruct the maps of a flat sample from merged pictures.
+
+    Args:
+        pictures: merged pictures with tilt and lamp.
+        camera: lens and pixel.
+        family: of the lobe, with a roughness alone. Default: "ggx".
+        masking: the lobe's G. Default: "smith".
+        lens_std: relative standard deviation of the lens's width. Default: 0, exact.
+        mm_per_px: size of a texel and its standard deviation, mm. Default: None, not known.
+        left_out: names of pictures that could not be used. Default: ().
+        remarks: of the steps before. Default: ().
+    """
+    shares = LobeShares(
+        family, masking, np.array([one.tilt for one in pictures]), np.array([one.towards for one in pictures])
+    )
+    dark = [one.picture.name for one, lit in zip(pictures, shares.lit, strict=True) if not lit]
+    if dark:
+        raise FitError(
+            f"{', '.join(dark)}: lamp or camera is behind the sample at the stated angles: correct frames.csv"
+        )
+    stack = flat_stack(pictures, camera)
+    fitted = fit_roughness(stack, shares, np.array([one.gain_std for one in pictures]))
+    means, covariance = mean_maps(stack, fitted)
+    posterior = texture_posterior(stack, fitted.weights, lens_std)
+    alpha = float(np.exp(fitted.log_alpha))
+    unit = max(float(means.max()), 1e-300)
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / unit
+    said = [*remarks, *_remarks(fitted, shares)]
+    gain_std = np.sqrt(np.maximum(np.diag(fitted.covariance)[1:], 0.0))
+    return FlatReconstruction(
+        maps=_maps(stack, posterior, means, unit, mm_per_px),
+        parameters={
+            "alpha": (alpha, alpha * float(np.sqrt(fitted.covariance[0, 0]))),
+            **{f"mean_{name}": (float(m / unit), float(s)) for name, m, s in zip(MAPS, means, std, strict=True)},
+        },
+        cutoffs={name: posterior.cutoff(stack.frequency, i) for i, name in enumerate(MAPS)},
+        mm_per_px=None if mm_per_px is None else float(mm_per_px[0]),
+        family=family,
+        names=tuple(one.picture.name for one in pictures),
+        gains=np.column_stack([np.exp(fitted.gains), gain_std]),
+        misfit=fitted.misfit,
+        left_out=left_out,
+        remarks=tuple(dict.fromkeys(said)),
+    )
+
+
+def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
+    found = [Remark("relative", "both maps are relative: the larger mean is 1")]
+    spread = float(np.sqrt(fitted.covariance[0, 0]))
+    if spread > _LOOSE:
+        found.append(
+            Remark("roughness-loose", f"the stack tells the roughness to {spread:.0%} only: vary the half angle more")
+        )
+    if np.ptp(shares.theta_d) > _THETA_D:
+        low, high = np.degrees([shares.theta_d.min(), shares.theta_d.max()])
+        found.append(
+            Remark(
+                "theta-d-varies",
+                f"theta_d runs from {low:.0f}° to {high:.0f}°; the lobe's F is taken as the same in all",
+            )
+        )
+    if fitted.misfit > _MISFIT:
+        found.append(
+            Remark(
+                "misfit",
+                f"residuals are {np.sqrt(fitted.misfit):.1f} times the noise: two maps and one roughness do not explain them",
+            )
+        )
+    return found
+
+
+def _maps(
+    stack: FlatStack,
+    posterior: TexturePosterior,
+    means: np.ndarray,
+    unit: float,
+    mm_per_px: tuple[float, float] | None,
+) -> xr.Dataset:
+    """Return maps without their borders, and what is resolved of each frequency."""
+    height, width = stack.taper.shape
+    inner = slice(MARGIN, height - MARGIN), slice(MARGIN, width - MARGIN)
+    root = np.sqrt((stack.taper**2).sum())
+    x, y = (np.arange(n) - (n - 1) / 2 for n in (width, height))
+    variables: dict[str, Any] = {}
+    for i, name in enumerate(MAPS):
+        field = means[i] + np.fft.ifft2(posterior.estimate[i]).real * root
+        variance = posterior.variance[i] + posterior.by_lens[i]
+        std = np.sqrt(variance.mean())
+        variables[name] = ("y", "x"), field[inner] / unit, {"long_name": f"{name} part, relative"}
+        variables[f"{name}_std"] = (
+            ("y", "x"),
+            np.full(field[inner].shape, std / unit),
+            {"long_name": f"standard deviation of {name} about its mean, with the texture that is lost"},
+        )
+        variables[f"{name}_error"] = (
+            ("frequency_y", "frequency_x"),
+            np.fft.fftshift(variance) / unit**2,
+            {"long_name": f"variance of {name} at each frequency; their mean is the variance of a texel"},
+        )
+        variables[f"{name}_resolved"] = (
+            ("frequency_y", "frequency_x"),
+            np.fft.fftshift(posterior.resolved[i]),
+            {"long_name": "share of the prior variance that the pictures take away"},
+        )
+    along, across = (np.fft.fftshift(one.ravel()) for one in stack.frequency)
+    attrs: dict[str, Any] = {
+        f"{name}_cutoff_cycles_per_px": posterior.cutoff(stack.frequency, i) for i, name in enumerate(MAPS)
+    }
+    for name, law in zip(MAPS, posterior.laws, strict=True):
+        attrs[f"{name}_prior"] = f"power {law.level / unit**2:.4g} (frequency / 0.1 cycles/px)^{law.slope:.3g}"
+    if mm_per_px is not None:
+        attrs["mm_per_px"] = float(mm_per_px[0])
+    return xr.Dataset(
+        variables,
+        coords={
+            "x": ("x", x[inner[1]], {"units": "px", "long_name": "to the right, on the sample seen head-on"}),
+            "y": ("y", -y[inner[0]], {"units": "px", "long_name": "upwards"}),
+            "frequency_x": ("frequency_x", along, {"units": "cycles/px"}),
+            "frequency_y": ("frequency_y", across, {"units": "cycles/px"}),
+        },
+        attrs=attrs,
+    )
+
+
+def _tilts(capture: Capture) -> dict[str, float]:
+    """Return the stated tilt of each lamp position, rad."""
+    stated = capture.settings["sample"]["tilt_deg"] or [0.0]
+    names = list(capture.lamps)
+    if len(stated) not in (1, len(names)):
+        raise ArgumentError(
+            f"{capture.folder}: sample.tilt_deg has {len(stated)} angles for {len(names)} lamp positions: give one, or one "
+            "for each in the order of frames.csv"
+        )
+    stated = stated * len(names) if len(stated) == 1 else stated
+    return {name: float(np.radians(one)) for name, one in zip(names, stated, strict=True)}

@@ -1,0 +1,138 @@
+"""The roughness that all texels of a flat sample share, and each picture's light, from the texture's coarse frequencies.
+
+Whatever the maps are, a picture is a mixture of both with shares that roughness and light fix. So the roughness is the one
+whose mixtures leave the least behind, with both maps solved for at every frequency.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+
+from matcam.core.jax import jnp
+from matcam.core.registry import family_ndf
+from matcam.core.shading import shading, vector
+from matcam.material.masking import Masking
+from matcam.material.microfacet import Microfacet
+from matcam.reconstruction.flat.flat_stack import FlatStack
+
+_COARSE = 0.15  # cycles/px
+_WIDTHS = np.geomspace(0.01, 0.9, 46)
+_EXACT = 1e-4
+"""Relative error below which a picture's mean is not believed."""
+
+
+class FlatRoughness(NamedTuple):
+    """Hold what all texels share.
+
+    Attributes:
+        log_alpha: ln of the lobe's roughness.
+        gains: ln of each picture's light, (pictures,).
+        covariance: of log_alpha and gains, (1 + pictures, 1 + pictures).
+        weights: light of each picture's diffuse and specular part for a map of 1, gains included, (pictures, 2).
+        weights_slope: derivatives of `weights` by log_alpha and gains, (pictures, 2, 1 + pictures).
+        misfit: mean squared residual, in standard deviations of the noise.
+    """
+
+    log_alpha: float
+    gains: np.ndarray
+    covariance: np.ndarray
+    weights: np.ndarray
+    weights_slope: np.ndarray
+    misfit: float
+
+
+class LobeShares:
+    """Say how bright each picture shows a lobe of F = 1, and a white Lambertian surface.
+
+    Args:
+        family: of the lobe, with a roughness alone.
+        masking: the lobe's G.
+        tilts: of the sample, its normal towards +x, rad, (pictures,).
+        towards: directions to the lamps, (pictures, 3).
+    """
+
+    def __init__(self, family: str, masking: Masking, tilts: np.ndarray, towards: np.ndarray):
+        zero = np.zeros_like(tilts)
+        normal = vector(np.sin(tilts), zero, np.cos(tilts))
+        tangent = vector(np.cos(tilts), zero, -np.sin(tilts))
+        at = shading(normal, tangent, vector(*towards.T), vector(zero, zero, zero + 1.0))
+        self.theta_d = np.asarray(at.theta_d)
+        self.lit = np.asarray((at.cos_i > 0) & (at.cos_o > 0))
+        self.white = np.maximum(np.asarray(at.cos_i), 0.0) / np.pi
+        lobes = [
+            Microfacet(family_ndf(family, jnp.asarray(width)), 1.0, masking=masking).reflected(at) / at.cos_o
+            for width in _WIDTHS
+        ]
+        self._log_lobe = CubicSpline(np.log(_WIDTHS), np.log(np.maximum(np.array(lobes), 1e-300)))
+
+    def lobe(self, log_alpha: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lobe's radiance in each picture and its derivative by log_alpha, (pictures,) each."""
+        value = np.exp(self._log_lobe(log_alpha))
+        return value, value * self._log_lobe(log_alpha, 1)
+
+
+def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) -> FlatRoughness:
+    """Fit roughness and picture gains.
+
+    Args:
+        stack: pictures on the texels.
+        shares: of diffuse and specular part in each picture.
+        gain_std: standard deviation of ln of each picture's light, (pictures,).
+    """
+    coarse = (stack.radius < _COARSE) & (stack.radius > 0)
+    root = np.sqrt(stack.noise[:, coarse])
+    data, transfer = stack.spectrum[:, coarse] / root, stack.transfer[:, coarse] / root
+    mean_std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
+    prior = np.maximum(gain_std, 1e-5)
+
+    def weights(p: np.ndarray) -> np.ndarray:
+        return np.exp(p[1:])[:, None] * np.column_stack([shares.white, shares.lobe(p[0])[0]])
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        ways = weights(p)
+        left = _left_behind(data, transfer, ways)
+        level = _left_behind((stack.mean / mean_std)[:, None], (1 / mean_std)[:, None], ways)
+        return np.concatenate([left.real.ravel(), left.imag.ravel(), level.real.ravel(), p[1:] / prior])
+
+    count = len(stack.mean)
+    starts = [np.concatenate([[value], np.zeros(count)]) for value in np.log(_WIDTHS)]
+    start = min(starts, key=lambda p: float((residual(p) ** 2).sum()))
+    low, high = np.log(_WIDTHS[[0, -1]])
+    bounds = np.concatenate([[low], np.full(count, -1.0)]), np.concatenate([[high], np.full(count, 1.0)])
+    found = least_squares(residual, np.clip(start, bounds[0] + 1e-6, bounds[1] - 1e-6), bounds=bounds, x_scale="jac")
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    p = found.x
+    _, slope = shares.lobe(p[0])
+    slopes = np.zeros((count, 2, 1 + count))
+    slopes[:, 1, 0] = np.exp(p[1:]) * slope
+    slopes[np.arange(count), :, 1 + np.arange(count)] = weights(p)
+    freedom = coarse.sum() * max(count - 2, 1)  # of a complex spectrum, each wave and its mirror image
+    return FlatRoughness(float(p[0]), p[1:], covariance, weights(p), slopes, float(2 * found.cost / freedom))
+
+
+def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of both maps and its covariance, with that of roughness and gains, (2,) and (2, 2)."""
+    std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
+    ways = fitted.weights / std[:, None]
+    inverse = np.linalg.pinv(ways.T @ ways)
+    reading = inverse @ ways.T / std
+    means = reading @ stack.mean
+    # what a change of the shares does, with the means held against the pictures
+    by_shared = -np.einsum("ik,kjp,j->ip", reading, fitted.weights_slope, means)
+    return means, inverse + by_shared @ fitted.covariance @ by_shared.T
+
+
+def _left_behind(data: np.ndarray, transfer: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Return what the best two maps leave of whitened data at each frequency, (pictures, frequencies)."""
+    scale = np.abs(ways).max(axis=0)
+    unit = ways / scale
+    share = transfer**2
+    a, b, c = (share.T @ (unit[:, i] * unit[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+    first, second = ((transfer * data).T @ unit[:, i] for i in (0, 1))
+    determinant = np.maximum(a * b - c**2, 1e-9 * a * b + 1e-300)
+    maps = np.stack([(b * first - c * second) / determinant, (a * second - c * first) / determinant])
+    return np.asarray(data - transfer * (unit @ maps))

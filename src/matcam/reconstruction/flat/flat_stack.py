@@ -1,0 +1,170 @@
+"""Pictures of a flat sample on one grid of texels, and their Fourier transforms.
+
+The grid is that of the sample seen head-on, one texel a pixel. A tilt about the picture's vertical axis makes the picture
+narrower by its cosine: every picture is interpolated onto the grid by a windowed sinc, which keeps all that the pixels hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.camera.camera import Camera
+from matcam.core.errors import FitError
+from matcam.core.jax import jnp
+
+TAPER = 16
+"""Texels at the border over which a picture is faded out before its transform."""
+MARGIN = 24
+"""Texels at the border that are not reported."""
+_REACH = 16  # px of the sinc on either side
+_BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc changes nothing
+_STEP = 1e-3
+_PASSED = 1e-3
+"""MTF of a lens below which its change is of no interest."""
+_CLIPPED = 0.001  # share of clipped pixels up to which a picture is used
+
+
+class FlatPicture(NamedTuple):
+    """Hold one picture, and how it was taken.
+
+    Attributes:
+        picture: merged picture, grey.
+        tilt: of the sample about the picture's vertical axis, its normal towards +x, rad.
+        towards: direction to the lamp, x right, y up, z to the camera, (3,).
+        gain_std: standard deviation of ln of the picture's light.
+    """
+
+    picture: MergedPicture
+    tilt: float
+    towards: np.ndarray
+    gain_std: float
+
+
+class FlatStack(NamedTuple):
+    """Hold the pictures' transforms over the grid of texels.
+
+    Attributes:
+        mean: of each picture, (pictures,).
+        mean_std: its noise, (pictures,).
+        spectrum: transform of each picture less its mean, per root of the area, (pictures, rows, columns).
+        transfer: of the camera at each texel frequency; 0 beyond the sensor's band, same shape.
+        lens_slope: derivative of ln transfer by ln of the lens's width, same shape.
+        noise: power of the noise in `spectrum`, same shape.
+        frequency: (cycles/px along the rows, and across them), broadcasting to (rows, columns).
+        tilts: rad, (pictures,).
+        camera: whose transfer it is.
+        taper: weight of each texel, (rows, columns).
+    """
+
+    mean: np.ndarray
+    mean_std: np.ndarray
+    spectrum: np.ndarray
+    transfer: np.ndarray
+    lens_slope: np.ndarray
+    noise: np.ndarray
+    frequency: tuple[np.ndarray, np.ndarray]
+    tilts: np.ndarray
+    camera: Camera
+    taper: np.ndarray
+
+    @property
+    def radius(self) -> np.ndarray:
+        """Size of each frequency, cycles/px (rows, columns)."""
+        return np.hypot(*self.frequency)
+
+    def sensor_transfer(self, k: int, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """Return the camera's transfer of texel frequencies in picture k, signed."""
+        return _transfer(self.camera, along / np.cos(self.tilts[k]), across)
+
+
+def usable(picture: MergedPicture) -> bool:
+    """Say whether a picture has hardly any clipped pixels: a clipped one has no value to transform."""
+    return bool(picture.clipped.mean() <= _CLIPPED)
+
+
+def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
+    """Bring the pictures of a flat sample onto its texels.
+
+    Args:
+        pictures: of one shape.
+        camera: lens and pixel.
+
+    Returns:
+        Their transforms with noise.
+
+    Raises:
+        FitError: the pictures are too small for borders of 24 texels.
+    """
+    height, width = pictures[0].picture.values.shape
+    if min(height, width) < 4 * MARGIN:
+        raise FitError(f"pictures of {height} x {width} px are too small: a flat sample needs {4 * MARGIN} px each way")
+    taper = _taper(height)[:, None] * _taper(width)
+    area = (taper**2).sum()
+    across, along = np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :]
+    stack = []
+    for one in pictures:
+        values = _without_holes(one.picture.values.astype(float))
+        variance = np.nanmean(np.where(np.isfinite(one.picture.values), one.picture.std.astype(float) ** 2, np.nan))
+        cosine = np.cos(one.tilt)
+        middle = float((values * taper).sum() / taper.sum())
+        rectified = middle + (values - middle) @ _interpolation(width, cosine).T
+        mean = float((rectified * taper).sum() / taper.sum())
+        spectrum = np.fft.fft2((rectified - mean) * taper) / np.sqrt(area)
+        sensor = _transfer(camera, along / cosine, across)
+        inside = (np.abs(along / cosine) < _BAND) & (np.abs(across) < 0.5)
+        transfer = np.where(inside, sensor, 0.0)
+        # white noise of the sensor, denser by the tilt
+        noise = np.full((height, width), variance / cosine)
+        slope = np.where(inside, _lens_slope(camera, np.hypot(along / cosine, across)), 0.0)
+        stack.append((mean, np.sqrt(variance * area) / taper.sum(), spectrum, transfer, slope, noise))
+    mean_of, mean_std, spectra, transfers, slopes, noises = map(np.array, zip(*stack, strict=True))
+    tilts = np.array([one.tilt for one in pictures])
+    return FlatStack(mean_of, mean_std, spectra, transfers, slopes, noises, (along, across), tilts, camera, taper)
+
+
+def _transfer(camera: Camera, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+    return np.asarray(camera.transfer(jnp.asarray(along), jnp.asarray(across)))
+
+
+def _lens_slope(camera: Camera, frequency: np.ndarray) -> np.ndarray:
+    """Return d ln MTF / d ln width of the lens: a wider lens is the same at higher frequencies."""
+    here, beyond = (np.asarray(camera.optics.mtf(frequency * factor)) for factor in (1 - _STEP, 1 + _STEP))
+    passed = (here > _PASSED) & (beyond > _PASSED)
+    return np.where(passed, np.log(np.where(passed, beyond, 1.0) / np.where(passed, here, 1.0)) / (2 * _STEP), 0.0)
+
+
+def _taper(count: int) -> np.ndarray:
+    rise = np.sin(np.pi / 2 * (np.arange(TAPER) + 0.5) / TAPER) ** 2
+    return np.concatenate([rise, np.ones(count - 2 * TAPER), rise[::-1]])
+
+
+def _interpolation(count: int, cosine: float) -> np.ndarray:
+    """Return the matrix from pixels of a row to texels."""
+    if cosine == 1:
+        return np.eye(count)
+    place = np.arange(count) - (count - 1) / 2
+    offset = place[:, None] * cosine - place
+    window = np.where(np.abs(offset) < _REACH, np.cos(np.pi / 2 * np.clip(offset / _REACH, -1, 1)) ** 2, 0.0)
+    weights = np.sinc(offset) * window
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _without_holes(values: np.ndarray) -> np.ndarray:
+    """Return values in which pixels without one have the mean of their neighbours."""
+    holes = ~np.isfinite(values)
+    if not holes.any():
+        return values
+    filled = np.where(holes, 0.0, values)
+    padded, known = np.pad(filled, 2), np.pad((~holes).astype(float), 2)
+    height, width = values.shape
+    total, count = np.zeros(values.shape), np.zeros(values.shape)
+    for row in range(5):
+        for column in range(5):
+            total += padded[row : row + height, column : column + width]
+            count += known[row : row + height, column : column + width]
+    rest = float(values[~holes].mean()) if (~holes).any() else 0.0
+    return np.where(holes, np.where(count > 0, total / np.maximum(count, 1), rest), values)

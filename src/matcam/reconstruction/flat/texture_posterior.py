@@ -1,0 +1,164 @@
+"""Diffuse albedo and specular strength of a flat sample, frequency by frequency of its texture.
+
+At each frequency the pictures are linear in both: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise. With the
+power of each as prior the posterior is Wiener's estimate. What the camera does not pass keeps the prior's variance: it is lost.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.reconstruction.flat.flat_stack import FlatStack
+
+RESOLVED = 0.5
+"""Share of a frequency's prior variance that the pictures must take away for it to count as resolved."""
+_BINS = np.geomspace(0.02, 0.35, 13)
+_CLEAR = 3.0  # standard deviations by which a bin's power must exceed its noise
+_STEEPEST, _FLATTEST = -5.0, 0.0
+_NOTHING = 1e-12
+
+
+class PowerLaw(NamedTuple):
+    """Hold the power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
+
+    Attributes:
+        level: at 0.1 cycles/px.
+        slope: no unit.
+    """
+
+    level: float
+    slope: float
+
+    def at(self, radius: np.ndarray) -> np.ndarray:
+        """Return the power at frequencies, cycles/px."""
+        return self.level * (np.maximum(radius, 0.005) / 0.1) ** self.slope
+
+
+class TexturePosterior(NamedTuple):
+    """Hold both maps' transforms with their errors, over the grid's frequencies; first axis: diffuse, specular.
+
+    Attributes:
+        estimate: posterior mean, (2, rows, columns).
+        variance: posterior variance, same shape.
+        by_lens: variance that the lens's uncertainty adds, same shape.
+        prior: prior variance, same shape.
+        laws: the prior of each.
+    """
+
+    estimate: np.ndarray
+    variance: np.ndarray
+    by_lens: np.ndarray
+    prior: np.ndarray
+    laws: tuple[PowerLaw, PowerLaw]
+
+    @property
+    def resolved(self) -> np.ndarray:
+        """Share of the prior variance that the pictures take away, (2, rows, columns): 1, known; 0, lost."""
+        return 1 - self.variance / np.maximum(self.prior, 1e-300)
+
+    def cutoff(self, frequency: tuple[np.ndarray, np.ndarray], which: int) -> tuple[float, float]:
+        """Return the frequencies along the rows and across them up to which a map is resolved, cycles/px.
+
+        Args:
+            frequency: of the grid, along and across.
+            which: 0, diffuse; 1, specular.
+        """
+        resolved = self.resolved[which]
+        along = _first_lost(np.abs(frequency[0][0]), resolved[0])
+        return along, _first_lost(np.abs(frequency[1][:, 0]), resolved[:, 0])
+
+
+def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0.0) -> TexturePosterior:
+    """Return the posterior of both maps; their power is estimated from the frequencies that the pictures show clearly.
+
+    Args:
+        stack: pictures on the texels.
+        weights: light of each picture's diffuse and specular part for a map of 1, (pictures, 2).
+        lens_std: relative standard deviation of the lens's width. Default: 0, exact.
+    """
+    scale = np.abs(weights).max(axis=0)
+    ways = weights / scale
+    information, projected = _normal(stack, ways, stack.noise)
+    free = _inverse(information, np.zeros(2))
+    estimate = np.einsum("ijyx,jyx->iyx", free, projected)
+    radius = stack.radius
+    laws = tuple(_power_law(estimate[i], free[i, i].real, radius) for i in range(2))
+    prior = np.stack([law.at(radius) for law in laws])
+    prior[:, 0, 0] = prior[:, 0, 1]
+    # frequencies beyond the sensor's own appear as others: unknown, they count as noise
+    noise = stack.noise + _folded(stack, ways, laws)
+    information, projected = _normal(stack, ways, noise)
+    covariance = _inverse(information, 1 / np.maximum(prior, _NOTHING * prior.max()))
+    estimate = np.einsum("ijyx,jyx->iyx", covariance, projected)
+    variance = np.stack([covariance[i, i].real for i in range(2)])
+    # a wider lens would have passed less: what the estimate would change by
+    doubt = np.einsum("kyx,ki,kj->ijyx", stack.transfer**2 * stack.lens_slope / noise, ways, ways)
+    moved = lens_std * np.einsum("ijyx,jlyx,lyx->iyx", covariance, doubt, estimate)
+    back = scale[:, None, None]
+    laws = tuple(PowerLaw(law.level / s**2, law.slope) for law, s in zip(laws, scale, strict=True))
+    by_lens = np.abs(moved) ** 2 / back**2
+    return TexturePosterior(estimate / back, variance / back**2, by_lens, prior / back**2, laws)  # type: ignore[arg-type]
+
+
+def _normal(stack: FlatStack, ways: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    share = stack.transfer / noise
+    information = np.einsum("kyx,ki,kj->ijyx", stack.transfer * share, ways, ways)
+    return information, np.einsum("kyx,ki,kyx->iyx", share, ways, stack.spectrum)
+
+
+def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Return the inverse of 2 x 2 matrices with the prior's information on their diagonal; huge where there is neither."""
+    a, b = information[0, 0] + prior[0], information[1, 1] + prior[1]
+    c = information[0, 1]
+    floor = 1e-12 * max(float(a.max()), float(b.max()), 1e-300)
+    a, b = a + floor, b + floor
+    determinant = np.maximum(a * b - c**2, floor * np.maximum(a, b))
+    return np.stack([np.stack([b, -c]), np.stack([-c, a])]) / determinant
+
+
+def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -> PowerLaw:
+    """Fit a power law to what exceeds the noise, ring by ring."""
+    rings = []
+    for low, high in pairwise(_BINS):
+        ring = (radius >= low) & (radius < high)
+        if not ring.any():
+            continue
+        weight = 1 / variance[ring] ** 2
+        power = float((weight * (np.abs(estimate[ring]) ** 2 - variance[ring])).sum() / weight.sum())
+        noise = float(1 / np.sqrt(weight.sum()) * np.sqrt(2))
+        rings.append((np.sqrt(low * high), power, noise, int(ring.sum())))
+    clear = [(f, p, n) for f, p, noise, n in rings if p > _CLEAR * noise]
+    if len(clear) < 2:
+        level = max(max((p for _, p, *_ in rings), default=0.0), _NOTHING)
+        return PowerLaw(level, 0.0)
+    f, p, n = map(np.array, zip(*clear, strict=True))
+    slope, level = np.polyfit(np.log(f / 0.1), np.log(p), 1, w=np.sqrt(n))
+    slope = float(np.clip(slope, _STEEPEST, _FLATTEST))
+    level = float(np.average(np.log(p) - slope * np.log(f / 0.1), weights=n))
+    return PowerLaw(float(np.exp(level)), slope)
+
+
+def _folded(stack: FlatStack, ways: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
+    """Return the power that frequencies beyond the sensor's Nyquist limit leave at each frequency of each picture."""
+    along, across = stack.frequency
+    folded = np.zeros(stack.noise.shape)
+    for k, tilt in enumerate(stack.tilts):
+        for i in (-1, 0, 1):
+            for j in (-1, 0, 1):
+                if i == j == 0:
+                    continue
+                a, b = along + i * np.cos(tilt), across + j
+                radius = np.hypot(a, b)
+                power = sum(way**2 * law.at(radius) for way, law in zip(ways[k], laws, strict=True))
+                folded[k] += stack.sensor_transfer(k, a, b) ** 2 * power
+    return folded
+
+
+def _first_lost(frequency: np.ndarray, resolved: np.ndarray) -> float:
+    order = np.argsort(frequency)
+    order = order[frequency[order] > 0]
+    lost = np.flatnonzero(resolved[order] < RESOLVED)
+    return float(frequency[order[lost[0]]]) if lost.size else 0.5

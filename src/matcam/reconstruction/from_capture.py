@@ -1,0 +1,149 @@
+"""From a capture to the material, by the kind of its sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from matcam.acquisition.light.kept_work import KeptWork
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.registry import FAMILIES
+from matcam.files.capture import Capture, read_capture
+from matcam.inverse.fit.fit_setup import AUTO
+from matcam.material.masking import MASKINGS, Masking
+from matcam.reconstruction.cylinder.captured_cylinder import CapturedCylinder, captured_cylinder
+from matcam.reconstruction.cylinder.cylinder_fit import fit_cylinder
+from matcam.reconstruction.flat.flat_reconstruction import FlatReconstruction, reconstruct_flat
+from matcam.reconstruction.pinhole_reading import pinhole_reading
+from matcam.reconstruction.reconstruction import Reconstruction, reconstructed
+from matcam.reconstruction.rig.rig_document import EarlierRig, read_rig
+from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, captured_scene
+
+
+def reconstruct(
+    capture: Capture | str | Path,
+    ndf: str = AUTO,
+    *,
+    masking: Masking = "smith",
+    diffuse: bool = True,
+    rig_from: EarlierRig | str | Path | None = None,
+    progress: Progress | None = None,
+    workers: int = 1,
+    keep: str | Path | None = None,
+) -> Reconstruction | FlatReconstruction:
+    """Reconstruct a material from photographs of a sample under a moved lamp.
+
+    The sample is a sphere, a cylinder or a flat one. Frames are merged by what they say of exposures, noise and clipping.
+    Outline and highlights give the geometry a start. Then lobe, reflectance, diffuse part, lens, outline, lamps and distances
+    are fitted to the pixels of all pictures at once, within what the capture states of each. Every error of the result
+    contains all of them, and what the fit does not explain.
+    Of a flat sample maps are estimated, frequency by frequency of its texture.
+
+    Args:
+        capture: as from `files.capture.read_capture`, or its folder.
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the likelier of "ggx" and
+            "epd", bent where that explains more; of a cylinder with strips of several turns, GGX with two roughnesses.
+        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        diffuse: whether the material may have a Lambertian part. Default: True.
+        rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and distortion, with
+            their covariance, stand for what the capture states of them. Default: None.
+        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        workers: lamp positions whose frames are read at a time, in threads. Default: 1.
+        keep: folder in which what was read of the frames is kept until the end, so that a run that is cut off goes on.
+            Default: None, nothing is kept.
+
+    Returns:
+        Table, parameters, geometry, error budget and remarks; of a flat sample maps and what of them is lost.
+
+    Raises:
+        ArgumentError: an argument is wrong, does not suit the sample, or `rig_from` is of another rig.
+        FileFormatError: the capture's files are wrong.
+        FitError: there is no sphere or cylinder, too few highlights, or nothing to fit.
+
+    Source:
+        docs/model.md 10.
+
+    Example:
+        >>> found = matcam.reconstruct("shots/")  # doctest: +SKIP
+        >>> print(found.verdict)  # doctest: +SKIP
+        >>> matcam.reconstruct("no-such-folder")
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.FileFormatError: no-such-folder: no such folder
+    """
+    checks.choice("ndf", ndf, (AUTO, *FAMILIES))
+    checks.choice("masking", masking, MASKINGS)
+    if not isinstance(capture, Capture):
+        capture = read_capture(capture)
+    say = progress or (lambda step, done, total: None)
+    if type(workers) is not int or workers < 1:
+        raise ArgumentError(f"workers must be a whole number >= 1, got {workers!r:.60}")
+    kind = capture.settings["sample"]["kind"]
+    if rig_from is not None and kind != "sphere":
+        raise ArgumentError(f"rig_from is for photographs of a sphere, and the sample is a {kind}: leave it out")
+    kept = None if keep is None else KeptWork(Path(keep))
+    steps = iter(range(1, 1000))
+
+    def fitting(line: str) -> None:
+        say(f"fitting ({line})", next(steps), 0)
+
+    if kind == "flat":
+        return reconstruct_flat(capture, ndf, masking=masking, progress=progress, workers=workers, kept=kept)
+    if kind == "cylinder":
+        strips = captured_cylinder(capture, progress, workers=workers, kept=kept)
+        result = _of_cylinder(strips, ndf, masking, diffuse, fitting)
+    else:
+        earlier = read_rig(rig_from) if isinstance(rig_from, str | Path) else rig_from
+        found = captured_scene(capture, progress, earlier, workers=workers, kept=kept)
+        result = _of_sphere(found, ndf, masking, diffuse, fitting)
+    if kept is not None:
+        kept.clear()
+    return result
+
+
+def _of_sphere(
+    found: CapturedScene, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
+) -> Reconstruction:
+    """Reconstruct from a sphere, with the pinhole's table of the pictures that the fit explains."""
+    result = reconstructed(
+        found.pictures,
+        found.scene,
+        found.lamps,
+        units=found.units,
+        family=ndf,
+        masking=masking,
+        diffuse=diffuse,
+        remarks=found.remarks,
+        pinhole=lambda fit, units: pinhole_reading(
+            [one for one in found.pictures if one.name in fit.names], fit, units
+        ),
+        progress=progress,
+    )
+    return replace(result, captured=found)
+
+
+def _of_cylinder(
+    found: CapturedCylinder, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
+) -> Reconstruction:
+    """Reconstruct from a cylinder: with two roughnesses where strips of different turns can tell them apart."""
+    scene = found.scene
+    turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in found.strips}) > 1
+    stretched = ndf == AUTO and turned
+    result = reconstructed(
+        scene.pictures,
+        scene.scene,
+        scene.lamps,
+        units=scene.units,
+        family="ggx" if stretched else ndf,
+        masking=masking,
+        diffuse=diffuse,
+        remarks=scene.remarks,
+        progress=progress,
+        fit_pictures=partial(fit_cylinder, strips=found.strips, stretched=stretched),
+    )
+    return replace(result, captured=scene, sample="cylinder")

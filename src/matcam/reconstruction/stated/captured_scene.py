@@ -1,0 +1,226 @@
+"""From a capture to what the joint fit needs: merged pictures, outline, first lamp directions, and what is known of all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.frame_shifts import find_shifts
+from matcam.acquisition.highlights import Highlight, find_highlights, lamp_from_highlight
+from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.merging import merge
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
+from matcam.acquisition.radiometry import Radiometry
+from matcam.camera.lens_field import LensField
+from matcam.core.errors import ArgumentError, FitError, MatcamError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Stated
+from matcam.reconstruction.rig.earlier_rig import known_rig
+from matcam.reconstruction.rig.rig_document import EarlierRig
+from matcam.reconstruction.sphere_scene import Known, SphereScene
+from matcam.reconstruction.stated.lamp_light import gains_of, light_shares, under_one_light
+from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
+from matcam.reconstruction.stated.stated_rig import (
+    FEWEST,
+    captured_lens,
+    known_nearness,
+    lamp_radius_of,
+    stated_lamps,
+    with_field,
+)
+
+Progress = Callable[[str, int, int], None]
+
+_SHIFT = 0.3
+"""px; how far the sphere may move between pictures where its limb does not say."""
+INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
+"""Codes of the remarks on what could not be used."""
+
+
+class CapturedScene(NamedTuple):
+    """Hold what a capture's frames say before the joint fit.
+
+    Attributes:
+        pictures: merged pictures that can be fitted.
+        scene: what is known beforehand.
+        lamps: directions to the lamps as the highlights say, (pictures, 3).
+        radiometry: what the codes mean.
+        outline: the sphere's outline; None: of another sample.
+        left_out: names of the lamp positions that cannot be used.
+        remarks: what a reader should know.
+        units: of each channel, value of the pictures per radiance under unit irradiance, with relative standard deviation;
+            None: there is no reference of known reflectance.
+        frame: width and height of the frames, px; None: none could be read. Default: None.
+        sample_radius: of the sphere, mm. Default: None, not stated.
+    """
+
+    pictures: list[MergedPicture]
+    scene: SphereScene
+    lamps: np.ndarray
+    radiometry: Radiometry
+    outline: Outline | None
+    left_out: tuple[str, ...]
+    remarks: tuple[Remark, ...]
+    units: tuple[Known, ...] | None = None
+    frame: tuple[int, int] | None = None
+    sample_radius: Stated | None = None
+
+
+def captured_scene(
+    capture: Capture,
+    progress: Progress | None = None,
+    earlier: EarlierRig | None = None,
+    *,
+    workers: int = 1,
+    kept: KeptWork | None = None,
+) -> CapturedScene:
+    """Merge a capture's frames, and find outline, highlights and lamps.
+
+    Args:
+        capture: as from `read_capture`.
+        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        earlier: the rig as another reconstruction found it. Default: None.
+        workers: lamp positions that are read at a time. Default: 1.
+        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+
+    Raises:
+        ArgumentError: the capture is not of a sphere, or `earlier` is of another rig.
+        FitError: there is no sphere, or fewer than three pictures show a highlight.
+    """
+    kind = capture.settings["sample"]["kind"]
+    if kind != "sphere":
+        raise ArgumentError(f"{capture.folder}: sample.kind is {kind!r}: the outline of a 'sphere' is looked for here")
+    remarks: list[Remark] = list(capture.problems)
+    camera, spread = captured_lens(capture, remarks)
+    frame, rig = _frame_size(capture), None
+    if earlier is not None:
+        sigma, radius = camera.parameters().get("optics.sigma_px"), capture.radius_mm
+        rig, said = known_rig(
+            earlier,
+            list(capture.lamps),
+            frame,
+            None if radius is None else radius.value,
+            None if sigma is None else float(sigma),
+        )
+        remarks.extend(said)
+        camera = camera.with_field(earlier.field)
+    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
+    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
+    if rig is not None:
+        std = np.sqrt(np.diag(rig.covariance))
+        camera_nearness, lamp_nearness = (
+            Known(float(rig.values[at]), float(std[at])) if rig.knows[at] else stated
+            for at, stated in ((1, camera_nearness), (2, lamp_nearness))
+        )
+    distance = 1 / camera_nearness.value if camera_nearness.value > 0 else np.inf
+    sighting = Sighting(distance=distance)
+    outline, region = None, capture.region
+    if capture.of("outline"):
+        found, shape = (capture.region, ()) if capture.region else about_disc(capture)
+        outline = backlit_outline(capture, sighting, found, remarks)
+        region = capture.region or about_outline(outline, shape)
+    pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
+    shares = light_shares(capture, pictures) if capture.settings["lamp"]["intensity"] == "table" else {}
+    pictures = [under_one_light(one, shares[one.name]) if shares else one for one in pictures]
+    remarks.extend(radiometry.remarks)
+    centres: np.ndarray | None = None
+    if outline is None:
+        try:
+            outline = find_outline(stacked(pictures), sighting=sighting)
+        except FitError as error:
+            raise FitError(f"{error}; give a frame of the sphere before a bright field, in outline/") from error
+        outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
+        centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
+    remarks.extend(outline.remarks)
+    ball = MirrorBall(outline.row, outline.column, outline.radius, distance)
+    highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
+    remarks.extend(said)
+    camera = with_field(camera, outline)
+    ball, centres, highlights = _undistorted(camera.field, ball, centres, highlights)
+    far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
+    seen = [k for k, one in enumerate(highlights) if one is not None]
+    left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
+    if len(seen) < FEWEST:
+        raise FitError(
+            f"{capture.folder}: {len(seen)} of {len(pictures)} pictures show a highlight on the sphere; "
+            f"at least {FEWEST} are needed"
+        )
+    lamps = np.array([lamp_from_highlight(one, ball, far)[0] for one in highlights if one is not None])
+    pictures = [pictures[k] for k in seen]
+    centres = np.tile([ball.column, ball.row], (len(seen), 1)) if centres is None else centres[seen]
+    names = [one.name for one in pictures]
+    if rig is None:
+        stated, stds = stated_lamps(capture, names, lamps, remarks)
+    else:
+        every = list(capture.lamps)
+        rig = rig._replace(lamps=rig.lamps[[every.index(name) for name in names]])
+        stated, stds = stated_lamps(capture, names, lamps, [])
+        known = rig.lamps >= 0
+        stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
+    order = [1, 0, 2]  # row, column, radius -> column, row, radius
+    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, shares, remarks)
+    lamp_radius = lamp_radius_of(capture)
+    scene = SphereScene(
+        camera=camera,
+        lens_std=spread,
+        centres=centres,
+        radius=ball.radius,
+        outline_covariance=outline.covariance[np.ix_(order, order)],
+        shift_std=_SHIFT,
+        camera_nearness=camera_nearness,
+        lamp_nearness=lamp_nearness,
+        lamps=stated,
+        lamp_std=stds,
+        lamp_radius=lamp_radius,
+        gain_std=np.sqrt(np.diag(light.covariance)),
+        gain=light.gain,
+        gain_correlation=correlation(light.covariance),
+        rig=rig,
+    )
+    units = None if light.units is None else tuple(Known(*one) for one in light.units)
+    said_once = tuple(dict.fromkeys(remarks))
+    radius = capture.radius_mm
+    return CapturedScene(pictures, scene, lamps, radiometry, outline, left_out, said_once, units, frame, radius)
+
+
+def correlation(covariance: np.ndarray) -> np.ndarray:
+    """Return the correlations of a covariance."""
+    std = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(std, std))
+
+
+def _frame_size(capture: Capture) -> tuple[int, int] | None:
+    """Return width and height of the first frame that can be read."""
+    for frame in capture.frames[:3]:
+        try:
+            height, width = capture.read(frame).values.shape[:2]
+        except MatcamError:
+            continue
+        return int(width), int(height)
+    return None
+
+
+def _undistorted(
+    field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
+) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
+    """Return sphere, centres and highlights as a lens without distortion would show them."""
+    if field is None or (field.k1.value == 0 and field.k2.value == 0):
+        return ball, centres, list(highlights)
+    column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
+    true = MirrorBall(row, column, radius, ball.distance)
+    if centres is not None:
+        centres = np.array([field.true_circle(x, y, ball.radius)[:2] for x, y in centres])
+    moved: list[Highlight | None] = []
+    for one in highlights:
+        if one is not None:
+            column, row = map(float, field.true_place(one.column, one.row))
+            normal = true.normals(row, column)
+            # on the limb itself rounding may put it beside the sphere
+            one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
+        moved.append(one)
+    return true, centres, moved

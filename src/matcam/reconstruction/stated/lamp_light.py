@@ -1,0 +1,104 @@
+"""The light of each lamp position: from a table, a reference in the picture, or what is stated of the lamp's steadiness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.radiometry import Radiometry
+from matcam.core.errors import FitError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Region, Stated
+from matcam.reconstruction.sphere_scene import Known
+
+_SEEN = float(np.radians(0.5))
+"""How well the highlights tell a lamp's direction where its light on a patch is not yet grazing, rad."""
+
+
+def light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[str, np.ndarray]:
+    """Return the lamps' stated light over the mean of lamps and colours, by channel."""
+    stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
+    mean = float(np.mean([light.mean() for light in stated.values()]))
+    found = {}
+    for one in pictures:
+        light = stated[one.name] / mean
+        if len(light) not in (1, len(one.channels)):
+            raise FitError(
+                f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
+                "colours: give one, or one of each"
+            )
+        found[one.name] = np.broadcast_to(light, len(one.channels))
+    return found
+
+
+def under_one_light(one: MergedPicture, share: np.ndarray) -> MergedPicture:
+    """Divide a picture by its lamp's stated light."""
+    return replace(one, values=one.values / share[one.channel], std=one.std / share[one.channel])
+
+
+def gains_of(
+    capture: Capture,
+    radiometry: Radiometry,
+    names: Sequence[str],
+    lamps: np.ndarray,
+    ball: MirrorBall,
+    nearness: Known,
+    shares: dict[str, np.ndarray],
+    remarks: list[Remark],
+) -> PatchLight:
+    """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
+    count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
+    stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
+    reference, region = capture.settings["reference"], capture.reference_region
+    if reference is not None and reference["kind"] == "diffuse" and region is not None:
+        found = patch_light(
+            _patch(capture, region),
+            [_divided(radiometry.reference_light[name], shares.get(name)) for name in names],
+            lamps,
+            ball,
+            Stated(*nearness),
+            lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
+            gain_std=drift,
+            exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
+        )
+        if found is None:
+            text = "the diffuse reference is dark, clipped or lit at grazing in every picture: F is relative"
+            remarks.append(Remark("no-reference", text))
+        elif found.units is None:
+            text = "reference.reflectance is not stated: F is relative"
+            remarks.append(Remark("no-reflectance", text))
+        return found or stated
+    output = [radiometry.lamp_output.get(name) for name in names]
+    known = np.array([one is not None and np.isfinite(one.value) and one.value > 0 for one in output])
+    if not known.any():
+        return stated
+    gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
+    std = np.array(
+        [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
+    )
+    gain = gain / [shares[name].mean() if shares and good else 1.0 for name, good in zip(names, known, strict=True)]
+    return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
+
+
+def _divided(light: Sequence[Stated], share: np.ndarray | None) -> Sequence[Stated]:
+    """Return the reference's light under a lamp of the usual light, as the pictures are."""
+    if share is None:
+        return light
+    return [Stated(one.value / float(part), one.std / float(part)) for one, part in zip(light, share, strict=True)]
+
+
+def _patch(capture: Capture, region: Region) -> ReferencePatch:
+    """Return the diffuse reference as the capture states it."""
+    reference, radius = capture.settings["reference"], capture.radius_mm
+    patch = ReferencePatch(region, tilt_std=float(np.radians(reference["tilt_std_deg"])))
+    if reference["reflectance"] is not None:
+        patch = patch._replace(reflectance=Stated(*reference["reflectance"]))
+    if reference["depth_mm"] is not None and radius is not None:
+        depth, std = reference["depth_mm"]
+        patch = patch._replace(depth=Stated(depth / radius.value, std / radius.value))
+    return patch
