@@ -87,7 +87,7 @@ def prepare(name, folder):
         from tests.oracle.capture import METALS, Sensor, draw
         from tests.oracle.sphere_picture import Surface, View
 
-        view = View(radius=48.0, column=63.6, row=64.3, shape=(128, 128))
+        view = View(radius=80.0, column=109.6, row=110.3, shape=(220, 220))
         surface = Surface("ggx", 0.05, 1.0, *METALS["Cr"], (0.0,))
         draw(surface, view, np.radians([10, 30, 50]), azimuth=0.4, sensor=Sensor(), seed=5).write(folder / "shots")
 

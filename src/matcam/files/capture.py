@@ -219,10 +219,8 @@ def read_settings(path: Path) -> dict[str, Any]:
     radius = settings["sample"]["radius_mm"]
     for name, distance in settings["distances"].items():
         if radius is not None and distance is not None and not distance[0] > radius[0]:
-            raise FileFormatError(
-                f"{path}: field distances.{name}: must lie outside of the sample, whose radius is {radius[0]:g} mm, "
-                f"got {distance[0]:g} mm"
-            )
+            text = f"must lie outside of the sample, whose radius is {radius[0]:g} mm, got {distance[0]:g} mm"
+            raise FileFormatError(f"{path}: field distances.{name}: {text}")
     cfa = settings["camera"]["cfa"]
     if cfa is not None and cfa not in CFAS:
         raise FileFormatError(f"{path}: field camera.cfa: must be one of {', '.join(CFAS)}, got {cfa!r:.20}")

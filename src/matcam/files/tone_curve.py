@@ -44,9 +44,10 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
     """
     values = read_numbers(path)
     try:
-        if values.ndim == 2 and values.shape[1] == 2:
-            return curve_through(values[:, 0], values[:, 1])
-        return checked_curve(values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values)
+        with np.errstate(all="ignore"):  # of what is not finite, or nearly so: it is refused
+            if values.ndim == 2 and values.shape[1] == 2:
+                return curve_through(values[:, 0], values[:, 1])
+            return checked_curve(values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values)
     except ArgumentError as error:
         raise FileFormatError(f"{path}: {error}") from None
 
@@ -106,11 +107,9 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
         bad = int(np.argmax(~(np.diff(values) >= 0)))
         raise ArgumentError(f"tone curve is not monotone: it falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
     at = np.arange(int(np.ceil(codes[-1])) + 1)
-    with np.errstate(all="ignore"):  # codes or values of 1e-300: what is not finite then is refused
-        try:
-            inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
-        except ValueError:
-            raise ArgumentError("tone curve is too steep to be followed: give points that lie less close") from None
-        slope = (values[1] - values[0]) / (codes[1] - codes[0])
-        curve = inside + np.minimum(at - codes[0], 0) * slope
-    return checked_curve(curve)
+    try:
+        inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
+    except ValueError:
+        raise ArgumentError("tone curve is too steep to be followed: give points that lie less close") from None
+    slope = (values[1] - values[0]) / (codes[1] - codes[0])
+    return checked_curve(inside + np.minimum(at - codes[0], 0) * slope)

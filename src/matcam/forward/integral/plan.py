@@ -7,7 +7,7 @@ differ in values only share what is compiled.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -24,6 +24,7 @@ _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
 _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
 _FINER = 1.4
+_SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
 """How much longer a window counts along v, for more panels: one that holds a turned pixel's corners, or a straight limb."""
 
 
@@ -136,14 +137,22 @@ def integration_plan(
 
 
 def pad_indices(index: np.ndarray) -> np.ndarray:
-    """Repeat the last index up to one of few lengths.
+    """Repeat the last index up to one of few lengths."""
+    return np.pad(index, (0, few_lengths(index.size) - index.size), mode="edge") if index.size else index
 
-    The lengths are 8 to 15 times a power of two: few lengths make few compilations.
+
+def few_lengths(size: int) -> int:
+    """Return the next of few lengths: each makes a compilation, and programs of 10 to 20 MB.
+
+    A compilation costs more than a thousand places: to there each length is four times the one before. Further on there are
+    two for each power of two, and beyond some thousand eight.
     """
-    if not index.size:
-        return index
-    unit = max(1, 2 ** (int(index.size - 1).bit_length() - 4))
-    return np.pad(index, (0, _round_up(index.size, unit) - index.size), mode="edge")
+    length = _SHORTEST
+    while length < min(size, _SHORT):
+        length *= 4
+    if size <= length:
+        return length
+    return _round_up(size, 2 ** (size - 1).bit_length() // 2 // (2 if size <= _MEDIUM else 8))
 
 
 def _part(
@@ -154,14 +163,21 @@ def _part(
     elongation: float,
 ) -> PlanPart:
     scale, sample, lamp_angles = group.scale, imaging.sample, lamps[0]
-    x, y, aside = _in_the_scene(imaging, places)
-    near = aside < scale.near
-    lamp = _SceneLamp(jnp.asarray(places.lamp_angle), imaging.lamp_nearness)
-    whole = np.asarray(_away_from_ends(sample, x, y, lamp, scale.reach))
-    smooth = np.asarray(_away_from_ends(sample, x, y, lamp, scale.margin))
-    ridge = np.asarray(_crowded(sample, x, y, lamp, scale.reach))
-    lit = np.asarray(_lit_within(sample, x, y, lamp, scale.reach))
-    turn = np.asarray(_turn_along_v(sample, x, y, scale.reach)) / scale.reach
+    padded = _padded(places)
+    x, y, aside = _in_the_scene(imaging, padded)
+    lamp = _SceneLamp(jnp.asarray(padded.lamp_angle), imaging.lamp_nearness)
+    near, whole, smooth, ridge, lit, turn = (
+        np.asarray(a)[: places.x.size]
+        for a in (
+            aside < scale.near,
+            _away_from_ends(sample, x, y, lamp, scale.reach),
+            _away_from_ends(sample, x, y, lamp, scale.margin),
+            _crowded(sample, x, y, lamp, scale.reach),
+            _lit_within(sample, x, y, lamp, scale.reach),
+            _turn_along_v(sample, x, y, scale.reach),
+        )
+    )
+    aside, turn = aside[: places.x.size], turn / scale.reach
     turn *= _FINER if lamps[1] is not None or isinstance(sample, Cylinder) else 1.0
     inside = smooth & ~ridge & ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
     beside = lit & ~near & ~inside
@@ -176,7 +192,7 @@ def _part(
     near_index, inside_index = pad_indices(np.flatnonzero(near)), pad_indices(np.flatnonzero(inside))
     lists = [inside_index, *(window.index for window in windows), near_index]
     count = sum(map(len, lists))
-    place = np.full(x.size, count, dtype=np.int32)
+    place = np.full(places.x.size, count, dtype=np.int32)
     place[np.concatenate(lists)] = np.arange(count)
     return PlanPart(
         terms=group.terms,
@@ -200,6 +216,13 @@ class _SceneLamp(NamedTuple):
 
     angle: jax.Array
     nearness: jax.Array | None
+
+
+def _padded(places: RecordPlaces) -> RecordPlaces:
+    """Return the places with the last one repeated up to one of few lengths."""
+    more = few_lengths(places.x.size) - places.x.size if places.x.size else 0
+    fields: list[Any] = [a if a is None else np.pad(np.asarray(a), (0, more), mode="edge") for a in places]
+    return RecordPlaces(*fields)
 
 
 def _in_the_scene(imaging: Imaging, places: RecordPlaces) -> tuple[jax.Array, jax.Array, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.integrals import (
@@ -95,8 +95,15 @@ def _at(places: RecordPlaces, index: np.ndarray) -> _Pixels:
     return _Pixels(places.x[index], places.y[index], places.lamp_angle[index], turn)
 
 
-@jax.jit
 def _in_order(records: list[jax.Array], place: np.ndarray) -> jax.Array:
+    if all(map(is_concrete, records)) and jax.default_backend() == "cpu":
+        nothing = np.zeros((1, records[0].shape[1]))  # without a program for each shape of a picture
+        return jnp.asarray(np.concatenate([*map(np.asarray, records), nothing])[place])
+    return _in_order_compiled(records, place)
+
+
+@jax.jit
+def _in_order_compiled(records: list[jax.Array], place: np.ndarray) -> jax.Array:
     return jnp.concatenate([*records, jnp.zeros((1, records[0].shape[1]))])[place]
 
 
