@@ -11,8 +11,7 @@ import numpy as np
 from matcam.acquisition.capture_check import dark_disc
 from matcam.acquisition.darkness import dark_of
 from matcam.acquisition.frame_shifts import find_shifts
-from matcam.acquisition.highlights import Highlight, find_highlights, lamp_angles_apart, lamp_from_highlight
-from matcam.acquisition.lamps.lamp_table import explain_lamp_table
+from matcam.acquisition.highlights import find_highlights, lamp_from_highlight
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.light.reference_patch import PatchLight, ReferencePatch, patch_light
 from matcam.acquisition.merged_picture import MergedPicture
@@ -22,7 +21,6 @@ from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Radiometry, capture_camera
 from matcam.camera.camera import Camera
-from matcam.camera.lens_field import Coefficient, LensField
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
@@ -30,14 +28,14 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
+from matcam.reconstruction.rig.stated_lamps import stated_lamps
+from matcam.reconstruction.rig.undistorted import undistorted_sphere, with_lens_field
 from matcam.reconstruction.sphere_scene import Known, SphereScene, lens_std
 
 Progress = Callable[[str, int, int], None]
 
 _GUESSED_LENS = Known(0.5, 0.35)
 """px; where a capture states no profile."""
-_GUESSED_DISTORTION = 0.002
-"""Of the radius, at the sphere's limb: standard deviation where no profile states a distortion."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
 """One over a distance that is not stated, in radii."""
 _MARGIN = 0.12
@@ -47,10 +45,6 @@ _SHIFT = 0.3
 _FEWEST = 3
 _SEEN = float(np.radians(0.5))
 """How well the highlights tell a lamp's direction where its light on a patch is not yet grazing, rad."""
-_FAR_OFF = float(np.radians(10.0))
-"""Angle between highlights and a lamp table from which no joint fit could begin with the table."""
-_UNKNOWN = float(np.radians(20.0))
-"""Standard deviation of a lamp's direction that nothing is stated of."""
 INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
 """Codes of the remarks on what could not be used."""
 
@@ -166,8 +160,8 @@ def captured_scene(
     ball = MirrorBall(outline.row, outline.column, outline.radius, distance)
     highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
     remarks.extend(said)
-    camera = _with_field(camera, outline)
-    ball, centres, highlights = _undistorted(camera.field, ball, centres, highlights)
+    camera = with_lens_field(camera, outline)
+    ball, centres, highlights = undistorted_sphere(camera.field, ball, centres, highlights)
     far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
     seen = [k for k, one in enumerate(highlights) if one is not None]
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
@@ -181,11 +175,11 @@ def captured_scene(
     centres = np.tile([ball.column, ball.row], (len(seen), 1)) if centres is None else centres[seen]
     names = [one.name for one in pictures]
     if rig is None:
-        stated, stds = _stated_lamps(capture, names, lamps, remarks)
+        stated, stds = stated_lamps(capture, names, lamps, remarks)
     else:
         every = list(capture.lamps)
         rig = rig._replace(lamps=rig.lamps[[every.index(name) for name in names]])
-        stated, stds = _stated_lamps(capture, names, lamps, [])
+        stated, stds = stated_lamps(capture, names, lamps, [])
         known = rig.lamps >= 0
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
@@ -228,35 +222,6 @@ def _frame_size(capture: Capture) -> tuple[int, int] | None:
             continue
         return int(width), int(height)
     return None
-
-
-def _with_field(camera: Camera, outline: Outline) -> Camera:
-    """Return the camera with a field: where its profile states none, a distortion about the sphere that nobody has measured."""
-    if camera.field is not None:
-        return camera
-    guess = Coefficient(0.0, _GUESSED_DISTORTION)
-    return camera.with_field(LensField((outline.column, outline.row), outline.radius, guess))
-
-
-def _undistorted(
-    field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
-) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
-    """Return sphere, centres and highlights as a lens without distortion would show them."""
-    if field is None or (field.k1.value == 0 and field.k2.value == 0):
-        return ball, centres, list(highlights)
-    column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
-    true = MirrorBall(row, column, radius, ball.distance)
-    if centres is not None:
-        centres = np.array([field.true_circle(x, y, ball.radius)[:2] for x, y in centres])
-    moved: list[Highlight | None] = []
-    for one in highlights:
-        if one is not None:
-            column, row = map(float, field.true_place(one.column, one.row))
-            normal = true.normals(row, column)
-            # on the limb itself rounding may put it beside the sphere
-            one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
-        moved.append(one)
-    return true, centres, moved
 
 
 def _light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[str, np.ndarray]:
@@ -379,48 +344,6 @@ def _box(column: float, row: float, reach: float, shape: tuple[int, ...]) -> Reg
     left, top = (2 * int(max(0, np.floor((centre - reach) / 2))) for centre in (column, row))
     right, bottom = (int(np.ceil(min(at + reach, size))) for at, size in zip((column, row), shape[::-1], strict=True))
     return left, top, right - left, bottom - top
-
-
-def _stated_lamps(
-    capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stated directions, or those of the highlights where none is stated, and how well each is known, rad."""
-    stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
-    for k, name in enumerate(names):
-        direction = capture.lamps[name].direction
-        if np.all(np.isfinite(direction)):
-            stated[k], stds[k] = direction, max(capture.direction_std, 1e-5)
-    known = stds < _UNKNOWN
-    if known.any():
-        apart = np.degrees(lamp_angles_apart(lamps[known], stated[known]))
-        remarks.append(
-            Remark(
-                "lamp-table",
-                f"highlights and stated lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the fit",
-            )
-        )
-    if known.sum() >= _FEWEST:
-        remark = _table_mistake(lamps, stated, stds, known)
-        remarks.extend([] if remark is None else [remark])
-    return stated, stds
-
-
-def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
-    """Name what is wrong with a lamp table, and change `stated` and `stds` so that the fit does not rest on it."""
-    verdict = explain_lamp_table(lamps[known], stated[known])
-    if verdict.mistake == "none":
-        return None
-    (said,) = verdict.remarks
-    if verdict.mistake != "unexplained":
-        stated[known], stds[known] = lamps[known], _UNKNOWN
-        return Remark(said.code, f"{said.text}; the highlights are used instead")
-    usual = float(np.median(lamp_angles_apart(lamps[known], stated[known])))
-    if usual < _FAR_OFF:
-        return None  # the joint fit tells whether the table, the outline or a distance is wrong
-    stds[known] = np.maximum(stds[known], 1.5 * usual)
-    return Remark(
-        said.code, f"{said.text}; its standard deviation is taken as {np.degrees(1.5 * usual):.2g}°, not as stated"
-    )
 
 
 def _gains(
