@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.acquisition.frame_shifts import find_shifts
-from matcam.acquisition.highlights import Highlight, find_highlights, lamp_from_highlight
+from matcam.acquisition.highlights import find_highlights, lamp_from_highlight
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Radiometry
-from matcam.camera.lens_field import LensField
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
@@ -25,14 +23,14 @@ from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.lamp_light import gains_of, light_shares, under_one_light
 from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
+from matcam.reconstruction.stated.stated_lamps import stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
     known_nearness,
     lamp_radius_of,
-    stated_lamps,
-    with_field,
 )
+from matcam.reconstruction.stated.undistorted import undistorted_sphere, with_lens_field
 
 Progress = Callable[[str, int, int], None]
 
@@ -109,8 +107,8 @@ def captured_scene(
         )
         remarks.extend(said)
         camera = camera.with_field(earlier.field)
-    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
-    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
+    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks if rig is None else [])
+    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks if rig is None else [])
     if rig is not None:
         std = np.sqrt(np.diag(rig.covariance))
         camera_nearness, lamp_nearness = (
@@ -140,8 +138,8 @@ def captured_scene(
     ball = MirrorBall(outline.row, outline.column, outline.radius, distance)
     highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
     remarks.extend(said)
-    camera = with_field(camera, outline)
-    ball, centres, highlights = _undistorted(camera.field, ball, centres, highlights)
+    camera = with_lens_field(camera, outline)
+    ball, centres, highlights = undistorted_sphere(camera.field, ball, centres, highlights)
     far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
     seen = [k for k, one in enumerate(highlights) if one is not None]
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
@@ -203,24 +201,3 @@ def _frame_size(capture: Capture) -> tuple[int, int] | None:
             continue
         return int(width), int(height)
     return None
-
-
-def _undistorted(
-    field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
-) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
-    """Return sphere, centres and highlights as a lens without distortion would show them."""
-    if field is None or (field.k1.value == 0 and field.k2.value == 0):
-        return ball, centres, list(highlights)
-    column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
-    true = MirrorBall(row, column, radius, ball.distance)
-    if centres is not None:
-        centres = np.array([field.true_circle(x, y, ball.radius)[:2] for x, y in centres])
-    moved: list[Highlight | None] = []
-    for one in highlights:
-        if one is not None:
-            column, row = map(float, field.true_place(one.column, one.row))
-            normal = true.normals(row, column)
-            # on the limb itself rounding may put it beside the sphere
-            one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
-        moved.append(one)
-    return true, centres, moved

@@ -1,0 +1,46 @@
+"""Outline and highlights as a lens without distortion would show them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from matcam.acquisition.highlights import Highlight
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.outline import Outline
+from matcam.camera.camera import Camera
+from matcam.camera.lens_field import Coefficient, LensField
+
+_GUESSED_DISTORTION = 0.002
+"""Of the radius, at the sphere's limb: standard deviation where no profile states a distortion."""
+
+
+def with_lens_field(camera: Camera, outline: Outline) -> Camera:
+    """Return the camera with a field: where its profile states none, a distortion about the sphere that nobody has measured."""
+    if camera.field is not None:
+        return camera
+    guess = Coefficient(0.0, _GUESSED_DISTORTION)
+    return camera.with_field(LensField((outline.column, outline.row), outline.radius, guess))
+
+
+def undistorted_sphere(
+    field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
+) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
+    """Return sphere, centres and highlights as a lens without distortion would show them."""
+    if field is None or (field.k1.value == 0 and field.k2.value == 0):
+        return ball, centres, list(highlights)
+    column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
+    true = MirrorBall(row, column, radius, ball.distance)
+    if centres is not None:
+        centres = np.array([field.true_circle(x, y, ball.radius)[:2] for x, y in centres])
+    moved: list[Highlight | None] = []
+    for one in highlights:
+        if one is not None:
+            column, row = map(float, field.true_place(one.column, one.row))
+            normal = true.normals(row, column)
+            # on the limb itself rounding may put it beside the sphere
+            one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
+        moved.append(one)
+    return true, centres, moved
