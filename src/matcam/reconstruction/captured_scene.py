@@ -151,8 +151,8 @@ def captured_scene(
         outline = _backlit_outline(capture, sighting, found, remarks)
         region = capture.region or _about(outline, shape)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
-    shares = _light_shares(capture, pictures) if capture.settings["lamp"]["intensity"] == "table" else {}
-    pictures = [_under_one_light(one, shares[one.name]) if shares else one for one in pictures]
+    if capture.settings["lamp"]["intensity"] == "table":
+        pictures = _under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
@@ -189,7 +189,7 @@ def captured_scene(
         known = rig.lamps >= 0
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    light = _gains(capture, radiometry, names, lamps, ball, lamp_nearness, shares, remarks)
+    light = _gains(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
     lamp_radius = _lamp_radius(capture)
     scene = SphereScene(
         camera=camera,
@@ -259,11 +259,11 @@ def _undistorted(
     return true, centres, moved
 
 
-def _light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[str, np.ndarray]:
-    """Return the lamps' stated light over the mean of lamps and colours, by channel."""
+def _under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
+    """Divide the pictures by their lamps' stated light; their mean over lamps and colours is kept."""
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
     mean = float(np.mean([light.mean() for light in stated.values()]))
-    found = {}
+    found = []
     for one in pictures:
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
@@ -271,13 +271,9 @@ def _light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[s
                 f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
                 "colours: give one, or one of each"
             )
-        found[one.name] = np.broadcast_to(light, len(one.channels))
+        share = np.broadcast_to(light, len(one.channels))[one.channel]
+        found.append(replace(one, values=one.values / share, std=one.std / share))
     return found
-
-
-def _under_one_light(one: MergedPicture, share: np.ndarray) -> MergedPicture:
-    """Divide a picture by its lamp's stated light."""
-    return replace(one, values=one.values / share[one.channel], std=one.std / share[one.channel])
 
 
 def _nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
@@ -430,7 +426,6 @@ def _gains(
     lamps: np.ndarray,
     ball: MirrorBall,
     nearness: Known,
-    shares: dict[str, np.ndarray],
     remarks: list[Remark],
 ) -> PatchLight:
     """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
@@ -440,7 +435,7 @@ def _gains(
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
         found = patch_light(
             _patch(capture, region),
-            [_divided(radiometry.reference_light[name], shares.get(name)) for name in names],
+            [radiometry.reference_light[name] for name in names],
             lamps,
             ball,
             Stated(*nearness),
@@ -463,15 +458,7 @@ def _gains(
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    gain = gain / [shares[name].mean() if shares and good else 1.0 for name, good in zip(names, known, strict=True)]
     return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
-
-
-def _divided(light: Sequence[Stated], share: np.ndarray | None) -> Sequence[Stated]:
-    """Return the reference's light under a lamp of the usual light, as the pictures are."""
-    if share is None:
-        return light
-    return [Stated(one.value / float(part), one.std / float(part)) for one, part in zip(light, share, strict=True)]
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:
