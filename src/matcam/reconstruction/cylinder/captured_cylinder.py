@@ -17,7 +17,7 @@ from matcam.reconstruction.cylinder.straight_outline import StraightOutline, str
 from matcam.reconstruction.cylinder.strips import Strip
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
-from matcam.reconstruction.stated.lamp_light import gains_of, light_shares, under_one_light
+from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import mean_outline_frame
 from matcam.reconstruction.stated.stated_rig import FEWEST, captured_lens, known_nearness, lamp_radius_of
 
@@ -77,8 +77,7 @@ def captured_cylinder(
             Remark("no-direction", f"{', '.join(lost)}: {LIST_NEEDS}; left out"),
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
-    shares = light_shares(capture, merged) if capture.settings["lamp"]["intensity"] == "table" else {}
-    merged = [under_one_light(one, shares[one.name]) if shares else one for one in merged]
+    merged = under_one_light(merged, capture)
     remarks.extend(radiometry.remarks)
     pictures = [one for one in merged if one.name not in lost]
     if len(pictures) < FEWEST:
@@ -91,7 +90,7 @@ def captured_cylinder(
     lamps = np.array([directions[one.name] for one in pictures])
     ball = MirrorBall(row.value, outline.column, outline.radius)
     names = [one.name for one in pictures]
-    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, shares, remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
     covariance = np.zeros((3, 3))
     covariance[np.ix_([0, 2], [0, 2])] = outline.covariance
     covariance[1, 1] = max(row.std, 1e-3) ** 2

@@ -23,7 +23,7 @@ from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares,
 from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack, usable
 from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, Progress
-from matcam.reconstruction.stated.lamp_light import light_shares, under_one_light
+from matcam.reconstruction.stated.lamp_light import under_one_light
 from matcam.reconstruction.stated.stated_rig import captured_lens
 
 MAPS = ("diffuse", "specular")
@@ -148,8 +148,7 @@ def reconstruct_flat(
             f"{capture.folder}: a flat sample needs grey pictures, got a mosaic: each colour shows a quarter of the texels"
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
-    light = light_shares(capture, merged) if capture.settings["lamp"]["intensity"] == "table" else {}
-    merged = [under_one_light(one, light[one.name]) if light else one for one in merged]
+    merged = under_one_light(merged, capture)
     remarks.extend(radiometry.remarks)
     pictures, lost = [], []
     for one in merged:

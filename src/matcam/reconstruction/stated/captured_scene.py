@@ -21,7 +21,7 @@ from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import Known, SphereScene
-from matcam.reconstruction.stated.lamp_light import gains_of, light_shares, under_one_light
+from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
 from matcam.reconstruction.stated.stated_lamps import stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
@@ -123,8 +123,7 @@ def captured_scene(
         outline = backlit_outline(capture, sighting, found, remarks)
         region = capture.region or about_outline(outline, shape)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
-    shares = light_shares(capture, pictures) if capture.settings["lamp"]["intensity"] == "table" else {}
-    pictures = [under_one_light(one, shares[one.name]) if shares else one for one in pictures]
+    pictures = under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
     centres: np.ndarray | None = None
     if outline is None:
@@ -161,7 +160,7 @@ def captured_scene(
         known = rig.lamps >= 0
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
-    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, shares, remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
     lamp_radius = lamp_radius_of(capture)
     scene = SphereScene(
         camera=camera,

@@ -20,11 +20,13 @@ _SEEN = float(np.radians(0.5))
 """How well the highlights tell a lamp's direction where its light on a patch is not yet grazing, rad."""
 
 
-def light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[str, np.ndarray]:
-    """Return the lamps' stated light over the mean of lamps and colours, by channel."""
+def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
+    """Divide the pictures by their lamps' light where a table states it; their mean over lamps and colours is kept."""
+    if capture.settings["lamp"]["intensity"] != "table":
+        return list(pictures)
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
     mean = float(np.mean([light.mean() for light in stated.values()]))
-    found = {}
+    found = []
     for one in pictures:
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
@@ -32,13 +34,9 @@ def light_shares(capture: Capture, pictures: Sequence[MergedPicture]) -> dict[st
                 f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
                 "colours: give one, or one of each"
             )
-        found[one.name] = np.broadcast_to(light, len(one.channels))
+        share = np.broadcast_to(light, len(one.channels))[one.channel]
+        found.append(replace(one, values=one.values / share, std=one.std / share))
     return found
-
-
-def under_one_light(one: MergedPicture, share: np.ndarray) -> MergedPicture:
-    """Divide a picture by its lamp's stated light."""
-    return replace(one, values=one.values / share[one.channel], std=one.std / share[one.channel])
 
 
 def gains_of(
@@ -48,7 +46,6 @@ def gains_of(
     lamps: np.ndarray,
     ball: MirrorBall,
     nearness: Known,
-    shares: dict[str, np.ndarray],
     remarks: list[Remark],
 ) -> PatchLight:
     """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
@@ -58,7 +55,7 @@ def gains_of(
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
         found = patch_light(
             _patch(capture, region),
-            [_divided(radiometry.reference_light[name], shares.get(name)) for name in names],
+            [radiometry.reference_light[name] for name in names],
             lamps,
             ball,
             Stated(*nearness),
@@ -81,15 +78,7 @@ def gains_of(
     std = np.array(
         [one.std / one.value if good and one is not None else drift for one, good in zip(output, known, strict=True)]
     )
-    gain = gain / [shares[name].mean() if shares and good else 1.0 for name, good in zip(names, known, strict=True)]
     return PatchLight(gain / gain.mean(), np.diag(np.maximum(std, 1e-5) ** 2), None, known)
-
-
-def _divided(light: Sequence[Stated], share: np.ndarray | None) -> Sequence[Stated]:
-    """Return the reference's light under a lamp of the usual light, as the pictures are."""
-    if share is None:
-        return light
-    return [Stated(one.value / float(part), one.std / float(part)) for one, part in zip(light, share, strict=True)]
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:
