@@ -109,8 +109,8 @@ def captured_scene(
         )
         remarks.extend(said)
         camera = camera.with_field(earlier.field)
-    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
-    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
+    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks if rig is None else [])
+    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks if rig is None else [])
     if rig is not None:
         std = np.sqrt(np.diag(rig.covariance))
         camera_nearness, lamp_nearness = (

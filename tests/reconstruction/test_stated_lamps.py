@@ -1,0 +1,69 @@
+"""A lamp table held against highlights before the fit: what is taken of it, and what is said."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from matcam.files.capture import LampGuess
+from matcam.reconstruction.stated.stated_rig import stated_lamps
+
+ANGLE, AZIMUTH = np.radians([15, 40, 75, 110, 140]), np.radians([20, 100, 200, 300, 45])
+NAMES = [f"L{k}" for k in range(5)]
+STD = np.radians(0.3)
+
+
+def polar(angle, azimuth):
+    return np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
+
+
+def stated(angle, azimuth):
+    """What is taken of a table; the highlights are right to 0.1 degrees."""
+    seen = polar(ANGLE, AZIMUTH) + np.radians(0.1) * np.random.default_rng(0).normal(size=(5, 3))
+    seen /= np.linalg.norm(seen, axis=1, keepdims=True)
+    table = {name: LampGuess(*pair) for name, *pair in zip(NAMES, angle, azimuth, strict=True)}
+    remarks = []
+    directions, stds = stated_lamps(SimpleNamespace(lamps=table, direction_std=STD), NAMES, seen, remarks)
+    return directions, stds, seen, [remark.code for remark in remarks]
+
+
+def test_a_right_table_is_taken_as_it_is():
+    directions, stds, _, codes = stated(ANGLE, AZIMUTH)
+    assert codes == ["lamp-table"]
+    assert directions == pytest.approx(polar(ANGLE, AZIMUTH))
+    assert stds == pytest.approx(STD)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "angle", "azimuth"),
+    [
+        ("y-flipped", ANGLE, -AZIMUTH),
+        ("normals", ANGLE / 2, AZIMUTH),
+        ("radians-as-degrees", np.radians(ANGLE), np.radians(AZIMUTH)),
+        ("degrees-as-radians", np.degrees(ANGLE), np.degrees(AZIMUTH)),
+    ],
+)
+def test_a_usual_mistake_is_named_and_the_highlights_are_used(mistake, angle, azimuth):
+    directions, stds, seen, codes = stated(angle, azimuth)
+    assert codes == ["lamp-table", f"table-{mistake}"]
+    assert directions == pytest.approx(seen)
+    assert stds.min() > np.radians(15)
+
+
+def test_a_table_a_few_degrees_off_is_left_to_the_joint_fit():
+    _, stds, _, codes = stated(ANGLE + np.radians([5, -4, 6, -5, 4]), AZIMUTH)
+    assert codes == ["lamp-table"]
+    assert stds == pytest.approx(STD)
+
+
+def test_a_table_of_other_lamps_is_hardly_believed():
+    _, stds, _, codes = stated(ANGLE[[2, 0, 4, 1, 3]], AZIMUTH[[1, 3, 0, 4, 2]])
+    assert codes == ["lamp-table", "table-contradicts"]
+    assert stds.min() > np.radians(15)
+
+
+def test_where_nothing_is_stated_the_highlights_begin():
+    directions, stds, seen, codes = stated(ANGLE * np.nan, AZIMUTH)
+    assert codes == []
+    assert directions == pytest.approx(seen)
+    assert stds.min() > np.radians(15)
