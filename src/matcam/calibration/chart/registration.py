@@ -159,7 +159,9 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
         try:
             start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
         except np.linalg.LinAlgError:
-            raise FitError("the places do not determine how the page stands to the camera") from None
+            raise FitError(
+                "the places do not determine how the page stands to the camera: give dots that span it"
+            ) from None
         size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
         def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
