@@ -126,8 +126,9 @@ def true_ratio(n, k, seen):
 @pytest.mark.slow
 def test_errors_are_as_stated(tmp_path):
     """12 captures, strips at 0 and 90 degrees, lamp table wrong by 0.2 degrees, gain by 0.5 %, axis by 0.2 px, lens by 3 %:
-    both roughnesses to 0.2 %, F(75) / F(10-45) to 0.6 % rms, all within the errors that are stated of them."""
-    pulls, ratios, alphas = [], [], []
+    both roughnesses to 0.1 %, F(75) / F(10-45) to 0.6 % rms, F within the errors that are stated of it. Those of the roughness
+    lack what all columns share (docs/reconstruct.md)."""
+    pulls, ratios, alphas, alpha_pulls = [], [], [], []
     for seed in range(12):
         rng = np.random.default_rng(1000 + seed)
         stand = STAND._replace(
@@ -140,15 +141,16 @@ def test_errors_are_as_stated(tmp_path):
         folder = draw(surface, stand, angles, azimuths, lamp_std=np.radians(0.2), seed=seed).write(tmp_path / f"{seed}")
         found = reconstruct(folder)
         for name, value in zip(("alpha_x", "alpha_y"), truth, strict=True):
-            pulls.append((found.parameters[name][0] - value) / found.parameters[name][1])
+            alpha_pulls.append((found.parameters[name][0] - value) / found.parameters[name][1])
             alphas.append(found.parameters[name][0] / value - 1)
         ratio = found.ratio(np.radians(75))
         error = ratio.value - true_ratio(n, k, found.measured_range)
         pulls.append(error / ratio.std)
         ratios.append(error / ratio.value)
-    assert np.sqrt(np.mean(np.square(alphas))) < 0.002
+    assert np.sqrt(np.mean(np.square(alphas))) < 0.001
+    assert np.sqrt(np.mean(np.square(alpha_pulls))) < 2.5
     assert np.sqrt(np.mean(np.square(ratios))) < 0.006
-    assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.5
 
 
 @pytest.mark.slow
