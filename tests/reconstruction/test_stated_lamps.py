@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matcam.files.capture import LampGuess
-from matcam.reconstruction.stated.stated_rig import stated_lamps
+from matcam.reconstruction.stated.stated_lamps import stated_lamps
 
 ANGLE, AZIMUTH = np.radians([15, 40, 75, 110, 140]), np.radians([20, 100, 200, 300, 45])
 NAMES = [f"L{k}" for k in range(5)]
