@@ -251,9 +251,9 @@ def test_the_lamps_light_may_be_a_table(tmp_path):
     ("light", "sections", "words"),
     [
         (("1", "1", "", ""), TABLE, "states no intensity of lamp L2"),
-        (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, 'set it to "table"'),
-        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "give the lamps' light once"),
-        (("", "", "", ""), {"reference": None}, "no section .reference."),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, "make it 'table'"),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "give the light once"),
+        (("", "", "", ""), {"reference": None}, "there is no .reference."),
     ],
 )
 def test_a_table_of_light_and_the_settings_agree(tmp_path, light, sections, words):

@@ -193,18 +193,23 @@ def read_capture(folder: str | Path) -> Capture:
 
 def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGuess]) -> None:
     """Refuse a way of knowing the lamps' light without what it needs."""
-    said = settings["lamp"]["intensity"]
-    place = f"{folder / SETTINGS}: field lamp.intensity: is {said!r}, but"
+    said, path = settings["lamp"]["intensity"], folder / SETTINGS
     lacking = [name for name, guess in lamps.items() if not guess.intensity]
     if said == "reference" and settings["reference"] is None:
-        raise FileFormatError(f"{place} there is no section [reference]: describe the reference")
+        raise FileFormatError(f"{path}: lamp.intensity is {said!r}, but there is no [reference]: describe it")
     if said == "table":
         if lacking:
-            raise FileFormatError(f"{place} {LIST} states no {INTENSITY} of lamp {some_of(lacking, 3)}: add the column")
+            raise FileFormatError(
+                f"{path}: lamp.intensity is {said!r}, but {LIST} states no {INTENSITY} of lamp {some_of(lacking, 3)}"
+            )
         if settings["reference"] is not None:
-            raise FileFormatError(f"{place} there is a [reference]: give the lamps' light once")
+            raise FileFormatError(
+                f"{path}: lamp.intensity is {said!r}, but there is a [reference]: give the light once"
+            )
     elif len(lacking) < len(lamps):
-        raise FileFormatError(f'{place} {LIST} has a column {INTENSITY}: set it to "table", or leave the column out')
+        raise FileFormatError(
+            f"{path}: lamp.intensity is {said!r}, but {LIST} has a column {INTENSITY}: make it 'table'"
+        )
 
 
 def read_settings(path: Path) -> dict[str, Any]:
