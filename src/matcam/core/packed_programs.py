@@ -19,8 +19,8 @@ _LIBRARIES = ("jax", "jaxlib", "numpy")
 _NAMES = {
     "AbstractMesh", "AllArgsInfo", "ArgInfo", "AxisType", "DebugInfo", "DeviceList", "DeviceLocalLayout", "Format",
     "GSPMDSharding", "HloSharding", "Layout", "ManualAxisType", "MemorySpace", "Mesh", "NamedSharding", "OpSharding",
-    "P", "PartitionSpec", "ShapedArray", "SingleDeviceSharding", "UnloadedMeshExecutable", "UnspecifiedValue",
-    "_unpickle_named_sharding", "_unpickle_single_device_sharding", "dtype",
+    "P", "PartitionSpec", "ShapedArray", "SingleDeviceSharding", "Space", "UnloadedMeshExecutable", "UnspecifiedValue",
+    "_unpickle_named_sharding", "_unpickle_single_device_sharding", "dtype", "unpickle_pspec",
 }  # fmt: skip
 """What a program's description may name: kinds, shapes and places of arrays. None of them does anything but hold them."""
 
