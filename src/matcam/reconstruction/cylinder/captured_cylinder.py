@@ -19,7 +19,7 @@ from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import mean_outline_frame
-from matcam.reconstruction.stated.stated_rig import FEWEST, captured_lens, known_nearness, lamp_radius_of
+from matcam.reconstruction.stated.stated_rig import FEWEST, captured_lens, known_nearness, lamp_radius_of, without_field
 
 _ROW_STD = 0.05
 """Of a frame's height: how well its middle is the row that the camera looks at squarely."""
@@ -60,12 +60,7 @@ def captured_cylinder(
     """
     remarks: list[Remark] = list(capture.problems)
     camera, lens = captured_lens(capture, remarks)
-    if camera.field is not None:
-        text = (
-            "the profile's distortion and blur over the field are not allowed for on a cylinder: keep it in the middle"
-        )
-        remarks.append(Remark("field-not-used", text))
-        camera = camera.with_field(None)
+    camera = without_field(camera, "cylinder", remarks)
     camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
     lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
     outline = _outline(capture, remarks)

@@ -24,7 +24,7 @@ from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack
 from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, Progress
 from matcam.reconstruction.stated.lamp_light import under_one_light
-from matcam.reconstruction.stated.stated_rig import captured_lens
+from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 
 MAPS = ("diffuse", "specular")
 _FEWEST = 3
@@ -140,6 +140,7 @@ def reconstruct_flat(
         raise ArgumentError(f"ndf of a flat sample must be one of {', '.join(ONE_WIDTH)}, got {ndf}")
     remarks: list[Remark] = list(capture.problems)
     camera, lens = captured_lens(capture, remarks)
+    camera = without_field(camera, "flat sample", remarks)
     tilts = _tilts(capture)
     reader = MosaicReader(capture)
     reader.read(capture.of("frames")[0], capture.region)

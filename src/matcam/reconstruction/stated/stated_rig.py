@@ -27,6 +27,15 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
     return Camera(GaussianOptics(value)), std / value
 
 
+def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
+    """Return the camera alike everywhere, for a sample with which no field is allowed for; remarked."""
+    if camera.field is None:
+        return camera
+    text = f"the profile's distortion and blur over the field are not allowed for on a {sample}: keep it in the middle"
+    remarks.append(Remark("field-not-used", text))
+    return camera.with_field(None)
+
+
 def known_nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
     """Return one over a stated distance, in radii; of one that is not stated a guess, remarked."""
     if distance is None:
