@@ -6,7 +6,6 @@ test_damaged.py and test_containers.py.
 
 import dataclasses
 import json
-import re
 
 from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, HaloOptics, Sensor
 from matcam.app.exploring.opened import entries_of
@@ -14,7 +13,6 @@ from matcam.batch.job import Job
 from matcam.camera import Uncertainty
 from matcam.cli.rig_file import _KEYS, read_rig_file
 from matcam.files.capture import COLUMNS, read_capture
-from matcam.files.capture_writing import TEMPLATE
 from matcam.files.tone_curve import read_tone_curve
 from matcam.io import read_samples, read_sidecar, write_sidecar
 from matcam.targets import design_chart, read_chart, write_chart
@@ -34,6 +32,33 @@ glare_radius_px = 30
 radius_deg = 0.25
 distance = 700
 """
+CAPTURE = """format = "matcam capture"
+version = 1
+[camera]
+profile = "camera.json"
+cfa = "RGGB"
+black_level_dn = 256.0
+accept_processed = false
+[sample]
+kind = "sphere"
+radius_mm = [25.0, 0.005]
+region_px = [800, 600, 900, 900]
+[distances]
+camera_mm = [1200, 5]
+lamp_mm = 700
+[lamp]
+radius_mm = [3.5, 0.05]
+motion = "arc"
+intensity = "reference"
+gain_std = 0.005
+direction_std_deg = 1.0
+[reference]
+kind = "diffuse"
+reflectance = [0.98, 0.003]
+region_px = [10, 10, 60, 60]
+[outline]
+field_beyond_deg = 3.0
+"""
 ROWS = (
     "frames/a.tif,L1,20,90,E1,0.01",
     "frames/b.tif,L1,20,90,E2,0.04",
@@ -43,9 +68,7 @@ ROWS = (
 
 
 def _capture(folder):
-    (folder / "capture.toml").write_text(
-        re.sub("(?m)^# (?=[a-z_]+ = |.reference)", "", TEMPLATE)
-    )  # with all its fields
+    (folder / "capture.toml").write_text(CAPTURE)
     (folder / "camera.json").write_text("{}")
     (folder / "frames.csv").write_text("\n".join([",".join(COLUMNS), *ROWS]) + "\n")
     for row in ROWS:
