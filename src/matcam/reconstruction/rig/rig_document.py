@@ -64,6 +64,7 @@ class _Lobe(_Strict):
     family: str
     masking: str | None
     bent: bool
+    anisotropic: bool = False
 
 
 class _Fresnel(_Strict):
@@ -97,6 +98,7 @@ class _Document(BaseModel):
     format: Literal["matcam reconstruction"]
     version: Literal[1]
     verdict: str
+    sample: Literal["sphere", "cylinder"] = "sphere"
     lobe: _Lobe
     parameters: dict[str, _Pair]
     geometry: _Geometry
