@@ -1,4 +1,4 @@
-from . import batch, calibration, camera, exchange, forward, inverse, io, material, paper, rigs, targets
+from . import batch, calibration, camera, exchange, forward, inverse, io, material, paper, reconstruction, rigs, targets
 from .batch.run import correct_all
 from .calibration.camera.calibration import calibrate
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
@@ -88,6 +88,7 @@ __all__ = [
     "picture",
     "read_merl",
     "reconstruct",
+    "reconstruction",
     "rigs",
     "rivals",
     "targets",

@@ -60,6 +60,16 @@ class Reconstruction:
         remarks: what a reader should know.
         captured: what the capture's frames said before the fit; None: the pictures were merged elsewhere. Default: None.
         sample: "sphere" or "cylinder": what was photographed. Default: "sphere".
+
+    Source:
+        docs/model.md 10.
+
+    Example:
+        >>> found = matcam.reconstruct("shots/")  # doctest: +SKIP
+        >>> found.parameters["alpha"]  # doctest: +SKIP
+        (0.0200, 0.0001)
+        >>> found.ratio(np.radians(75)).value  # doctest: +SKIP
+        1.12
     """
 
     table: xr.Dataset
@@ -76,7 +86,10 @@ class Reconstruction:
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
-        """Lobe, lens, indices and diffuse parts by name: value and standard deviation. A bent lobe has a half width alone."""
+        """Value and standard deviation of each parameter, by name.
+
+        Lobe, lens, n and k, diffuse part. A bent lobe has a half width alone.
+        """
         fit, p = self.fit, self.fit.solution.p
         std = np.sqrt(np.maximum(np.diag(fit.solution.covariance), 0))
         found: dict[str, tuple[float, float]] = {}
@@ -103,7 +116,7 @@ class Reconstruction:
 
     @property
     def geometry(self) -> dict[str, Any]:
-        """Outline, lamps and distances with their standard deviations, as the JSON file holds them."""
+        """Outline, lamps and distances with their standard deviations."""
         fit, solution, layout = self.fit, self.fit.solution, self.fit.layout
         p, covariance = solution.p, solution.covariance
         std = np.sqrt(np.maximum(np.diag(covariance), 0))
@@ -145,7 +158,7 @@ class Reconstruction:
         }
 
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
-        """Return F at an angle over its mean from 10 to 45 degrees.
+        """Return F at an angle over its mean from 10 to 45°.
 
         Args:
             theta_d: angle, rad.
@@ -195,7 +208,7 @@ class Reconstruction:
 
     @property
     def absolute(self) -> bool:
-        """Say whether F is absolute: a reference of known reflectance stood in the pictures."""
+        """Say whether F is absolute, by a reference of known reflectance."""
         return all(np.isfinite(one.std) for one in self.units)
 
     @property

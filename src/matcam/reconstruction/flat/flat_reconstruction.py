@@ -36,7 +36,7 @@ _MISFIT = 1.3
 
 @dataclass(frozen=True)
 class FlatReconstruction:
-    """Hold maps of a flat sample, and how well the pictures determine them.
+    """Hold maps of a flat sample, and how well pictures determine them.
 
     Attributes:
         maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative; over
@@ -51,6 +51,10 @@ class FlatReconstruction:
         misfit: mean squared residual of the coarse frequencies, in standard deviations of the noise.
         left_out: lamp positions that could not be used.
         remarks: what a reader should know.
+
+    Example:
+        >>> found = matcam.reconstruct("slab/")  # doctest: +SKIP
+        >>> found.maps["diffuse"].mean(), found.cutoffs["diffuse"]  # doctest: +SKIP
     """
 
     maps: xr.Dataset
@@ -82,7 +86,11 @@ class FlatReconstruction:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without its maps as plain numbers: the JSON file."""
+        """Return the result without its maps as plain numbers: the JSON file.
+
+        Returns:
+            The document described in docs/reconstruct.md.
+        """
         scale = None if self.mm_per_px is None else 1 / self.mm_per_px
         return {
             "format": "matcam reconstruction",
