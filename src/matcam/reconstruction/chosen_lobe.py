@@ -31,6 +31,8 @@ _EACH = 4.0
 _MUCH = 20.0
 """Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
 _TURNS = 3  # sources that may be wrong
+_MANY = 32
+"""Pictures beyond which the lobe is chosen by an even choice of them; all are fitted in the end."""
 _FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
 _WIDENED = {
     "lens": "the lens differs from its profile",
@@ -52,11 +54,13 @@ class ChosenFit(NamedTuple):
         fit: the best.
         tried: unexplained share by the name of each lobe.
         remarks: of priors that were widened and of the lobe.
+        widened: by what the standard deviation of a source was multiplied.
     """
 
     fit: SphereFit
     tried: dict[str, float]
     remarks: tuple[Remark, ...]
+    widened: dict[str, float]
 
 
 class FitOfPictures(Protocol):
@@ -94,6 +98,22 @@ def chosen_fit(
     say = progress or (lambda _: None)
     first = CANDIDATES[0] if family == AUTO else family
     remarks: list[Remark] = []
+    few: ChosenFit | None = None
+    if len(pictures) > _MANY:
+        some = np.unique(np.linspace(0, len(pictures) - 1, _MANY).round().astype(int)).tolist()
+        few = chosen_fit(
+            [pictures[k] for k in some],
+            part_of(scene, some),
+            lamps[some],
+            family,
+            masking=masking,
+            diffuse=diffuse,
+            progress=lambda line: say(f"{_MANY} of {len(pictures)} pictures: {line}"),
+            fit_pictures=fit_pictures,
+        )
+        first, remarks = few.fit.kind.family, [one for one in few.remarks if one.code != "picture-left-out"]
+        for source, factor in few.widened.items():
+            scene = _widened(scene, source, factor)
 
     def fitted(name: str, scene: SphereScene, **more: object) -> SphereFit:
         return fit_pictures(
@@ -107,7 +127,10 @@ def chosen_fit(
             **more,
         )
 
-    best = fitted(first, scene)
+    chosen: dict[str, object] = {}
+    if few is not None:
+        chosen = {"start": few.fit, "bend": _BEND if few.fit.kind.bends else 0.0}
+    best = fitted(first, scene, **chosen)
     tried = {first: best.solution.unexplained}
     lost = best.unexplained_pictures
     whole = pictures, scene, lamps
@@ -121,7 +144,9 @@ def chosen_fit(
         )
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
         scene = part_of(scene, keep)
-        best = fitted(first, scene, widths=np.exp(best.solution.p[:1]))
+        best = fitted(first, scene, **(chosen or {"widths": np.exp(best.solution.p[:1])}))
+    if few is not None:
+        return ChosenFit(best, few.tried, tuple(remarks), few.widened)
     widened: dict[str, float] = {}
     for _ in range(_TURNS):
         found = _contradiction(best, scene)
@@ -163,7 +188,7 @@ def chosen_fit(
                     f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly",
                 )
             )
-    return ChosenFit(best, tried, tuple(remarks))
+    return ChosenFit(best, tried, tuple(remarks), widened)
 
 
 def _explained(fit: SphereFit) -> bool:

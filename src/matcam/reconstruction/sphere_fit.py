@@ -162,7 +162,7 @@ def fit_sphere(
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
         lamps: directions to the lamps as the highlights say, (pictures, 3), from which the search begins. Default: those of the
             scene.
-        start: a fit of these pictures by another lobe, from which the search goes on. Default: None.
+        start: a fit of these pictures, or of some of them, by any lobe, from which the search goes on. Default: None.
         widths: widths (the lobe's first parameter) among which it is looked for, where there is no start.
         rounds: most rounds of refinement. Default: 4.
         progress: is called with a line about each round. Default: None.
@@ -187,10 +187,15 @@ def fit_sphere(
         old, q = start.layout, start.solution.p
         common = min(old.lobe, layout.lobe)
         p[:common] = q[:common]
-        p[layout.lobe :] = q[old.lobe :]
-        known = replace(scene, lamps=start.lamps)
-        for k in range(layout.pictures):
+        p[layout.lobe : layout.shared] = q[old.lobe : old.shared]
+        directions = known.lamps.copy()
+        for k, one in enumerate(pictures):
+            if one.name in start.names:
+                j = start.names.index(one.name)
+                p[layout.own(k).start : layout.strengths(k).stop] = q[old.own(j).start : old.strengths(j).stop]
+                directions[k] = start.lamps[j]
             p[layout.own(k)][2:] = 0.0
+        known = replace(scene, lamps=directions)
     slope = np.zeros((layout.pictures, layout.channels))
     unexplained, solution = 0.02, None
     for turn in range(rounds):
