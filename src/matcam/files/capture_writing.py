@@ -34,9 +34,9 @@ kind = "sphere"                      # sphere | cylinder | flat
 # radius_mm = [25.0, 0.005]
 # region_px = [800, 600, 900, 900]   # first column, first row (both even), width, height that hold the sphere
 # strip_rows_px = [[0, 99], [100, 199]]   # of a cylinder: first and last row of each strip of material
+# strip_turn_deg = [0.0, 90.0]       # of each strip: its x axis from the direction round the cylinder towards up
 # tilt_deg = [0, 10, 20]             # of a flat sample, for each lamp position: its normal towards the right
 # mm_per_px = 0.02                   # of a flat sample seen head-on
-# strip_turn_deg = [0.0, 90.0]       # of each strip: its x axis from the direction round the cylinder towards up
 
 [distances]                          # from the sample's centre
 # camera_mm = [1200, 5]
