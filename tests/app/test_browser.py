@@ -62,6 +62,7 @@ def test_views_fit_and_nothing_leaves_the_machine(chromium, app):
         )  # the test can fail
 
 
+@pytest.mark.slow
 def test_the_last_value_of_a_fast_drag_wins(chromium, app):
     """160 moves in bursts of 8: few are computed, none is shown late, and the last one is what stays."""
     with opened(chromium, app) as page:

@@ -46,6 +46,7 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert abs(loaded.field.growth.value) < 4 * loaded.field.growth.std < 0.4
 
 
+@pytest.mark.slow
 def test_a_linear_image_is_a_picture_of_one_colour():
     picture = chart(0.5, 0.4)
     plain = calibrate([picture], half_width=0.4).channels["grey"]

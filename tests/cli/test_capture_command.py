@@ -27,7 +27,9 @@ def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
         line.removeprefix("# ") if " = " in line else line for line in text.splitlines() if not line.startswith("# A ")
     ]
     others = ("Units stand", "of a cylinder", "of a flat", "of each strip")  # fields of other samples than a sphere
-    (folder / "capture.toml").write_text("\n".join(line for line in lines if not any(words in line for words in others)))
+    (folder / "capture.toml").write_text(
+        "\n".join(line for line in lines if not any(words in line for words in others))
+    )
     assert read_settings(folder / "capture.toml")["sample"]["region_px"] == [800, 600, 900, 900]
 
 

@@ -74,6 +74,7 @@ def test_predict(matcam, tmp_path):
     assert there / head_on == pytest.approx(0.95, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_fresnel(matcam, measured, tmp_path):
     result = matcam("fresnel", measured, "--metal", "Cr", "--ndf", "beckmann", "--every", 6)
     assert "lobe: beckmann, width 0.0028" in result.stdout

@@ -36,6 +36,7 @@ def true_brdf(theta_h, phi_h, theta_d):
     return d / (1 + hidden) / (4 * light[2] * view[2])
 
 
+@pytest.mark.slow
 def test_two_roughnesses_from_strips_at_right_angles(matcam, tmp_path):
     """Five lamps out of plane, grey frames with noise: both roughnesses, F and the table agree with the truth within their
     errors."""

@@ -20,6 +20,7 @@ def simulate(matcam):
 OPTIONS = ("--roughness", 0.05, "--radius", 40, "--lamp-angle", 60, "--lamp", 0.25, "--size", 31, 33)
 
 
+@pytest.mark.slow
 def test_a_picture_with_all_that_is_needed_to_invert_it(simulate, tmp_path):
     done = simulate(*OPTIONS, "-o", "a.exr", "--preview", "a.png", "--json")
     assert json.loads(done.stdout)["what"] == "picture of 33 x 31 px"

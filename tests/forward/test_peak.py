@@ -137,10 +137,8 @@ def test_lamp_disc_is_one_more_gaussian_on_the_sensor():
 @pytest.mark.parametrize(
     "ndf",
     [
-        pytest.param(GaussianNDF(0.0005), marks=pytest.mark.slow),
-        GaussianNDF(0.004),
-        pytest.param(GGX(0.002), marks=pytest.mark.slow),
-        pytest.param(GGX(0.1), marks=pytest.mark.slow),
+        pytest.param(ndf, marks=pytest.mark.slow)
+        for ndf in (GaussianNDF(0.0005), GaussianNDF(0.004), GGX(0.002), GGX(0.1))
     ],
     ids=repr,
 )

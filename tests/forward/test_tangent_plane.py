@@ -1,6 +1,7 @@
 """The record of a lobe around its peak, at every cell of a table, against the oracle and against the material itself."""
 
 import numpy as np
+import pytest
 
 from matcam import GGX, Conductor, GaussianNDF, Microfacet, Rig, Sphere, rigs
 from matcam.core.grid import below_horizon, brdf_table, merl_grid
@@ -37,6 +38,7 @@ def test_every_cell_is_the_oracles_record():
     assert ours.attrs["sampling"] == "centre"
 
 
+@pytest.mark.slow
 def test_far_from_the_camera_the_table_is_the_material():
     """A lobe much wider than the kernel is recorded as it is, diffuse part included."""
     material = Microfacet(GGX(0.3), [0.5, 0.6, 0.7], diffuse=[0.1, 0.0, 0.3], masking=None)

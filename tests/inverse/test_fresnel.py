@@ -149,6 +149,7 @@ def test_width_noise_and_support_are_found(noisy):
     np.testing.assert_allclose((noisy["raw_std"] / noisy["raw"])[:LAST], noisy.attrs["noise_relative"], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_absolute_reflectance_is_within_its_error(noisy):
     pull = (noisy["absolute"].values[:, 0] - truth_at(noisy["theta_d"].values)) / noisy["absolute_std"].values[:, 0]
     assert np.sqrt(np.mean(pull[:LAST] ** 2)) < 1.5
