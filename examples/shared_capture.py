@@ -13,7 +13,7 @@ from tests.oracle.capture import METALS, Sensor, draw
 from tests.oracle.sphere_picture import Surface, View, fresnel
 
 import matcam
-from matcam.reconstruction.reconstruction import Reconstruction
+from matcam.reconstruction import Reconstruction
 
 ALPHA = 0.03  # the true roughness
 _N, _K = (values[1] for values in METALS["Cr"])

@@ -81,8 +81,8 @@ print(f"lens {lens[0]:.4f} ± {lens[1]:.4f} px; the truth is 0.5 px, the profile
 # F is free in every picture. Nothing of known reflectance was in these, so it is relative; its shape is what counts.
 
 theta = found.fit.solution.theta_d
-strength = found.fit.strengths[:, 0] / found.unit.value
-error = np.sqrt(np.diag(found.fit.strengths_covariance())) / found.unit.value
+strength = found.fit.strengths[:, 0] / found.units[0].value
+error = np.sqrt(np.diag(found.fit.strengths_covariance())) / found.units[0].value
 fine = np.linspace(theta[0], theta[-1], 100)
 scale = np.mean(strength / true_reflectance(theta))
 
