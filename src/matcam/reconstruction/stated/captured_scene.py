@@ -30,7 +30,7 @@ from matcam.reconstruction.stated.stated_rig import (
     known_nearness,
     lamp_radius_of,
 )
-from matcam.reconstruction.stated.undistorted import undistorted_sphere, with_lens_field
+from matcam.reconstruction.stated.undistorted import undistorted_sphere
 
 Progress = Callable[[str, int, int], None]
 
@@ -137,7 +137,6 @@ def captured_scene(
     ball = MirrorBall(outline.row, outline.column, outline.radius, distance)
     highlights, said = find_highlights(pictures, ball, blur=float(np.hypot(outline.sigma, 0.29)))
     remarks.extend(said)
-    camera = with_lens_field(camera, outline)
     ball, centres, highlights = undistorted_sphere(camera.field, ball, centres, highlights)
     far = 1 / lamp_nearness.value if lamp_nearness.value > 0 else np.inf
     seen = [k for k, one in enumerate(highlights) if one is not None]

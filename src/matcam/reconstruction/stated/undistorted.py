@@ -9,20 +9,7 @@ import numpy as np
 
 from matcam.acquisition.highlights import Highlight
 from matcam.acquisition.mirror_ball import MirrorBall
-from matcam.acquisition.outline import Outline
-from matcam.camera.camera import Camera
-from matcam.camera.lens_field import Coefficient, LensField
-
-_GUESSED_DISTORTION = 0.002
-"""Of the radius, at the sphere's limb: standard deviation where no profile states a distortion."""
-
-
-def with_lens_field(camera: Camera, outline: Outline) -> Camera:
-    """Return the camera with a field: where its profile states none, a distortion about the sphere that nobody has measured."""
-    if camera.field is not None:
-        return camera
-    guess = Coefficient(0.0, _GUESSED_DISTORTION)
-    return camera.with_field(LensField((outline.column, outline.row), outline.radius, guess))
+from matcam.camera.lens_field import LensField
 
 
 def undistorted_sphere(
