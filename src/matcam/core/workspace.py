@@ -139,8 +139,8 @@ class Workspace:
         """
         if self.folder is None:
             return make()
-        key = f"{metadata.version('matcam')}\n{description}".encode()
-        path = self.folder / f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
+        key = _key(description)
+        path = self.folder / _file_name(key)
         stored = read_sealed(path, key)
         if stored is not None:
             with np.load(io.BytesIO(stored), allow_pickle=False) as file:
@@ -154,6 +154,19 @@ class Workspace:
             for old in by_age[: max(len(by_age) - self.files, 0)]:
                 old.unlink(missing_ok=True)
         return arrays
+
+
+def kept_file(folder: Path, description: str) -> Path:
+    """Return where a workspace of this folder keeps what has this description."""
+    return folder / _file_name(_key(description))
+
+
+def _key(description: str) -> bytes:
+    return f"{metadata.version('matcam')}\n{description}".encode()
+
+
+def _file_name(key: bytes) -> str:
+    return f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
 
 
 @cache

@@ -137,7 +137,7 @@ def reflectance_figure(result: Reconstruction) -> Figure:
     theta = fit.solution.theta_d
     units = np.array([one.value for one in result.units])
     strengths = fit.strengths / units
-    std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / units
+    std = fit.strengths_std / units
     fine = np.linspace(theta.min(), theta.max(), 200)
     with styled():
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")

@@ -23,6 +23,8 @@ _PIXEL_STEP = 0.5  # px: a pixel's own MTF is 0 at one over it
 _LIMB_STEP = 0.04  # rad, where the disc ends
 _LIMB = 0.35  # rad from the outline
 _MARGIN = 4.5  # px about the pixels of a window
+_DISC_POINTS = 36
+_NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
 
 
 class Window(NamedTuple):
@@ -190,3 +192,29 @@ def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
         places.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
         weights.append(np.full(count, w[ring] / 2 / count))
     return np.concatenate(places), np.concatenate(weights)
+
+
+class LampPlaces(NamedTuple):
+    """Hold the places on a lamp's disc that stand for it.
+
+    Attributes:
+        turns: of the lamp towards each place, rad, (points, 2).
+        weights: of the places, (points,); their sum is 1.
+        plateau: angle about a lobe's peak within which the disc spreads it, rad.
+    """
+
+    turns: np.ndarray
+    weights: np.ndarray
+    plateau: float
+
+
+def lamp_places(lamp_radius: float, width: float) -> LampPlaces:
+    """Return the places on a lamp's disc: its centre alone, where the disc is small beside the lobe.
+
+    Args:
+        lamp_radius: angular radius of the lamp, rad.
+        width: of the lobe, rad.
+    """
+    radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
+    places, weights = lamp_disc(_DISC_POINTS if radius else 1)
+    return LampPlaces(places * radius, weights, radius / 2)

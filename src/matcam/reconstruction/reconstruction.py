@@ -230,7 +230,7 @@ class Reconstruction:
         fit, solution = self.fit, self.fit.solution
         units = np.array([one.value for one in self.units])
         strengths = fit.strengths / units
-        std = np.sqrt(np.maximum(np.diag(fit.strengths_covariance()), 0)).reshape(strengths.shape) / units
+        std = fit.strengths_std / units
         return {
             "format": FORMAT,
             "version": VERSION,

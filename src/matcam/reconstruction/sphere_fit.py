@@ -32,7 +32,7 @@ from matcam.reconstruction.joint_fit import (
 )
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import SCENE, LampFrame, PictureModel, lamp_frame, turned_lamp
-from matcam.reconstruction.picture_rule import lamp_disc
+from matcam.reconstruction.picture_rule import lamp_places
 from matcam.reconstruction.rig.field_change import FIELD, FieldChange, changed_field
 from matcam.reconstruction.sphere_scene import SphereScene, part_of, prior_of
 from matcam.rigs import Rig
@@ -44,8 +44,6 @@ _ROUNDS = 4
 _HOPELESS = 20.0
 """Mean squared residual, of a picture and over that of the others, from which it is not explained at all."""
 _FEW = 6  # pictures in which the lobe is looked for
-_DISC_POINTS = 36
-_NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
 
 
 class LayProblem(Protocol):
@@ -109,6 +107,11 @@ class SphereFit:
         """Places of the pictures that the fit does not explain at all, beside others that it does."""
         chi2 = self.solution.chi2
         return tuple(np.flatnonzero((chi2 > _HOPELESS) & (chi2 > _HOPELESS * np.median(chi2))).tolist())
+
+    @property
+    def strengths_std(self) -> np.ndarray:
+        """Standard deviation of `strengths`, (pictures, channels)."""
+        return np.sqrt(np.maximum(np.diag(self.strengths_covariance()), 0)).reshape(self.strengths.shape)
 
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
         """Return the covariance of the strengths, of shape (pictures x channels,) twice.
@@ -316,9 +319,9 @@ def sphere_problem(
     layout = JointLayout(kind.size, len(pictures[0].channels), len(pictures))
     width = float(np.exp(p[0]))
     _, radius, camera, lamp = p[layout.scene]
-    with_disc = disc and scene.lamp_radius / 2 > _NO_DISC * width
-    points = lamp_disc(_DISC_POINTS if with_disc else 1)
-    model = _model(kind, scene, points, scene.lamp_radius if with_disc else 0.0)
+    lit = lamp_places(scene.lamp_radius if disc else 0.0, width)
+    blur = blur_of(Rig(scene.camera, Sphere(scene.radius)))
+    model = PictureModel(kind, blur, lit.turns, lit.weights)
     frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
     pixels, changes = [], list[FieldChange]()
     field = None if scene.camera.field is None else changed_field(scene.camera.field, p[layout.field])
@@ -328,9 +331,10 @@ def sphere_problem(
         at_row, at_column = MirrorBall(row, column, radius, distance).mirror_place(frames[k].base, far)
         highlight = float((at_column - column) / radius), float((row - at_row) / radius)
         place = HighlightPlace(column, row, radius, frames[k].base, highlight)
-        plateau = scene.lamp_radius / 2 if with_disc else 0.0
         last = None if keep is None else keep[k]
-        pixels.append(chosen_pixels(picture, place, scale=width / 3, plateau=plateau, seed=k, keep=last, field=field))
+        pixels.append(
+            chosen_pixels(picture, place, scale=width / 3, plateau=lit.plateau, seed=k, keep=last, field=field)
+        )
         if scene.camera.field is not None:
             at = float(column + radius * highlight[0]), float(row - radius * highlight[1])
             changes.append(FieldChange(scene.camera.field, at, pixels[-1].seen))
@@ -382,11 +386,6 @@ def joint_problem(
             if not (one.used & (one.channel == c)).any():
                 fixed[layout.strengths(k).start + c] = True
     return JointProblem(model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed, changes)
-
-
-def _model(kind: LobeKind, scene: SphereScene, disc: tuple[np.ndarray, np.ndarray], disc_radius: float) -> PictureModel:
-    places, weights = disc
-    return PictureModel(kind, blur_of(Rig(scene.camera, Sphere(scene.radius))), places * disc_radius, weights)
 
 
 def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np.ndarray, np.ndarray]:

@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
-from matcam.core.sealed import read_sealed, write_sealed
+from matcam.core.workspace import Workspace, kept_file
 
 _PIECE = 1 << 16  # bytes of either end of a frame
 _OLD = 14 * 86400.0  # s
+_MOST = 100_000  # files: age decides what goes
 
 
 @dataclass
@@ -43,25 +42,15 @@ class KeptWork:
     folder: Path
     _files: set[Path] = field(default_factory=set)
 
-    def store(self, description: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
+    def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return the arrays that `make` returned for this description before, from disk, or call it.
 
         Args:
             description: text that holds all that the arrays depend on.
             make: function that computes the arrays.
         """
-        key = f"{metadata.version('matcam')}\n{description}".encode()
-        path = self.folder / f"{hashlib.sha256(key).hexdigest()[:32]}.npz"
-        self._files.add(path)
-        stored = read_sealed(path, key)
-        if stored is not None:
-            with np.load(io.BytesIO(stored), allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
-        arrays = make()
-        packed = io.BytesIO()
-        np.savez(packed, **arrays)  # type: ignore[arg-type]
-        write_sealed(path, key, packed.getvalue())
-        return arrays
+        self._files.add(kept_file(self.folder, description))
+        return Workspace(self.folder, files=_MOST).store(description, make)
 
     def clear(self) -> None:
         """Remove what this run kept, and what others left long ago."""

@@ -18,7 +18,7 @@ from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
 from matcam.reconstruction.joint_fit import JointLayout, JointProblem
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import lamp_frame
-from matcam.reconstruction.picture_rule import lamp_disc
+from matcam.reconstruction.picture_rule import lamp_places
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, joint_problem
 from matcam.reconstruction.sphere_scene import SphereScene
 from matcam.rigs import Rig
@@ -26,8 +26,6 @@ from matcam.sample.curved import Sphere
 
 _ROW_RULE = 3
 """Rows of a strip at which the model is taken, Gauss's."""
-_DISC_POINTS = 36
-_NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
 
 
 def fit_cylinder(
@@ -82,16 +80,15 @@ def _cylinder_problem(
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
     _, radius, camera, lamp = p[layout.scene]
-    with_disc = disc and scene.lamp_radius / 2 > _NO_DISC * min(alphas)
-    places, weights = lamp_disc(_DISC_POINTS if with_disc else 1)
+    lit = lamp_places(scene.lamp_radius if disc else 0.0, min(alphas))
     nodes, row_weights = np.polynomial.legendre.leggauss(_ROW_RULE)
     rows = np.array([np.add(*strip.read) / 2 + (strip.read[1] - strip.read[0] + 1) / 2 * nodes for strip in strips])
     model = ProfileModel(
         kind=kind,
         channels=channels,
         blur=blur_of(Rig(scene.camera, Sphere(scene.radius))),
-        places=places * (scene.lamp_radius if with_disc else 0.0),
-        weights=weights,
+        places=lit.turns,
+        weights=lit.weights,
         turns=np.array([strip.turn for strip in strips]),
         rows=rows,
         row_weights=row_weights / 2,
@@ -101,7 +98,6 @@ def _cylinder_problem(
     for k, picture in enumerate(pictures):
         axis, row = p[layout.own(k)][:2]
         place = CylinderPlace(axis, row, radius, camera, lamp, frames[k].base)
-        plateau = scene.lamp_radius / 2 if with_disc else 0.0
         last = None if keep is None else keep[k]
-        pixels.append(chosen_columns(profiles[picture.name], strips, place, alphas, plateau=plateau, keep=last))
+        pixels.append(chosen_columns(profiles[picture.name], strips, place, alphas, plateau=lit.plateau, keep=last))
     return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, bend=bend)
