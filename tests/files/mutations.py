@@ -42,17 +42,23 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
     tracemalloc.start()
     for k, content in enumerate(itertools.chain([first], contents)):
         path.write_bytes(content)
-        tracemalloc.reset_peak()
-        before, start = tracemalloc.get_traced_memory()[0], clock()
-        message = refusal(read, path)
-        took = clock() - start
-        used = tracemalloc.get_traced_memory()[1] - before
+        message, took, used = _measured_refusal(read, path, clock)
+        limit = times_the_file * len(content) + spare
+        if took >= seconds or used >= limit:  # other threads, late imports and a busy machine count too, but not twice
+            message, took, used = _measured_refusal(read, path, clock)
         refused, accepted = refused + (message is not None), accepted + (message is None)
         assert "\n" not in (message or ""), (k, message)
         assert took < seconds, (k, took)
-        assert used < times_the_file * len(content) + spare, (k, used, len(content))
+        assert used < limit, (k, used, len(content))
     tracemalloc.stop()
     return refused, accepted
+
+
+def _measured_refusal(read, path, clock):
+    tracemalloc.reset_peak()
+    before, start = tracemalloc.get_traced_memory()[0], clock()
+    message = refusal(read, path)
+    return message, clock() - start, tracemalloc.get_traced_memory()[1] - before
 
 
 def refusal(read, path):
