@@ -249,8 +249,8 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
     found: list[_Blame] = []
     for name in _WIDENED:
         rows = _rows_of(name, problem.prior_sources)
-        if not rows.any():
-            continue
+        if not rows.any() or (name == "distortion" and scene.camera.field is None):
+            continue  # not stated, or not fitted
         wide, wanted, sources = prior_of(problem.layout, _widened(scene, name, _FREE), problem.frames, 0.0, 0)
         chosen = _rows_of(name, sources)
         wide, old = wide[chosen], problem.prior_rows[rows]

@@ -12,7 +12,7 @@ widen the stated uncertainty.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -122,6 +122,7 @@ class JointProblem:
         slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
         fixed: parameters that stay as they are, (size,).
         changes: what a change of the lens's field does to each picture; empty where the field is exact.
+        unstated: what a distortion that nobody has stated does to each picture; it is not fitted, but enters the covariance.
     """
 
     model: PixelModel
@@ -136,6 +137,14 @@ class JointProblem:
     slope: np.ndarray
     fixed: np.ndarray
     changes: Sequence[FieldChange] = ()
+    unstated: Sequence[FieldChange] = ()
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Which parameters have an error: those that are fitted, and an unstated distortion."""
+        judged = ~self.fixed
+        judged[self.layout.field.start] |= len(self.unstated) > 0
+        return judged
 
     def information_of(self, source: str) -> np.ndarray:
         """Return the information matrix of what one source states, (size, size)."""
@@ -259,8 +268,8 @@ class JointSolution(NamedTuple):
 
     def covariance_with(self, change: np.ndarray) -> np.ndarray:
         """Return the covariance if the information matrix were larger by `change`, (size, size)."""
-        free = np.flatnonzero(~self.problem.fixed)
-        inner = np.ix_(free, free)
+        judged = np.flatnonzero(self.problem.judged)
+        inner = np.ix_(judged, judged)
         covariance = np.zeros_like(self.covariance)
         information = scaled_inverse(self.covariance[inner], undetermined=1e16) + change[inner]
         covariance[inner] = scaled_inverse(information, undetermined=1e16)
@@ -354,13 +363,16 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
     """Return the solution at parameters: covariance, angles and how well each picture is explained."""
     judge = Likelihood(unexplained)
     layout = problem.layout
-    cost, _, normal = _assembled(problem, judge, p)
+    moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
+    cost, _, normal = _assembled(moving, judge, p)
     free = ~problem.fixed
     covariance = np.zeros_like(normal)
     covariance[np.ix_(free, free)] = scaled_inverse(normal[np.ix_(free, free)], undetermined=1e14)
+    if problem.unstated:
+        covariance += _of_the_unstated(problem, normal, covariance)
     theta, slopes, chi2, out = [], [], [], []
     for k in range(layout.pictures):
-        fit = problem.picture(p, k, slopes=True)
+        fit = moving.picture(p, k, slopes=True)
         plain, _, _ = Likelihood(0.0).residual(problem.pixels[k], fit.value)
         theta.append(fit.theta_d)
         slopes.append(fit.theta_d_slope)
@@ -371,6 +383,17 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
     return JointSolution(
         problem, p, covariance, cost, unexplained, np.array(theta), np.array(slopes), np.array(chi2), np.array(out)
     )
+
+
+def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return what an unstated distortion adds to the covariance of what was fitted without it ("consider" analysis).
+
+    Source: Schmidt 1966, *Application of state-space methods to navigation problems*.
+    """
+    at, field = problem.layout.field.start, problem.unstated[0].field
+    moved = -covariance @ normal[:, at]
+    moved[at] = 1.0
+    return field.k1.std**2 * np.outer(moved, moved)
 
 
 def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:

@@ -25,16 +25,15 @@ from matcam.reconstruction.joint_fit import (
     JointProblem,
     JointSolution,
     Likelihood,
-    PixelModel,
     solve,
     summed_up,
     unexplained_share,
 )
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
-from matcam.reconstruction.picture_model import SCENE, LampFrame, PictureModel, lamp_frame, turned_lamp
+from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_places
-from matcam.reconstruction.rig.field_change import FIELD, FieldChange, changed_field
-from matcam.reconstruction.sphere_scene import SphereScene, part_of, prior_of
+from matcam.reconstruction.rig.field_change import FieldChange, changed_field
+from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
@@ -324,7 +323,8 @@ def sphere_problem(
     model = PictureModel(kind, blur, lit.turns, lit.weights)
     frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
     pixels, changes = [], list[FieldChange]()
-    field = None if scene.camera.field is None else changed_field(scene.camera.field, p[layout.field])
+    known_field = scene.camera.field
+    field = None if known_field is None else changed_field(known_field, p[layout.field])
     for k, picture in enumerate(pictures):
         column, row = p[layout.own(k)][:2]
         distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
@@ -335,66 +335,23 @@ def sphere_problem(
         pixels.append(
             chosen_pixels(picture, place, scale=width / 3, plateau=lit.plateau, seed=k, keep=last, field=field)
         )
-        if scene.camera.field is not None:
+        if scene.field is not None:
             at = float(column + radius * highlight[0]), float(row - radius * highlight[1])
-            changes.append(FieldChange(scene.camera.field, at, pixels[-1].seen))
-    return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, bend=bend, changes=changes)
-
-
-def joint_problem(
-    layout: JointLayout,
-    kind: LobeKind,
-    scene: SphereScene,
-    model: PixelModel,
-    pixels: Sequence[ObservedPixels],
-    frames: Sequence[LampFrame],
-    slope: np.ndarray,
-    *,
-    diffuse: bool,
-    bend: float,
-    changes: Sequence[FieldChange] = (),
-) -> JointProblem:
-    """Return the problem of chosen pixels and their model: with bounds, priors, and what is not fitted.
-
-    Args:
-        layout: order of the parameters.
-        kind: what the lobe's parameters mean.
-        scene: what is known beforehand.
-        model: what the pixels record.
-        pixels: of each picture.
-        frames: base direction of each picture's lamp.
-        slope: d ln F / d theta_d of each picture and channel, 1/rad.
-        diffuse: whether there is a Lambertian part.
-        bend: how far ln D may leave its family.
-        changes: what a change of the lens's field does to each picture. Default: none, the field is not fitted.
-    """
-    low, high = _bounds(layout, kind, scene)
-    fixed = low == high
-    if not diffuse:
-        fixed[layout.diffuse] = True
-    for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
-        if known_value.std == 0:
-            fixed[layout.lobe + SCENE.index(name)] = True
-    known_field = scene.camera.field
-    for index in range(len(FIELD)):
-        fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
-    rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
-    if not rows[:, layout.lobe].any():
-        fixed[layout.lobe] = True  # an exact lens
-    for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
-        for c in range(layout.channels):
-            if not (one.used & (one.channel == c)).any():
-                fixed[layout.strengths(k).start + c] = True
-    return JointProblem(model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed, changes)
-
-
-def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    for index, (least, most) in enumerate(kind.bounds(scene.radius)):
-        low[index], high[index] = least, most
-    low[layout.scene] = [-1.5, 0.8 * scene.radius, 0.0, 0.0]
-    high[layout.scene] = [1.0, 1.2 * scene.radius, 0.9, 0.9]
-    return low, high
+            changes.append(FieldChange(scene.field, at, pixels[-1].seen))
+    changes, unstated = ([], changes) if known_field is None else (changes, [])
+    return joint_problem(
+        layout,
+        kind,
+        scene,
+        model,
+        pixels,
+        frames,
+        slope,
+        diffuse=diffuse,
+        bend=bend,
+        changes=changes,
+        unstated=unstated,
+    )
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What is known of a capture before its highlights are fitted, and the prior that it makes."""
+"""What is known of a capture before its highlights are fitted, the prior that it makes, and the problem that is then solved."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.camera.camera import Camera
+from matcam.camera.lens_field import Coefficient, LensField
+from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.numerics.approximation import smoothness
-from matcam.reconstruction.joint_fit import JointLayout
+from matcam.reconstruction.joint_fit import JointLayout, JointProblem, PixelModel
+from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import SCENE, LampFrame
 from matcam.reconstruction.rig.earlier_rig import KnownRig
-from matcam.reconstruction.rig.field_change import FIELD, outline_slopes
+from matcam.reconstruction.rig.field_change import FIELD, FieldChange, outline_slopes
+
+_UNSTATED_DISTORTION = 1e-3
+"""Of the radius, at the sphere's limb: standard deviation where nothing is stated of a distortion."""
 
 
 class Known(NamedTuple):
@@ -47,6 +54,8 @@ class SphereScene:
             of all. Default: None, each is its own.
         rig: what an earlier reconstruction found; it stands for what is stated of lens, distances, lamps and distortion.
             Default: None.
+        unstated_field: a distortion about which nobody has stated anything: it is not fitted, its spread widens the errors.
+            Default: None, what the camera's profile does not state is exact.
     """
 
     camera: Camera
@@ -64,6 +73,12 @@ class SphereScene:
     gain: np.ndarray | None = None
     gain_correlation: np.ndarray | None = None
     rig: KnownRig | None = None
+    unstated_field: LensField | None = None
+
+    @property
+    def field(self) -> LensField | None:
+        """Distortion and blur over the field: of the profile, else what is unstated."""
+        return self.camera.field or self.unstated_field
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
@@ -79,6 +94,11 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
         gain_correlation=None if scene.gain_correlation is None else scene.gain_correlation[np.ix_(keep, keep)],
         rig=None if scene.rig is None else scene.rig._replace(lamps=scene.rig.lamps[keep]),
     )
+
+
+def unstated_distortion(ball: MirrorBall) -> LensField:
+    """Return the distortion about a sphere that is to be reckoned with where nobody has stated one."""
+    return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, _UNSTATED_DISTORTION))
 
 
 def prior_of(
@@ -99,7 +119,7 @@ def prior_of(
         row[index] = 1 / std
         add(source, row, value / std)
 
-    field, in_rig = scene.camera.field, np.zeros(5, bool)
+    field, in_rig = scene.field, np.zeros(5, bool)
     lens = layout.lobe + SCENE.index("lens")
     if scene.rig is not None:
         in_rig = scene.rig.knows
@@ -164,6 +184,66 @@ def prior_of(
             row[own : own + KNOTS] = line / bend
             add("smooth lobe", row, 0.0)
     return np.array(rows), np.array(values), tuple(sources)
+
+
+def joint_problem(
+    layout: JointLayout,
+    kind: LobeKind,
+    scene: SphereScene,
+    model: PixelModel,
+    pixels: Sequence[ObservedPixels],
+    frames: Sequence[LampFrame],
+    slope: np.ndarray,
+    *,
+    diffuse: bool,
+    bend: float,
+    changes: Sequence[FieldChange] = (),
+    unstated: Sequence[FieldChange] = (),
+) -> JointProblem:
+    """Return the problem of chosen pixels and their model: with bounds, priors, and what is not fitted.
+
+    Args:
+        layout: order of the parameters.
+        kind: what the lobe's parameters mean.
+        scene: what is known beforehand.
+        model: what the pixels record.
+        pixels: of each picture.
+        frames: base direction of each picture's lamp.
+        slope: d ln F / d theta_d of each picture and channel, 1/rad.
+        diffuse: whether there is a Lambertian part.
+        bend: how far ln D may leave its family.
+        changes: what a change of the lens's field does to each picture. Default: none, the field is not fitted.
+        unstated: what an unstated distortion does to each picture. Default: none.
+    """
+    low, high = _bounds(layout, kind, scene)
+    fixed = low == high
+    if not diffuse:
+        fixed[layout.diffuse] = True
+    for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
+        if known_value.std == 0:
+            fixed[layout.lobe + SCENE.index(name)] = True
+    known_field = scene.camera.field
+    for index in range(len(FIELD)):
+        fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
+    rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
+    if not rows[:, layout.lobe].any():
+        fixed[layout.lobe] = True  # an exact lens
+    for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
+        for c in range(layout.channels):
+            if not (one.used & (one.channel == c)).any():
+                fixed[layout.strengths(k).start + c] = True
+    return JointProblem(
+        model, layout, pixels, frames, rows, values, sources, low, high, slope, fixed, changes, unstated
+    )
+
+
+def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np.ndarray, np.ndarray]:
+    low, high = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    for index, (least, most) in enumerate(kind.bounds(scene.radius)):
+        low[index], high[index] = least, most
+    low[layout.scene] = [-1.5, 0.8 * scene.radius, 0.0, 0.0]
+    high[layout.scene] = [1.0, 1.2 * scene.radius, 0.9, 0.9]
+    return low, high
 
 
 def lens_std(camera: Camera) -> float:

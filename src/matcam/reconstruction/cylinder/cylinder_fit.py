@@ -19,8 +19,8 @@ from matcam.reconstruction.joint_fit import JointLayout, JointProblem
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import lamp_frame
 from matcam.reconstruction.picture_rule import lamp_places
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, joint_problem
-from matcam.reconstruction.sphere_scene import SphereScene
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
+from matcam.reconstruction.sphere_scene import SphereScene, joint_problem
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 

@@ -20,7 +20,7 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
-from matcam.reconstruction.sphere_scene import Known, SphereScene
+from matcam.reconstruction.sphere_scene import Known, SphereScene, unstated_distortion
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
 from matcam.reconstruction.stated.stated_lamps import stated_lamps
@@ -177,6 +177,7 @@ def captured_scene(
         gain=light.gain,
         gain_correlation=correlation(light.covariance),
         rig=rig,
+        unstated_field=None if camera.field is not None else unstated_distortion(ball),
     )
     units = None if light.units is None else tuple(Known(*one) for one in light.units)
     said_once = tuple(dict.fromkeys(remarks))
