@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matcam.files.capture import LampGuess
-from matcam.reconstruction.stated.stated_lamps import stated_lamps
+from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 
 ANGLE, AZIMUTH = np.radians([15, 40, 75, 110, 140]), np.radians([20, 100, 200, 300, 45])
 NAMES = [f"L{k}" for k in range(5)]
@@ -67,3 +67,20 @@ def test_where_nothing_is_stated_the_highlights_begin():
     assert codes == []
     assert directions == pytest.approx(seen)
     assert stds.min() > np.radians(15)
+
+
+def test_a_highlight_that_contradicts_the_table_alone_is_no_start():
+    """Seen in a capture of gold of roughness 0.001: the highlight of the lamp at 160 degrees was 8 degrees off, +- 11."""
+    table = polar(ANGLE, AZIMUTH)
+    seen = polar(ANGLE + np.radians([0.2, -0.3, 0.2, 0.3, 8.0]), AZIMUTH)
+
+    def first(std_deg, off=seen):
+        variance = np.radians(std_deg) ** 2 * np.ones(5)
+        return first_lamps(off, variance[:, None, None] * np.diag([1, 1, 0]), table, np.full(5, STD))
+
+    assert first(11.0)[:4] == pytest.approx(seen[:4])
+    assert first(11.0)[4] == pytest.approx(table[4])
+    # a highlight that is known well is right, and so are highlights that all contradict the table
+    assert first(0.1) == pytest.approx(seen)
+    all_off = polar(ANGLE + np.radians(8.0), AZIMUTH)
+    assert first(11.0, all_off) == pytest.approx(all_off)

@@ -260,7 +260,8 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         count = values.get(name, int(rows.sum()))
         explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
-        if np.isfinite(explains) and np.isfinite(pull):
+        # no source explains more than there is to explain: where the first order says so, it does not hold
+        if explains < solution.cost and np.isfinite(pull):
             found.append(_Blame(explains, name, pull))
     return found
 

@@ -23,7 +23,7 @@ from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import Known, SphereScene, unstated_distortion
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
 from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
-from matcam.reconstruction.stated.stated_lamps import stated_lamps
+from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
@@ -46,7 +46,7 @@ class CapturedScene(NamedTuple):
     Attributes:
         pictures: merged pictures that can be fitted.
         scene: what is known beforehand.
-        lamps: directions to the lamps as the highlights say, (pictures, 3).
+        lamps: directions to the lamps from which the fit begins, mostly as the highlights say, (pictures, 3).
         radiometry: what the codes mean.
         outline: the sphere's outline; None: of another sample.
         left_out: names of the lamp positions that cannot be used.
@@ -146,7 +146,8 @@ def captured_scene(
             f"{capture.folder}: {len(seen)} of {len(pictures)} pictures show a highlight on the sphere; "
             f"at least {FEWEST} are needed"
         )
-    lamps = np.array([lamp_from_highlight(one, ball, far)[0] for one in highlights if one is not None])
+    mirrored = [lamp_from_highlight(one, ball, far) for one in highlights if one is not None]
+    lamps, covariances = map(np.array, zip(*mirrored, strict=True))
     pictures = [pictures[k] for k in seen]
     centres = np.tile([ball.column, ball.row], (len(seen), 1)) if centres is None else centres[seen]
     names = [one.name for one in pictures]
@@ -159,6 +160,7 @@ def captured_scene(
         known = rig.lamps >= 0
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
+    lamps = first_lamps(lamps, covariances, stated, stds)
     light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
     lamp_radius = lamp_radius_of(capture)
     scene = SphereScene(

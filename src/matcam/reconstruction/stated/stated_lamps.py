@@ -14,6 +14,8 @@ from matcam.reconstruction.stated.stated_rig import FEWEST
 
 _FAR_OFF = float(np.radians(10.0))
 """Angle between highlights and a lamp table from which no joint fit could begin with the table."""
+_ALONE = 3.0
+"""Times the usual angle between highlights and table from which a highlight that is known badly is not believed."""
 _UNKNOWN = float(np.radians(20.0))
 """Standard deviation of a lamp's direction that nothing is stated of."""
 
@@ -40,6 +42,24 @@ def stated_lamps(
         remark = _table_mistake(lamps, stated, stds, known)
         remarks.extend([] if remark is None else [remark])
     return stated, stds
+
+
+def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, stds: np.ndarray) -> np.ndarray:
+    """Return the directions from which a fit begins: the highlights', and the table's where a highlight contradicts it alone.
+
+    Near the limb a highlight narrower than a pixel says little of its lamp. A fit whose window lies beside it never finds it.
+
+    Args:
+        lamps: directions by the highlights, (pictures, 3).
+        covariances: of these, rad^2, (pictures, 3, 3).
+        stated: directions, (pictures, 3).
+        stds: of these along each tangent, rad, (pictures,).
+    """
+    own = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 2)
+    apart = lamp_angles_apart(lamps, stated)
+    usual = np.maximum(stds, np.median(apart))
+    doubtful = (apart > _ALONE * usual) & (own > usual)
+    return np.where(doubtful[:, None], stated / np.linalg.norm(stated, axis=1, keepdims=True), lamps)
 
 
 def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
