@@ -340,7 +340,9 @@ def _frame(
         if not lamp or not row["exposure"]:
             raise FileFormatError(f"{path}: a frame needs its lamp and its exposure")
         if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
-            raise FileFormatError(f"{path}: angle_deg must lie in [0, 180], got {row['angle_deg']:.20}")
+            raise FileFormatError(
+                f"{path}: angle_deg must lie in [0, 180] degrees, from the axis to the camera, got {row['angle_deg']:.20}"
+            )
         light = stated_intensity(path, row.get(INTENSITY, ""))
         guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)

@@ -15,7 +15,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
-from matcam.reconstruction.joint_fit import Likelihood
+from matcam.reconstruction.joint_fit import JointProblem, Likelihood, cost_at
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
 
@@ -212,11 +212,28 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
 
 
 class _Blame(NamedTuple):
-    """Say what freeing a source explains (a fall of chi squared), and by how many standard deviations it then is off."""
+    """Say what freeing a source explains (a fall of chi squared), and by how many standard deviations it then is off.
+
+    Attributes:
+        explains: to first order, less what that many values explain by chance.
+        source: its name.
+        pull: by how many standard deviations.
+        step: how the parameters then move, (size,).
+        freed: the problem without that source.
+    """
 
     explains: float
     source: str
     pull: float
+    step: np.ndarray
+    freed: JointProblem
+
+    def holds(self, fit: SphereFit) -> bool:
+        """Say whether chi squared truly falls by much on the way: along what nothing determines the first order goes astray."""
+        judge, p = Likelihood(fit.solution.unexplained), fit.solution.p
+        problem = self.freed
+        ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
+        return fit.solution.cost - min(cost_at(problem, judge, one) for one in ways) > _MUCH
 
 
 def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
@@ -229,8 +246,8 @@ def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Rema
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
     sources = np.array(problem.prior_sources)
     pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
-    blamed = max(_blamed(fit, scene), default=None)
-    if blamed is None or not (pushed or blamed.explains > _MUCH):
+    blamed = max(_blamed(fit, scene), key=lambda one: one.explains, default=None)
+    if blamed is None or not (pushed or (blamed.explains > _MUCH and blamed.holds(fit))):
         return None
     pull = max(blamed.pull, _CONTRADICTED)
     remark = Remark(
@@ -262,7 +279,14 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
         # no source explains more than there is to explain: where the first order says so, it does not hold
         if explains < solution.cost and np.isfinite(pull):
-            found.append(_Blame(explains, name, pull))
+            others = ~rows
+            freed = replace(
+                problem,
+                prior_rows=np.concatenate([problem.prior_rows[others], wide]),
+                prior_values=np.concatenate([problem.prior_values[others], wanted[chosen]]),
+                prior_sources=(),
+            )
+            found.append(_Blame(explains, name, pull, step, freed))
     return found
 
 

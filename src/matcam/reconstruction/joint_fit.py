@@ -337,7 +337,7 @@ def solve(
             inner = np.ix_(free, free)
             step[free] = -np.linalg.solve(matrix[inner], (gradient / scale)[free]) / scale[free]
             trial = np.clip(p + step, problem.low, problem.high)
-            trial_cost = _cost(problem, judge, trial)
+            trial_cost = cost_at(problem, judge, trial)
             if np.isfinite(trial_cost) and trial_cost <= cost + 1e-9 * abs(cost):
                 accepted = True
                 break
@@ -386,10 +386,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
 
 
 def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return what an unstated distortion adds to the covariance of what was fitted without it ("consider" analysis).
-
-    Source: Schmidt 1966, *Application of state-space methods to navigation problems*.
-    """
+    """Return what an unstated distortion adds to the covariance of what was fitted without it (as Schmidt 1966 "considers")."""
     at, field = problem.layout.field.start, problem.unstated[0].field
     moved = -covariance @ normal[:, at]
     moved[at] = 1.0
@@ -443,7 +440,8 @@ def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> tuple
     return cost, gradient, normal
 
 
-def _cost(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> float:
+def cost_at(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> float:
+    """Return minus twice the logarithm of likelihood and prior, but for a constant."""
     away = problem.prior_rows @ p - problem.prior_values
     return float(away @ away) + sum(
         judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(problem.layout.pictures)
