@@ -61,6 +61,29 @@ def test_a_linear_image_of_a_mosaic_is_its_colour():
     assert abs(green.values[0] - 0.5) < 4 * green.std[0] < 0.02
 
 
+def mosaic_of(picture, cfa="GBRG"):
+    """A grey picture of `chart` as a mosaic sees it: less red and blue light than green, and the same lens."""
+    share = {"R": 0.6, "G": 1.0, "B": 0.5}
+    weight = np.array([share[c] for c in cfa]).reshape(2, 2)
+    return picture * np.tile(weight, (picture.shape[0] // 2, picture.shape[1] // 2))
+
+
+def test_a_mosaic_that_its_file_does_not_name():
+    picture, _ = slanted_squares.field((420, 440), 140, 74, 5, 0.5, 0.4, dark=0.25)
+    codes = np.random.default_rng(4).poisson(mosaic_of(picture) * 60000 / 16).astype(np.uint16) * 10
+    with pytest.raises(
+        FitError, match="every second pixel differs by 67% of the light: a mosaic of colours that is read"
+    ):
+        calibrate([codes])
+    found = calibrate([codes], cfa="GBRG", half_width=0.4, channels=["G"])
+    green = found.channels["G"]
+    assert abs(green.values[0] - 0.5) < 4 * green.std[0] < 0.02
+    with pytest.raises(ArgumentError, match="cfa is for a mosaic"):
+        calibrate([np.stack([codes] * 3, -1)], cfa="GBRG")
+    with pytest.raises(ArgumentError, match="cfa is that of the LinearImage already"):
+        calibrate([LinearImage(codes.astype(float))], cfa="GBRG")
+
+
 @pytest.mark.slow
 def test_other_models():
     picture = chart(0.5)
@@ -258,6 +281,7 @@ def test_bad_arguments():
         ({"channels": ["X"]}, "channel must be one of"),
         ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 pictures"),
         ({"f_numbers": 0.0}, "f_numbers must lie in"),
+        ({"cfa": "RGBG"}, "cfa must be one of"),
     ):
         with pytest.raises(ArgumentError, match=words):
             calibrate([picture], **options)

@@ -18,12 +18,13 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import Targets, measure_targets
 from matcam.camera.lens_field import LensField
-from matcam.core.errors import FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
@@ -122,6 +123,7 @@ class PicturePlan:
     half_width: float
     accept_sharpened: bool
     chart: Chart | None
+    cfa: str | None = None
 
     def measure(
         self, picture: Photograph | LinearImage, name: str, f_number: float | None
@@ -130,12 +132,14 @@ class PicturePlan:
 
         FitError if it holds nothing that can be measured, or the chart is not in it.
         """
-        mosaic = picture.cfa is not None
+        mosaic = (self.cfa or picture.cfa) is not None
         if isinstance(picture, LinearImage):
+            if self.cfa is not None:
+                raise ArgumentError("cfa is that of the LinearImage already: leave it out")
             planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
             values, mosaic = (local_mean(picture.values, _GAPS) if mosaic else picture.values), False
         else:
-            planes = planes_of(picture, self.channels, self.tone, f_number, name)
+            planes = planes_of(picture, self.channels, self.tone, f_number, name, self.cfa)
             values = picture.values
         # around gratings and stars there are edges by the hundred; those of a described chart are its squares'
         squares = self.chart is None or any(isinstance(e, Square | Patch) for e in self.chart.elements)
@@ -147,6 +151,7 @@ class PicturePlan:
         findings: list[Finding] = []
         remarks: list[Remark] = []
         for plane in planes:
+            refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()

@@ -18,6 +18,7 @@ from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax
@@ -113,6 +114,7 @@ def edge_mtf(
     values = region.values[None]
     if problem := flaws(values)[0]:
         raise FitError(problem.text)
+    refuse_unnamed_mosaic(region)
     rows = edge_regions(values, mosaic=region.cfa is not None)
     half = np.float64(settings.half_width)
     fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
