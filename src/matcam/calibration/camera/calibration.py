@@ -153,9 +153,8 @@ def calibrate(
         tone: tone curve of pictures that are not linear by nature (no unit): "linear", "srgb", a gamma, or a table of linear
             values by code. Default: "auto", 8-bit files are taken for sRGB, others for linear, and `remarks` says so.
         channels: of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all there are.
-        cfa: colours of the first 2 x 2 px, row by row, of pictures that are mosaics and whose files do not say so: "RGGB", "BGGR",
-            "GRBG" or "GBRG" (no unit). The sites of each colour are samples as they are. Default: None, the files' own, or no
-            mosaic.
+        cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not say so: "RGGB", "BGGR", "GRBG" or "GBRG".
+            The sites of each colour are samples as they are. Default: None, the files' own, or no mosaic (no unit).
         accept_sharpened: measure edges that overshoot as sharpened ones do (no unit). Default: False.
 
     Returns:

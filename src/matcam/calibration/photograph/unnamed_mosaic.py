@@ -21,8 +21,8 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
     """Raise FitError for a grey plane whose pixels alternate as a mosaic's do."""
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
-            f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey; give its cfa, the "
-            "colours of its first 2 x 2 px"
+            f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey: "
+            "give cfa, the colours of its first 2 x 2 px"
         )
 
 
