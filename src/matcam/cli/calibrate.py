@@ -80,7 +80,7 @@ def command(
         ),
     ] = None,
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
+        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed pictures all the same.")
     ] = False,
     figure: Annotated[
         Path | None,

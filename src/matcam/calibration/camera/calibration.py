@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
+from matcam.calibration.camera.processed_pictures import doubt_of
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
 from matcam.calibration.photograph.linear_image import CHANNELS, MOSAICS, LinearImage, as_photograph
@@ -155,7 +156,8 @@ def calibrate(
         channels: of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all there are.
         cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not say so: "RGGB", "BGGR", "GRBG" or "GBRG".
             The sites of each colour are samples as they are. Default: None, the files' own, or no mosaic (no unit).
-        accept_sharpened: measure edges that overshoot as sharpened ones do (no unit). Default: False.
+        accept_sharpened: measure edges that overshoot as sharpened ones do, and pictures that were denoised or compressed: lens
+            and software together (no unit). Default: False.
 
     Returns:
         A camera for every colour with its uncertainty, how well it explains the edges, and remarks.
@@ -203,6 +205,8 @@ def calibrate(
         evidence = Evidence(f for f in findings if f.channel == channel)
         measured.remarks += evidence.check(channel, accept_sharpened=accept_sharpened)
         fit = fit_camera(evidence, channel, request)
+        if fit.names[0].endswith("sigma_px"):
+            fit = fit.with_wider_errors(doubt_of(evidence.software, float(fit.values[0])))
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))

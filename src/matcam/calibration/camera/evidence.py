@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.camera.lens_over_field import BlurPlaces, DotPlaces, lens_over_field
+from matcam.calibration.camera.processed_pictures import Processed, processed
 from matcam.calibration.chart.chart import Chart, Dots, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
@@ -103,6 +104,7 @@ class Finding(NamedTuple):
         samples: MTF values of its other targets.
         dots: places of its grids' dots, page and picture.
         shape: height and width of the picture, px; None: there is no picture.
+        software: what software did to the picture; None: there is no picture.
     """
 
     channel: str
@@ -112,6 +114,7 @@ class Finding(NamedTuple):
     samples: tuple[MTFSamples, ...]
     dots: tuple[DotPlaces, ...] = ()
     shape: tuple[int, int] | None = None
+    software: Processed | None = None
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,8 @@ class PicturePlan:
         for plane in planes:
             refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
+            software = processed(plane, accept=self.accept_sharpened)
+            remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
             dots: tuple[DotPlaces, ...] = ()
@@ -169,7 +174,7 @@ class PicturePlan:
                         raise
                 else:
                     remarks += edge_remarks(result, plane.channel)
-            findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape))
+            findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))
         return findings, remarks
 
 
@@ -223,6 +228,11 @@ class Evidence:
             value_measurements([(s, lens_at(s.f_number)) for s in self._samples]),
             tuple(groups),
         )
+
+    @property
+    def software(self) -> list[Processed]:
+        """Return what software did to the pictures."""
+        return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
         """Return how the lens differs over the field, as edges and dots say; None where they do not."""
