@@ -11,6 +11,7 @@ from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
 from matcam.targets import MTFSamples
+from tests.oracle import processed_pictures as software
 from tests.oracle import slanted_edge, slanted_squares
 
 F = np.linspace(0.02, 0.5, 25)
@@ -58,6 +59,36 @@ def test_a_linear_image_is_a_picture_of_one_colour():
 @pytest.mark.slow
 def test_a_linear_image_of_a_mosaic_is_its_colour():
     green = calibrate([LinearImage(chart(0.5, 0.4), "G", "RGGB")], half_width=0.4).channels["G"]
+    assert abs(green.values[0] - 0.5) < 4 * green.std[0] < 0.02
+
+
+def mosaic_of(picture, cfa="GBRG"):
+    """A grey picture of `chart` as a mosaic sees it: less red and blue light than green, and the same lens."""
+    share = {"R": 0.6, "G": 1.0, "B": 0.5}
+    weight = np.array([share[c] for c in cfa]).reshape(2, 2)
+    return picture * np.tile(weight, (picture.shape[0] // 2, picture.shape[1] // 2))
+
+
+def test_a_mosaic_is_read_as_grey_by_nobody():
+    codes = np.random.default_rng(4).poisson(mosaic_of(chart(0.5))).astype(np.uint16)
+    planes = list(planes_of(Photograph(codes, None, 65535.0, False, Exif()), cfa="GBRG"))
+    assert [plane.channel for plane in planes] == ["R", "G", "B"]
+    assert [plane.cfa for plane in planes] == ["GBRG"] * 3
+    assert planes[1].values[0, 0] == codes[0, 0]
+    assert planes[0].values[1, 0] == codes[1, 0]
+    with pytest.raises(FitError, match="every second pixel differs by 67% of the light: a mosaic of colours"):
+        calibrate([codes])
+    with pytest.raises(ArgumentError, match="cfa is for a mosaic"):
+        calibrate([np.stack([codes] * 3, -1)], cfa="GBRG")
+    with pytest.raises(ArgumentError, match="cfa is that of the LinearImage already"):
+        calibrate([LinearImage(codes.astype(float))], cfa="GBRG")
+
+
+@pytest.mark.slow
+def test_a_mosaic_that_its_file_does_not_name():
+    picture, _ = slanted_squares.field((420, 440), 140, 74, 5, 0.5, 0.4, dark=0.25)
+    codes = np.random.default_rng(4).poisson(mosaic_of(picture) * 60000 / 16).astype(np.uint16) * 10
+    green = calibrate([codes], cfa="GBRG", half_width=0.4, channels=["G"]).channels["G"]
     assert abs(green.values[0] - 0.5) < 4 * green.std[0] < 0.02
 
 
@@ -258,6 +289,7 @@ def test_bad_arguments():
         ({"channels": ["X"]}, "channel must be one of"),
         ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 pictures"),
         ({"f_numbers": 0.0}, "f_numbers must lie in"),
+        ({"cfa": "RGBG"}, "cfa must be one of"),
     ):
         with pytest.raises(ArgumentError, match=words):
             calibrate([picture], **options)
@@ -293,8 +325,35 @@ def test_mostly_processed_pictures_are_no_camera():
     picture = chart(0.5)
     sharp = picture + 1.2 * (picture - gaussian_filter(picture, 1.0))
     sharp[:, 260:] = picture[:, 260:]
-    with pytest.raises(FitError, match=r"edges are sharpened or saturated: this is a processed"):
+    with pytest.raises(FitError, match=r"edges are sharpened, crushed or saturated: this is a processed"):
         calibrate([sharp])
+
+
+def test_pictures_that_software_has_been_at():
+    counts, white = chart(0.5), 1.25 * 3600
+    for processed in (
+        software.bilateral(counts),
+        software.phone(counts, white),
+        software.phone(counts, white, 95, 0.2),
+    ):
+        with pytest.raises(
+            FitError, match="this is a processed picture; its MTF is not the lens's: neighbours err alike"
+        ):
+            calibrate([processed])
+    with pytest.raises(
+        FitError, match=r"none of its 16 edges can be measured.*blacks are crushed: .* of its dark side"
+    ):
+        calibrate([np.maximum(counts - 0.3 * 3600, 0)])
+    clean, filled, bent = (
+        calibrate([p]) for p in (counts, software.demosaiced(counts), software.encoded(counts, white))
+    )
+    assert not clean.remarks
+    for found, code in ((filled, "demosaiced"), (bent, "tone-curve")):
+        fit = found.channels["grey"]
+        assert code in [remark.code for remark in found.remarks]
+        assert fit.std[0] > 5 * clean.channels["grey"].std[0]
+        assert abs(fit.values[0] - 0.5) < 2 * fit.std[0]
+        assert found.camera.uncertainty.std()["optics.sigma_px"] == pytest.approx(fit.std[0])
 
 
 def test_an_edge_that_disagrees_is_left_out():

@@ -11,6 +11,9 @@ TRUTH = oracle.half(SIGMA, DEGREES)
 ELECTRONS = 1e4
 PER_ROW = 3
 
+# one worker, because all of these are measured by one compiled program
+pytestmark = pytest.mark.xdist_group("real-edges")
+
 
 def even(**options):
     return oracle.response(SIGMA, DEGREES, **options)

@@ -57,6 +57,8 @@ def test_what_a_photograph_says_of_itself():
         ("tone-assumed", "8 bits and no tone curve stated: sRGB assumed (--tone)")
     ]
     assert LinearImage.of(photograph).remarks == ()
+    # tone curves come after demosaicing
+    assert LinearImage.of(photograph, "G", "RGGB", "auto").tone == "linear"
     # an array says nothing of itself: it is linear
     assert LinearImage.of(codes, tone="auto").values[0, 0] == 188
     assert [plane.channel for plane in planes_of(photograph)] == ["grey"]

@@ -112,6 +112,8 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         write_dng(tmp_path / name, np.full((64, 64), 900, np.uint16), model=model)
     soft = np.clip(10 * counts(0.8, 2), 0, 65535).astype(np.uint16)
     tifffile.imwrite(tmp_path / "soft.tif", soft)
+    mosaic = np.clip(10 * counts(0.5, 3) * np.tile([[0.6, 1.0], [1.0, 0.5]], (210, 220)), 0, 65535).astype(np.uint16)
+    tifffile.imwrite(tmp_path / "mosaic.tif", mosaic)
     for arguments, words in {
         ("sky.tif",): "sky.tif: no slanted edge was found",
         ("odd.cr2",): "odd.cr2: unknown camera raw",
@@ -119,6 +121,10 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("one.dng", "two.dng"): "pictures are of different cameras: Maker One (one.dng), Maker Two (two.dng)",
         ("chart.tif", "soft.tif"): "contradictory measurements, channel grey: ",
         ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: tone curve is not monotone: it falls from code 1 to 2",
+        (
+            "mosaic.tif",
+        ): "mosaic.tif: every second pixel differs by 67% of the light: a mosaic of colours that is read as grey",
+        ("mosaic.tif", "--cfa", "RGBG"): "Invalid value for '--cfa'",
         ("empty",): "empty: no pictures in this folder",
         ("none.tif",): "none.tif: no such file",
         ("chart.tif", "--tone", "film"): "--tone must be auto, linear, srgb, gamma:NUMBER or a file",

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force, Lens
+from matcam.cli.options import AsJson, Force, Lens, Mosaic
 
 _SOME_FAILED = 1
 
@@ -70,6 +70,7 @@ def command(
             help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all that the pictures have.",
         ),
     ] = None,
+    cfa: Mosaic = None,
     chart: Annotated[
         Path | None,
         typer.Option(
@@ -79,7 +80,7 @@ def command(
         ),
     ] = None,
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure sharpened pictures all the same.")
+        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed pictures all the same.")
     ] = False,
     figure: Annotated[
         Path | None,
@@ -116,6 +117,7 @@ def command(
             f_numbers=None if f_number is None else (f_number if len(f_number) > 1 else f_number[0]),
             tone=_tone(tone, tone_patches, files),
             channels=channel,
+            cfa=cfa,
             chart=chart,
             accept_sharpened=accept_sharpened,
         )

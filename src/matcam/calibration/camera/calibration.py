@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
+from matcam.calibration.camera.processed_pictures import doubt_of
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
-from matcam.calibration.photograph.linear_image import CHANNELS, LinearImage, as_photograph
+from matcam.calibration.photograph.linear_image import CHANNELS, MOSAICS, LinearImage, as_photograph
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
@@ -128,6 +129,7 @@ def calibrate(
     f_numbers: Sequence[float] | float | None = None,
     tone: Tone = "auto",
     channels: Sequence[str] | None = None,
+    cfa: str | None = None,
     accept_sharpened: bool = False,
 ) -> Calibration:
     """Find a camera from pictures of slanted edges and other targets.
@@ -152,7 +154,10 @@ def calibrate(
         tone: tone curve of pictures that are not linear by nature (no unit): "linear", "srgb", a gamma, or a table of linear
             values by code. Default: "auto", 8-bit files are taken for sRGB, others for linear, and `remarks` says so.
         channels: of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all there are.
-        accept_sharpened: measure edges that overshoot as sharpened ones do (no unit). Default: False.
+        cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not say so: "RGGB", "BGGR", "GRBG" or "GBRG".
+            The sites of each colour are samples as they are. Default: None, the files' own, or no mosaic (no unit).
+        accept_sharpened: measure edges that overshoot as sharpened ones do, and pictures that were denoised or compressed: lens
+            and software together (no unit). Default: False.
 
     Returns:
         A camera for every colour with its uncertainty, how well it explains the edges, and remarks.
@@ -181,10 +186,12 @@ def calibrate(
         raise ArgumentError(f"half_width can be fitted with the gaussian model only, not with {model}")
     for name in channels or ():
         checks.choice("channel", name, CHANNELS)
+    if cfa is not None:
+        checks.choice("cfa", cfa, MOSAICS)
     if not len(pictures) and not len(samples):
         raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
     described = read_chart(chart) if isinstance(chart, str | Path) else chart
-    plan = PicturePlan(tone, channels, half_width or 0.5, accept_sharpened, described)
+    plan = PicturePlan(tone, channels, half_width or 0.5, accept_sharpened, described, cfa)
     measured = _Pictures()
     for number, (picture, f_number) in enumerate(
         zip(pictures, _checked_f_numbers(f_numbers, len(pictures)), strict=True)
@@ -198,6 +205,8 @@ def calibrate(
         evidence = Evidence(f for f in findings if f.channel == channel)
         measured.remarks += evidence.check(channel, accept_sharpened=accept_sharpened)
         fit = fit_camera(evidence, channel, request)
+        if fit.names[0].endswith("sigma_px"):
+            fit = fit.with_wider_errors(doubt_of(evidence.software, float(fit.values[0])))
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))

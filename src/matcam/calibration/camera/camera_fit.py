@@ -215,6 +215,23 @@ class CameraFit:
             camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance, field=c.field),
         )
 
+    def with_wider_errors(self, std: float) -> CameraFit:
+        """Return the fit with another error of its first parameter.
+
+        Args:
+            std: standard deviation that adds to the parameter's own, in its unit.
+
+        Returns:
+            The same fit; its camera states the wider error, too.
+        """
+        covariance = self.covariance.copy()
+        covariance[0, 0] += std**2
+        c, uncertainty = self.camera, self.camera.uncertainty
+        if uncertainty is not None and tuple(uncertainty.names) == tuple(self.names):
+            uncertainty = Uncertainty(tuple(self.names), covariance)
+        camera = Camera(c.optics, c.pixel, c.sensor, uncertainty=uncertainty, provenance=c.provenance, field=c.field)
+        return replace(self, camera=camera, covariance=covariance)
+
 
 def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> CameraFit:
     """Fit one camera to all evidence on a colour.

@@ -17,7 +17,9 @@ from matcam.core.remark import Remark
 
 FEWEST_EDGES = 8
 _APART = np.radians(20.0)  # least angle between two directions
-_PROCESSED = 0.3  # share of edges that are sharpened or saturated, beyond which the rest is no sample of the lens
+_PROCESSED = (
+    0.3  # share of edges that are sharpened, crushed or saturated, beyond which the rest is no sample of the lens
+)
 _FAR, _LEAST = 5.0, 0.5  # standard deviations; of ln sigma: blur may vary by a half over a field
 _IMPOSSIBLE = 0.5  # of the step: a dark level below minus that is none
 
@@ -52,11 +54,12 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")
+    processed += codes.count("crushed")
     processed += 0 if accept_sharpened else codes.count("sharpened")
     if processed > _PROCESSED * (good + processed):
         raise FitError(
-            f"channel {channel}: {processed} of {good + processed} edges are sharpened or saturated: this is a processed or "
-            "overexposed picture, whose MTF is not the lens's: use camera raw, and expose less"
+            f"channel {channel}: {processed} of {good + processed} edges are sharpened, crushed or saturated: this is a "
+            "processed or overexposed picture, whose MTF is not the lens's: use camera raw, and expose less"
         )
     if good < FEWEST_EDGES:
         raise FitError(

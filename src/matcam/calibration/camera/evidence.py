@@ -12,18 +12,20 @@ from scipy.spatial import cKDTree
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.camera.lens_over_field import BlurPlaces, DotPlaces, lens_over_field
+from matcam.calibration.camera.processed_pictures import Processed, processed
 from matcam.calibration.chart.chart import Chart, Dots, Patch, Square
 from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import Targets, measure_targets
 from matcam.camera.lens_field import LensField
-from matcam.core.errors import FitError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
@@ -102,6 +104,7 @@ class Finding(NamedTuple):
         samples: MTF values of its other targets.
         dots: places of its grids' dots, page and picture.
         shape: height and width of the picture, px; None: there is no picture.
+        software: what software did to the picture; None: there is no picture.
     """
 
     channel: str
@@ -111,6 +114,7 @@ class Finding(NamedTuple):
     samples: tuple[MTFSamples, ...]
     dots: tuple[DotPlaces, ...] = ()
     shape: tuple[int, int] | None = None
+    software: Processed | None = None
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,7 @@ class PicturePlan:
     half_width: float
     accept_sharpened: bool
     chart: Chart | None
+    cfa: str | None = None
 
     def measure(
         self, picture: Photograph | LinearImage, name: str, f_number: float | None
@@ -130,12 +135,14 @@ class PicturePlan:
 
         FitError if it holds nothing that can be measured, or the chart is not in it.
         """
-        mosaic = picture.cfa is not None
+        mosaic = (self.cfa or picture.cfa) is not None
         if isinstance(picture, LinearImage):
+            if self.cfa is not None:
+                raise ArgumentError("cfa is that of the LinearImage already: leave it out")
             planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
             values, mosaic = (local_mean(picture.values, _GAPS) if mosaic else picture.values), False
         else:
-            planes = planes_of(picture, self.channels, self.tone, f_number, name)
+            planes = planes_of(picture, self.channels, self.tone, f_number, name, self.cfa)
             values = picture.values
         # around gratings and stars there are edges by the hundred; those of a described chart are its squares'
         squares = self.chart is None or any(isinstance(e, Square | Patch) for e in self.chart.elements)
@@ -147,7 +154,10 @@ class PicturePlan:
         findings: list[Finding] = []
         remarks: list[Remark] = []
         for plane in planes:
+            refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
+            software = processed(plane, accept=self.accept_sharpened)
+            remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
             dots: tuple[DotPlaces, ...] = ()
@@ -164,7 +174,7 @@ class PicturePlan:
                         raise
                 else:
                     remarks += edge_remarks(result, plane.channel)
-            findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape))
+            findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))
         return findings, remarks
 
 
@@ -218,6 +228,11 @@ class Evidence:
             value_measurements([(s, lens_at(s.f_number)) for s in self._samples]),
             tuple(groups),
         )
+
+    @property
+    def software(self) -> list[Processed]:
+        """Return what software did to the pictures."""
+        return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
         """Return how the lens differs over the field, as edges and dots say; None where they do not."""

@@ -14,10 +14,12 @@ from numpy.typing import ArrayLike
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
+from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax
@@ -113,6 +115,7 @@ def edge_mtf(
     values = region.values[None]
     if problem := flaws(values)[0]:
         raise FitError(problem.text)
+    refuse_unnamed_mosaic(region)
     rows = edge_regions(values, mosaic=region.cfa is not None)
     half = np.float64(settings.half_width)
     fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
@@ -122,8 +125,9 @@ def edge_mtf(
     if problem := refusals(fits, rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem.text)
     frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
-    result = stack_result(fits, frame, settings.lens, settings.half_width, (None,))[0]
-    return replace(result, given=region.remarks)
+    stack = stack_result(fits, frame, settings.lens, settings.half_width, (None,))
+    result = with_traces(stack, [rows])[0]
+    return replace(result, given=region.remarks + result.given)
 
 
 def edge_mtf_stack(
@@ -181,7 +185,7 @@ def edge_mtf_stack(
             raise ArgumentError(
                 f"images must hold edges that lie alike: those from number {i} on lie across the first ones"
             )
-    return edge_stack(regions, settings)
+    return with_traces(edge_stack(regions, settings), [rows for rows, _ in regions])
 
 
 def edge_stack(regions: Sequence[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings) -> EdgeStack:

@@ -31,10 +31,11 @@ from matcam.core.remark import Remark, texts
 if TYPE_CHECKING:
     import xarray as xr
 
+SHARPENED = 0.02
+"""Overshoot, of the step, from which an edge is remarked on by itself."""
 _LENGTH = 512
 _MISFIT = 0.002  # of the step, from which it is remarked on
 _ROUGH = 0.03  # px, from which it is remarked on
-_SHARPENED = 0.02  # overshoot of the step from which it is remarked on
 
 
 class EdgeSamples(NamedTuple):
@@ -179,7 +180,7 @@ class EdgeMTF(_EdgeNumbers[float]):
     def remarks(self) -> tuple[Remark, ...]:
         """Return what a reader should know of this edge."""
         remarks = list(self.given)
-        if self.overshoot > _SHARPENED:
+        if self.overshoot > SHARPENED:
             text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
             remarks.append(Remark("sharpened", text))
         if self.excess > 1:
@@ -317,6 +318,7 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         problems: for each edge why it cannot be measured, None where it can.
         parametric: the fits of a family of lenses, a `ParametricStack`.
         fits: everything that was fitted, as the joint fit of many edges takes it.
+        given: for each edge what its picture shows of software: denoising, a tone curve, crushed blacks. Default: (), nothing.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -331,6 +333,7 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
     problems: tuple[Remark | None, ...]
     parametric: ParametricStack
     fits: EdgeFits
+    given: tuple[tuple[Remark, ...], ...] = ()
 
     @property
     def good(self) -> np.ndarray:
@@ -357,8 +360,8 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         lens = {f.name: _of_one(getattr(self.parametric, f.name), index) for f in fields(ParametricEdge)}
         own = (f.name for f in fields(_EdgeNumbers) if f.name != "frequency")
         numbers = {"frequency": self.frequency} | {name: _of_one(getattr(self, name), index) for name in own}
-        fits = jax.tree.map(lambda a: a[index], self.fits)
-        return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits)
+        fits, given = jax.tree.map(lambda a: a[index], self.fits), self.given[index] if self.given else ()
+        return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits, given=given)
 
     def __iter__(self) -> Iterator[EdgeMTF]:
         return (self[i] for i in range(len(self)))

@@ -151,15 +151,15 @@ class LinearImage:
         photograph = image if isinstance(image, Photograph) else as_photograph(image, "image must be numbers", (3, 4))
         x, y, width, height = _checked_roi(roi, photograph.values.shape)
         codes = photograph.values[y : y + height, x : x + width]
-        tone, remarks = assumed_tone(photograph) if isinstance(tone, str) and tone == "auto" else (tone, ())
+        mosaic = cfa or photograph.cfa
+        remarks: tuple[Remark, ...] = ()
+        if isinstance(tone, str) and tone == "auto":
+            tone, remarks = assumed_tone(photograph, mosaic=mosaic is not None)
         if photograph.cfa is not None and not is_linear(tone):
             raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
-        mosaic = cfa or photograph.cfa
         if codes.ndim == 3:
             if mosaic is not None:
-                raise ArgumentError(
-                    f"cfa is for a mosaic of shape (height, width), got an image of shape {photograph.values.shape}"
-                )
+                _refuse_colour_picture(photograph.values.shape)
             channel = channel or "Y"
             if channel not in ("R", "G", "B", "Y"):
                 raise ArgumentError(f"channel must be one of 'R', 'G', 'B', 'Y', got {channel!r}")
@@ -292,15 +292,20 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
 
 def planes_of(
     photograph: Photograph, channels: Sequence[str] | None = None, tone: Tone = "auto", f_number: float | None = None,
-    source: str = "",
+    source: str = "", cfa: str | None = None,
 ) -> Iterator[LinearImage]:  # fmt: skip
     """Return a photograph's planes one after the other.
+
+    cfa: colours of its first 2 x 2 px, if it is a mosaic whose file does not say so.
 
     Raises:
         ArgumentError: the photograph has not one of the channels, or camera raw, which is linear, is given a tone curve.
     """
+    if cfa is not None:
+        _refuse_colour_picture(photograph.values.shape)
+        sites_of(cfa, "G")
     there: tuple[str, ...] = ("R", "G", "B")
-    if photograph.cfa is None and photograph.values.ndim == 2:
+    if (cfa or photograph.cfa) is None and photograph.values.ndim == 2:
         there = ("grey",)
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
@@ -308,7 +313,7 @@ def planes_of(
     if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
         raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
     names = there if channels is None else channels
-    return (LinearImage.of(photograph, name, tone=tone, f_number=f_number, source=source) for name in names)
+    return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 
 
 def as_photograph(
@@ -328,6 +333,12 @@ def as_photograph(
         raise ArgumentError(f"{what} of shape (height, width) or (height, width, 3), got {values.dtype} {values.shape}")
     full = float(np.iinfo(values.dtype).max) if values.dtype.kind in "ui" else np.inf
     return Photograph(values[..., :3] if values.ndim == 3 else values, None, full, True, Exif())
+
+
+def _refuse_colour_picture(shape: tuple[int, ...]) -> None:
+    """Raise ArgumentError for a picture of three channels that is called a mosaic."""
+    if len(shape) == 3:
+        raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {shape}")
 
 
 def sites_of(cfa: str, channel: str | None) -> np.ndarray:

@@ -26,12 +26,12 @@ def is_linear(tone: Tone) -> bool:
     return isinstance(tone, str) and tone == "linear"
 
 
-def assumed_tone(photograph: Photograph) -> tuple[str, tuple[Remark, ...]]:
+def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
     """Return the tone curve that "auto" stands for.
 
-    It comes with a remark on what had to be assumed.
+    It comes with a remark on what had to be assumed. mosaic: whether nothing has been demosaiced yet; tone curves come later.
     """
-    if photograph.linear:
+    if photograph.linear or mosaic:
         return "linear", ()
     bits = 8 * photograph.values.dtype.itemsize
     tone, name = ("srgb", "sRGB") if bits == 8 else ("linear", "linear")

@@ -18,6 +18,7 @@ import numpy as np
 
 from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.calibration.edge.processing import crushed_share
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.linear_image import LinearImage, flaws
 from matcam.calibration.search.edge_search import EdgePlaces
@@ -35,6 +36,7 @@ _LEAST_SCATTER = 0.003  # relative
 _SHARE = 4  # the last quarter of a row is its bright side
 _RANGE = 20.0  # no chart is lit so unevenly
 _SATURATED = 0.02  # share of a strip's samples
+_CRUSHED = 0.02  # share of a strip at its lowest value that is worth a look
 _CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is said
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # of the blur's variance; standard deviations
 _FEW = 6  # edges, below which nothing is said of directions
@@ -85,8 +87,10 @@ def plane_edge_stack(
     regions, saturated = zip(*strip_regions(strips, plane, AT_ONCE), strict=True)
     known = [
         [
-            Remark("saturated", f"saturated: {share:.0%} of its samples") if share > _SATURATED else flaw
-            for share, flaw in zip(shares, flaws(rows.value), strict=True)
+            Remark("saturated", f"saturated: {share:.0%} of its samples")
+            if share > _SATURATED
+            else flaw or _crushed(value)
+            for share, flaw, value in zip(shares, flaws(rows.value), rows.value, strict=True)
         ]
         for rows, shares in zip(regions, saturated, strict=True)
     ]
@@ -100,6 +104,21 @@ def plane_edge_stack(
     return result
 
 
+def _crushed(value: np.ndarray) -> Remark | None:
+    """Return that the dark side of a strip is crushed; None where it is not."""
+    used = value[np.isfinite(value)]
+    low = used.min()
+    if (used == low).mean() < _CRUSHED:
+        return None
+    bright = used > (low + used.max()) / 2
+    share = crushed_share(used[~bright], used[bright])
+    return (
+        Remark("crushed", f"blacks are crushed: {share:.0%} of its dark side has the very lowest value")
+        if share
+        else None
+    )
+
+
 def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     """Return what the edges of one channel say of their picture."""
     good = result.good
@@ -108,6 +127,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     for code, text in (
         ("saturated", "are saturated, and left out: expose less"),
         ("sharpened", "overshoot as sharpened ones do, and are left out"),
+        ("crushed", "have crushed blacks, and are left out: expose more, or use camera raw"),
     ):
         if codes[code]:
             remarks.append(Remark(f"{code}-edges", f"{channel}: {codes[code]} of {len(result)} edges {text}"))

@@ -1,0 +1,231 @@
+"""What software has done to a picture of an edge, as far as its pixels show it, and how wrong that may make an MTF.
+
+Nobody can measure a lens behind a denoiser. But its traces can be found: in the noise of the flat sides (`flat_noise.py`), in
+levels that many pixels share, in an overshoot. Each trace is named, with what it may do to the MTF, and adds to the stated
+errors: as an unknown scale of frequency, relative, which leaves an MTF of 1 at frequency 0 alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import ndtr
+
+from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
+from matcam.calibration.edge.rows import EdgeRegions
+from matcam.calibration.photograph.flat_noise import FlatNoise, flat_noise
+from matcam.core.jax import FloatArray
+from matcam.core.remark import Remark
+
+_REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
+_BOX = 0.29  # px: standard deviation of a pixel
+# px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
+_DENOISED, _DEMOSAICED = 0.2, 0.15
+_MOST = 0.4  # of MTF50
+_BENT = 0.03  # of MTF50, at least, of a tone curve
+_GAMMA = 2.2
+_PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
+_OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
+_PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
+_CRUSHED = 0.01  # of MTF50, at least
+_COARSE, _FINE = 0.6, 1e-3  # noise in levels; of the step, below which levels are fine enough
+_MOST_LEVELS = 2000
+_LEAST_NOISE = 2e-4  # of the step
+
+
+class Traces(NamedTuple):
+    """Hold what software has left in one picture.
+
+    Attributes:
+        remarks: what was seen, and what it may do.
+        share: standard deviation of MTF50 by it, relative.
+    """
+
+    remarks: tuple[Remark, ...]
+    share: float
+
+
+def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
+    """Return results whose remarks and errors contain what software has done to their pictures."""
+    values = [(rows, k) for rows in regions for k in range(len(rows.value))]
+    shares, given = np.zeros(len(stack)), list(stack.given or [()] * len(stack))
+    for i in stack.good:
+        rows, k = values[i]
+        traces = _traces(stack, int(i), rows, k)
+        shares[i] = traces.share
+        given[i] = given[i] + traces.remarks
+    return _widened(replace(stack, given=tuple(given)), shares) if any(given) or shares.any() else stack
+
+
+def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
+    """Return which share of a dark side is at its very lowest value, 0 where that is no more than noise explains.
+
+    Noise piles up at the end of a range, and nowhere else; without noise the bright side is as flat.
+    """
+    if dark.size < 2 or bright.size < 2:
+        return 0.0
+    count = np.unique(dark, return_counts=True)[1] / dark.size
+    largest = np.unique(bright, return_counts=True)[1].max() / bright.size
+    piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
+    return float(count[0]) if piled else 0.0
+
+
+def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int) -> Traces:
+    """Return what is found in the region of edge i, the k-th of its regions."""
+    value, fits = rows.value[k], stack.fits
+    y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
+    place = np.polyval(np.asarray(fits.curve[i])[::-1], y)
+    across = start[:, None] + rows.step * np.arange(value.shape[1]) - place[:, None]
+    distance = across / np.hypot(1.0, float(fits.slope[i]))
+    blur = float(np.hypot(fits.free.shape.sigma[i], _BOX))
+    reach = _REACH * blur + _MORE
+    there = np.isfinite(value)
+    dark, bright = there & (distance < -reach), there & (distance > reach)
+    step = float(stack.bright[i] - stack.dark[i])
+    noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
+    found: list[tuple[Remark | None, float]] = [
+        *_smoothed(noise, blur),
+        *_bent(stack, i, noise),
+        *_sharpened(stack, i, noise),
+    ]
+    found += _crushed(stack, i, crushed_share(value[dark], value[bright])) or _coarse(value[dark | bright], noise, step)
+    return Traces(
+        tuple(remark for remark, _ in found if remark), float(np.hypot.reduce([0.0, *(share for _, share in found)]))
+    )
+
+
+def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
+    """Return what noise says that neighbours share.
+
+    blur: px. The wider it is, the less a smoothing of so many px changes it.
+    """
+    if not noise.smoothed:
+        return []
+    seen = f"neighbours err alike (by {noise.alike:.2f} of independent noise)"
+    if noise.compressed and not noise.denoised:
+        text = (
+            f"{seen} and there are borders every 8 px: JPEG; whether it was denoised or sharpened before does not show"
+        )
+        return [(Remark("compressed", text), 0.0)]
+    share = min(_DENOISED / blur if noise.denoised else _DEMOSAICED / blur**2, _MOST)
+    name = "a denoised" if noise.denoised else "a demosaiced or denoised"
+    seen += ", over several px" if noise.denoised else ""
+    text = f"{seen}: {name} picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
+    return [(Remark("denoised" if noise.denoised else "demosaiced", text), share)]
+
+
+def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark, float]]:
+    """Return what noise says that is larger in the dark."""
+    if not noise.bent:
+        return []
+    share = max(_BENT, abs(_effect_of_gamma(stack, i)))
+    text = f"dark pixels err {noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
+    return [(Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"), share)]
+
+
+def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
+    """Return what overshoot and noise say together."""
+    over, std = float(stack.overshoot[i]), max(float(stack.overshoot_std[i]), 1e-4)
+    apart = 0.0 if noise.smoothed else noise.apart
+    if over < _OVERSHOOT or (over / std + apart) / np.sqrt(2) < _SURE:
+        return []
+    share = _PER_OVERSHOOT * over
+    text = f"the edge overshoots by {over:.1%}, as in a sharpened picture: MTF50 may be too high by {share:.0%}"
+    return [(Remark("sharpened", text) if over <= SHARPENED else None, share)]
+
+
+def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float]]:
+    """Return what a dark side of one value says."""
+    if not piled:
+        return []
+    share = max(_CRUSHED, _effect_of_crushing(stack, i))
+    text = f"blacks are crushed: {piled:.0%} of the dark side has the very lowest value; MTF50 may be too high by {share:.0%}"
+    return [(Remark("crushed", text), share)]
+
+
+def _coarse(flat: FloatArray, noise: FlatNoise, step: float) -> list[tuple[Remark, float]]:
+    """Return what levels further apart than the noise say."""
+    levels = np.unique(flat)
+    if not 2 <= levels.size <= _MOST_LEVELS:
+        return []
+    apart = float(np.diff(levels).min())
+    if apart < _FINE * step or np.sqrt(min(noise.variance)) > _COARSE * apart:
+        return []
+    text = f"levels are coarse: {step / apart:.0f} of them from dark to bright, and less noise than one"
+    return [(Remark("quantised", f"{text}; MTF50 may be wrong by {apart / step:.1%}"), apart / step)]
+
+
+def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
+    """Return by how much undoing a gamma would change MTF50, relative."""
+    distance = np.linspace(-40, 40, 1601)
+    response = np.asarray(stack[i].esf(distance).value)
+    levels = float(stack.dark[i]) + float(stack.bright[i] - stack.dark[i]) * np.clip(response, 0, 1)
+    plain, undone = (_half(distance, v) for v in (levels, np.maximum(levels, 0) ** _GAMMA))
+    return float(undone / plain - 1) if np.isfinite(undone / plain) else 0.0
+
+
+def _half(distance: FloatArray, levels: FloatArray) -> float:
+    """Return the frequency at which the transfer of an edge response falls to one half; NaN if it does not."""
+    line, middle = np.diff(levels), (distance[1:] + distance[:-1]) / 2
+    frequency = np.linspace(0, 1.2, 241)
+    transfer = np.abs(np.exp(-2j * np.pi * frequency[:, None] * middle) @ line) / line.sum()
+    below = np.flatnonzero(transfer < 0.5)
+    if not below.size or below[0] == 0:
+        return np.nan
+    k = below[0]
+    return float(np.interp(0.5, transfer[[k, k - 1]], frequency[[k, k - 1]]))
+
+
+def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
+    """Return by how much crushed blacks narrow the edge, relative: a Gaussian's own foot, cut or not, is fitted."""
+    cells = stack[i].samples
+    blur = float(np.hypot(stack.fits.free.shape.sigma[i], _BOX))
+    used = np.abs(cells.distance) < 6 * blur + 2
+    d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)
+
+    def whole(p: np.ndarray) -> np.ndarray:
+        return np.asarray((ndtr((d - p[0]) / p[1]) - value) * weight)
+
+    def cut(p: np.ndarray) -> np.ndarray:
+        return np.asarray((np.maximum(ndtr((d - p[0]) / p[1]) - p[2], 0) / (1 - p[2]) - value) * weight)
+
+    plain = least_squares(whole, [0.0, blur], bounds=([-5, 0.05], [5, 50]))
+    starts = ([0.0, max(blur, 0.06), share] for share in (0.02, 0.1, 0.3))
+    fits = [least_squares(cut, start, bounds=([-5, 0.05, 0.0], [5, 50, 0.8])) for start in starts]
+    best = min(fits, key=lambda fit: fit.cost)
+    return float(abs(1 - plain.x[1] / best.x[1]))
+
+
+def _widened(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
+    """Return results whose frequencies are unknown by a relative share each (n,)."""
+
+    def curve(mtf: np.ndarray, std: np.ndarray) -> np.ndarray:
+        slope = np.gradient(mtf, stack.frequency, axis=-1)
+        return np.hypot(std, shares[:, None] * stack.frequency * np.abs(slope))
+
+    def half(value: np.ndarray, std: np.ndarray) -> np.ndarray:
+        return np.hypot(std, shares * value)
+
+    lens = stack.parametric
+    first, box = lens.values[:, 0], lens.half_width**2 / 3
+    # what scales is the blur of lens and pixel together
+    own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
+    covariance = lens.covariance.copy()
+    covariance[:, 0, 0] += own**2
+    return replace(
+        stack,
+        mtf_std=curve(stack.mtf, stack.mtf_std),
+        core_mtf_std=curve(stack.core_mtf, stack.core_mtf_std),
+        mtf50_std=half(stack.mtf50, stack.mtf50_std),
+        core_mtf50_std=half(stack.core_mtf50, stack.core_mtf50_std),
+        parametric=replace(
+            lens,
+            covariance=covariance,
+            mtf_std=curve(lens.mtf, lens.mtf_std),
+            mtf50_std=half(lens.mtf50, lens.mtf50_std),
+        ),
+    )

@@ -1,0 +1,150 @@
+"""What the noise of flat parts tells of a picture's past: whether software has denoised, compressed, sharpened or bent it.
+
+A sensor's pixels err independently, and brighter ones err more. Denoising, demosaicing and JPEG make neighbours err alike,
+sharpening makes them err apart, JPEG leaves borders every 8 px, and a tone curve makes dark pixels err more than bright ones.
+Second differences of neighbours see none of the light that changes smoothly.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import FloatArray
+
+BLOCK = 8  # px: what JPEG compresses at a time
+_ROUNDS, _LARGEST = (
+    5,
+    9.0,
+)  # of the mean square, above which a difference counts as so much: an edge of dirt is no noise
+_LOSS = 4.0  # a variance of n differences is known to the root of this over n: they share pixels
+_FEWEST = 100  # differences
+_ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 apart; standard deviations
+_WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG reach less far
+_BENT, _SURE_BENT = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
+_GRID = 1.4  # squared difference across a block's border over that within
+
+
+class FlatNoise(NamedTuple):
+    """Hold the noise of flat parts.
+
+    Attributes:
+        alike: variance between neighbours over that of pixels 2 px apart; 1 where pixels err independently.
+        alike_std: its standard deviation; infinite where nothing is known.
+        wide: variance of pixels 2 px apart over that of pixels 3 px apart; 1 where neighbours err independently.
+        tilt: variance of the dark side over that of the bright one; NaN where nothing is known.
+        tilt_std: its standard deviation.
+        grid: squared difference across borders every 8 px over that elsewhere; 1 where neighbours err independently.
+        variance: of dark and bright side.
+    """
+
+    alike: float
+    alike_std: float
+    wide: float
+    tilt: float
+    tilt_std: float
+    grid: float
+    variance: tuple[float, float]
+
+    @property
+    def smoothed(self) -> bool:
+        """Say whether neighbours err alike."""
+        return self.alike < _ALIKE and 1 - self.alike > _SURE * self.alike_std
+
+    @property
+    def denoised(self) -> bool:
+        """Say whether pixels further apart err alike, too."""
+        return self.smoothed and self.wide < (_WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE)
+
+    @property
+    def compressed(self) -> bool:
+        """Say whether there are JPEG's blocks."""
+        return self.smoothed and self.grid > _GRID
+
+    @property
+    def bent(self) -> bool:
+        """Say whether dark pixels err more than bright ones, as they do under a tone curve."""
+        return not self.smoothed and self.tilt > _BENT and self.tilt - 1 > _SURE_BENT * self.tilt_std
+
+    @property
+    def apart(self) -> float:
+        """Return by how many standard deviations neighbours err apart, as in a sharpened picture."""
+        return (self.alike - 1) / self.alike_std
+
+
+def flat_noise(
+    value: FloatArray, dark: np.ndarray, bright: np.ndarray, *, lines: bool = True, least: float = 0.0
+) -> FlatNoise:
+    """Return the noise of a picture (height, width).
+
+    dark, bright: where its flat parts are, bool. lines: whether columns are neighbours, too, and all pixels are there.
+    least: standard deviation below which nothing is noise: a render's smooth light.
+    """
+    sides = [dark & np.isfinite(value), bright & np.isfinite(value)]
+    value = np.where(sides[0] | sides[1], value, 0.0)
+    views = [(value, sides), *([(value.T, [side.T for side in sides])] if lines else [])]
+
+    def at(lag: int) -> tuple[FloatArray, FloatArray]:
+        """Return variances and counts of every view and side."""
+        found = np.array([_variance(v, side, lag) for v, of in views for side in of])
+        return found[:, 0], found[:, 1]
+
+    def ratio(near: FloatArray, far: FloatArray) -> float:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = np.where(good, np.log(near / far), 0.0)
+        return float(np.exp((weight * steps).sum() / weight.sum()))
+
+    (near, count), (two, fewer) = at(1), at(2)
+    n, total = ((a[::2].sum(), a[1::2].sum()) for a in (count, count * near))
+    variance = (total[0] / max(n[0], 1.0), total[1] / max(n[1], 1.0))
+    good = (near > 0) & (two > least**2) & (fewer > _FEWEST)
+    if not good.any():
+        return FlatNoise(1.0, np.inf, 1.0, np.nan, np.inf, 1.0, variance)
+    weight = fewer * good
+    alike = ratio(near, two)
+    tilt, tilt_std = np.nan, np.inf
+    if min(n) > _FEWEST and variance[1] > 0:
+        tilt = variance[0] / variance[1]
+        tilt_std = max(tilt, 1.0) * np.sqrt(_LOSS / n[0] + _LOSS / n[1])
+    result = FlatNoise(
+        alike, float(alike * np.sqrt(_LOSS / weight.sum())), 1.0, float(tilt), float(tilt_std), 1.0, variance
+    )
+    if not result.smoothed:
+        return result
+    three, _ = at(3)
+    good &= three > 0
+    weight = fewer * good
+    grid = min(_grid(v, of) for v, of in views) if lines else 1.0
+    return result._replace(wide=ratio(two, three) if good.any() else 1.0, grid=grid)
+
+
+def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, float]:
+    """Return the variance of pixels `lag` apart along the rows, and how many differences there are."""
+    both = there[:, 2 * lag :] & there[:, lag:-lag] & there[:, : -2 * lag]
+    squared = (value[:, 2 * lag :] - 2 * value[:, lag:-lag] + value[:, : -2 * lag])[both] ** 2
+    if squared.size < 2:
+        return 0.0, 0.0
+    power = squared.mean()
+    for _ in range(_ROUNDS):
+        power = np.minimum(squared, _LARGEST * power).mean()
+    return float(power) / 6, float(squared.size)
+
+
+def _grid(value: FloatArray, sides: list[np.ndarray]) -> float:
+    """Return the squared difference of neighbours across the likeliest borders over that elsewhere."""
+    total, count = np.zeros(BLOCK), np.zeros(BLOCK)
+    for there in sides:
+        both = there[:, 1:] & there[:, :-1]
+        squared = np.where(both, np.diff(value, axis=1) ** 2, 0.0)
+        mean = squared.sum() / max(both.sum(), 1)
+        if mean > 0:
+            relative = np.minimum(squared / mean, _LARGEST)
+            for phase in range(BLOCK):
+                total[phase] += relative[:, phase::BLOCK].sum()
+                count[phase] += both[:, phase::BLOCK].sum()
+    if count.min() < _FEWEST / BLOCK:
+        return 1.0
+    mean = total / count
+    most = int(mean.argmax())
+    return float(mean[most] / max(float(np.median(np.delete(mean, most))), 1e-300))

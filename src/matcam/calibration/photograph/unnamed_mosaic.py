@@ -1,0 +1,66 @@
+"""Whether a grey picture is a mosaic of colours that nobody has called one.
+
+Columns and rows of a mosaic alternate: light of one colour is brighter than of another. Nothing else does so all over a
+picture, for every second pixel alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.core.errors import FitError
+from matcam.core.jax import FloatArray
+
+_LARGEST = 1024  # px: so much of a picture is enough
+_DARK = 0.2  # of a picture's bright light, below which light that alternates is noise
+_ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # of the light; standard deviations
+
+
+def refuse_unnamed_mosaic(plane: LinearImage) -> None:
+    """Raise FitError for a grey plane whose pixels alternate as a mosaic's do."""
+    if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
+        raise FitError(
+            f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey: "
+            "give cfa, the colours of its first 2 x 2 px"
+        )
+
+
+def alternation(values: FloatArray) -> float:
+    """Return by how much of the light neighbours differ all over a picture (height, width), 0 where they do not.
+
+    Second differences of neighbours are 0 in even light, and in light that changes evenly. Their medians at every second
+    pixel of every second line tell what repeats, whatever edges there are.
+    """
+    height, width = values.shape
+    top, left = max(height - _LARGEST, 0) // 4 * 2, max(width - _LARGEST, 0) // 4 * 2
+    middle = values[top : top + _LARGEST, left : left + _LARGEST]
+    return max(_of_lines(middle), _of_lines(middle.T))
+
+
+def _of_lines(values: FloatArray) -> float:
+    """Return the alternation along the rows."""
+    before, at, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
+    mean = (before + 2 * at + after) / 4
+    with np.errstate(invalid="ignore", divide="ignore"):
+        known = np.isfinite(mean)
+        if not known.any():
+            return 0.0
+        bright = known & (mean > _DARK * np.quantile(mean[known], 0.95))
+        share = np.where(bright, (at - mean) / mean, np.nan)
+    found = 0.0
+    for row in (0, 1):
+        even, odd = (_median(share[row::2, column::2]) for column in (0, 1))
+        least = min(abs(even[0]), abs(odd[0]))
+        if even[0] * odd[0] < 0 and least > _SIGNIFICANT * max(even[1], odd[1]):
+            found = max(found, 2 * least)
+    return found if found > _ALTERNATING else 0.0
+
+
+def _median(share: FloatArray) -> tuple[float, float]:
+    """Return a median and its standard deviation."""
+    used = share[np.isfinite(share)]
+    if used.size < 30:
+        return 0.0, np.inf
+    low, middle, high = np.quantile(used, (0.25, 0.5, 0.75))
+    return float(middle), float(1.25 * (high - low) / 1.35 / np.sqrt(used.size))

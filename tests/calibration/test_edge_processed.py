@@ -1,0 +1,144 @@
+"""Pictures that software has been at: each is named by a remark, and its stated error grows. Truth: `tests/oracle`."""
+
+import numpy as np
+import pytest
+
+from matcam import edge_mtf_stack
+from matcam.calibration.edge.processing import crushed_share
+from matcam.calibration.photograph.flat_noise import flat_noise
+from tests.oracle import processed_pictures as software
+from tests.oracle import real_edges as oracle
+
+# one worker, because all of these are measured by one compiled program
+pytestmark = pytest.mark.xdist_group("real-edges")
+
+WHITE = 1.25  # of the bright level: the end of the range
+PROCESSED = {
+    "crushed at the dark level": (lambda c, s: oracle.crushed(c, 0.25 * s), {"crushed"}),
+    "crushed above the dark level": (lambda c, s: oracle.crushed(c, 0.4 * s), {"crushed"}),
+    "denoised by a bilateral filter": (lambda c, s: software.bilateral(c), {"denoised"}),
+    "a weaker one": (lambda c, s: software.bilateral(c, levels=0.05), {"denoised"}),
+    "median": (lambda c, s: software.median(c), {"denoised"}),
+    "demosaiced": (lambda c, s: software.demosaiced(c), {"demosaiced"}),
+    "phone": (lambda c, s: 1e3 * software.phone(c, WHITE * s), {"denoised", "compressed"}),
+    "JPEG 80": (
+        lambda c, s: 1e3 * software.decoded(software.jpeg(software.encoded(c, WHITE * s), 80)),
+        {"compressed", "denoised"},
+    ),
+    "sRGB that is not undone": (lambda c, s: software.encoded(c, WHITE * s), {"tone-curve"}),
+    "coarse codes": (lambda c, s: software.coarse(c, s / 16), {"quantised"}),
+}
+"""What is done to the counts, by the counts at the bright level, and remarks of which one at least must come."""
+TRACES = {"crushed", "denoised", "demosaiced", "compressed", "tone-curve", "quantised", "sharpened"}
+
+
+def drawn(rng, many, snrs=(40, 100)):
+    """Counts of edges at random, and the MTF50 of each lens and the bright level."""
+    for _ in range(many):
+        sigma, snr, degrees = rng.choice([0.3, 0.5, 0.7, 1.5]), float(rng.choice(snrs)), rng.uniform(3.5, 14)
+        counts = oracle.exposed(oracle.levels(oracle.response(sigma, degrees)), snr, rng)
+        yield counts, oracle.half(sigma, degrees), snr**2
+
+
+def traces(stack, i):
+    return {remark.code for remark in stack[int(i)].remarks} & TRACES
+
+
+def named(each, seed):
+    """For every kind of processing: how many were named or refused, and how many are within 2 stated sigma or refused."""
+    rng = np.random.default_rng(seed)
+    pictures, truth, kinds = [], [], []
+    for kind, (process, _) in PROCESSED.items():
+        for counts, half, level in drawn(rng, each, snrs=(100,) if kind == "coarse codes" else (40, 100)):
+            pictures.append(process(counts, level))
+            truth.append(half)
+            kinds.append(kind)
+    stack = edge_mtf_stack(np.stack(pictures))
+    refused = np.array([problem is not None for problem in stack.problems])
+    said = refused.copy()
+    said[stack.good] = [bool(traces(stack, i) & PROCESSED[kinds[i]][1]) for i in stack.good]
+    honest = refused | (np.abs(stack.mtf50 - truth) < 2 * stack.mtf50_std)
+    kinds = np.array(kinds)
+    return {kind: (said[kinds == kind].mean(), honest[kinds == kind].mean()) for kind in PROCESSED}
+
+
+def test_what_software_did_is_said():
+    report = named(3, 61)
+    assert all(said >= 2 / 3 for said, _ in report.values()), report
+    assert np.mean([said for said, _ in report.values()]) >= 0.95
+    assert np.mean([honest for _, honest in report.values()]) >= 0.85
+
+
+@pytest.mark.slow
+def test_what_software_did_is_said_at_length():
+    report = named(60, 62)
+    for kind, (said, honest) in report.items():
+        print(f"{kind:32s} {said:6.1%} {honest:6.1%}")
+    assert all(said >= 0.95 for said, _ in report.values())
+    assert all(honest >= 0.8 for _, honest in report.values())
+
+
+def false_alarms(many, seed):
+    """How many of clean linear edges are told that software has been at them."""
+    rng = np.random.default_rng(seed)
+    pictures = []
+    for k in range(many):
+        sigma, snr, dark = rng.uniform(0.3, 1.6), float(rng.choice([20, 40, 100, 200])), rng.uniform(0.05, 0.6)
+        scene = dark + (1 - dark) * oracle.response(sigma, rng.uniform(3, 40))
+        counts = oracle.exposed(scene, snr, rng)
+        counts += rng.normal(0, rng.uniform(0.01, 0.1) * snr, counts.shape)
+        # as counts; as codes of 16 bits; as codes of 8 bits whose sRGB was undone, where 8 bits are enough
+        if k % 3 == 1:
+            counts = np.rint(np.clip(45000 * counts / snr**2, 0, 65535))
+        elif k % 3 == 2 and snr <= 100:
+            counts = 1e3 * software.decoded(np.rint(software.encoded(counts, 1.3 * snr**2)))
+        pictures.append(counts)
+    stack = edge_mtf_stack(np.stack(pictures))
+    assert not any(stack.problems)
+    return sum(bool(traces(stack, i)) for i in stack.good)
+
+
+def test_clean_edges_are_not_suspected():
+    assert false_alarms(40, 63) == 0
+
+
+@pytest.mark.slow
+def test_clean_edges_are_not_suspected_at_length():
+    assert false_alarms(600, 64) <= 3
+
+
+def test_errors_grow_as_one_scale_of_frequency():
+    rng = np.random.default_rng(65)
+    counts, half, _ = next(drawn(rng, 1))
+    plain, smoothed = edge_mtf_stack(np.stack([counts, software.demosaiced(counts)]), accept_sharpened=True)
+    assert plain.remarks == ()
+    assert smoothed.mtf_std[0] == pytest.approx(0, abs=1e-6)
+    # the MTF50 of a picture with missing values filled in is wrong by this much, and says so
+    off = abs(smoothed.mtf50 / half - 1)
+    assert 5 * plain.mtf50_std / half < off < 2 * smoothed.mtf50_std / half < 4 * off
+    assert smoothed.parametric.mtf50_std / half > off / 2
+    assert smoothed.parametric.camera.uncertainty.std()["optics.sigma_px"] > off / 2 * smoothed.parametric.values[0]
+
+
+def test_noise_of_flat_parts():
+    rng = np.random.default_rng(66)
+    dark = np.zeros((120, 100), bool)
+    dark[:, :50] = True
+    light = np.where(dark, 1000.0, 4000.0) * (1 + 0.3 * np.indices(dark.shape)[0] / 120)
+    counts = rng.poisson(light).astype(float)
+    noise = flat_noise(counts, dark, ~dark)
+    assert noise.alike == pytest.approx(1, abs=4 * noise.alike_std)
+    assert noise.tilt == pytest.approx(0.25, abs=0.03)
+    assert noise.variance == pytest.approx((1150, 4600), rel=0.1)
+    assert not any((noise.smoothed, noise.denoised, noise.compressed, noise.bent))
+    assert flat_noise(np.full((40, 40), 3.0), np.ones((40, 40), bool), np.zeros((40, 40), bool)).alike_std == np.inf
+
+
+def test_a_pile_at_the_lowest_value():
+    rng = np.random.default_rng(67)
+    dark, bright = rng.poisson(20, 3000).astype(float), rng.poisson(900, 3000).astype(float)
+    assert crushed_share(dark, bright) == 0
+    assert crushed_share(np.maximum(dark, 20), bright) == pytest.approx(0.56, abs=0.05)
+    # without noise both sides are as flat
+    assert crushed_share(np.full(50, 2.0), np.full(50, 9.0)) == 0
+    assert crushed_share(dark[:1], bright) == 0
