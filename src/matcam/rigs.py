@@ -19,10 +19,13 @@ from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
 
-CellValue = Literal["centre", "edge", "mean"]
+CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear"]
 CELL_VALUES: tuple[CellValue, ...] = get_args(CellValue)
-"""Meaning of a table's cell: the pixel at its centre, the one at its edge, or the mean of the pixels inside. At a sharp peak
-these differ by up to 45 % (docs/model.md 3)."""
+"""Meaning of a table's cell: the pixel at its centre, the one at its edge, the mean of the pixels inside, the nearest pixel
+of a real picture, or the bilinear interpolation between its pixels. At a sharp peak these differ by up to 45 % (docs/model.md
+3)."""
+ON_REAL_PIXELS: tuple[CellValue, ...] = ("nearest", "bilinear")
+"""Meanings that need a real grid of pixels, whose phase is stated or found from the table."""
 
 
 class Rig(eqx.Module):
@@ -43,8 +46,12 @@ class Rig(eqx.Module):
             sample closest to the camera.
         crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: all that the sample
             needs.
-        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there, or "mean", that of the
-            pixels inside. Default: "centre".
+        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there; "mean", that of the pixels
+            inside; "nearest", the pixel whose centre is nearest to the cell's place; "bilinear", the interpolation between
+            four pixels. Default: "centre".
+        pixel_phase: where the real pixels lie that "nearest", "bilinear" and "mean" look up: their centres are whole numbers
+            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]. Default: None. A fit finds the phase of
+            "nearest" and "bilinear" from the table; "mean" is that of pixels of any phase.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -67,6 +74,7 @@ class Rig(eqx.Module):
     focus: jax.Array
     crop: tuple[int, int] | None = eqx.field(static=True)
     cell_value: CellValue = eqx.field(static=True)
+    pixel_phase: tuple[float, float] | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -80,6 +88,7 @@ class Rig(eqx.Module):
         focus: ArrayLike = 0.0,
         crop: tuple[int, int] | None = None,
         cell_value: CellValue = "centre",
+        pixel_phase: tuple[float, float] | None = None,
     ):
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
@@ -103,6 +112,7 @@ class Rig(eqx.Module):
         self.focus = number("focus", focus, np.pi / 2, "rad")
         self.crop = None if crop is None else picture_shape("crop", crop)
         self.cell_value = checks.choice("cell_value", cell_value, CELL_VALUES)
+        self.pixel_phase = None if pixel_phase is None else _checked_phase(pixel_phase, cell_value)
 
     @property
     def lamp_radius(self) -> jax.Array:
@@ -168,8 +178,20 @@ class Rig(eqx.Module):
         )
         more += f", crop={self.crop}" if self.crop else ""
         more += f", cell_value={self.cell_value!r}" if self.cell_value != "centre" else ""
+        more += f", pixel_phase={self.pixel_phase}" if self.pixel_phase is not None else ""
         lamp = f"lamp_radius={self.lamp.radius!s}" if isinstance(self.lamp, DistantLamp) else f"lamp={self.lamp!r}"
         return f"Rig({self.camera!r}, {self.sample!r}, {lamp}{more})"
+
+
+def _checked_phase(phase: tuple[float, float], cell_value: CellValue) -> tuple[float, float]:
+    if cell_value in ("centre", "edge"):
+        raise ArgumentError(
+            f"pixel_phase is for cell_value 'nearest', 'bilinear' or 'mean': cells of '{cell_value}' have pixels of their own"
+        )
+    found = np.asarray(checks.within("pixel_phase", phase, -0.5, 0.5, "px"))
+    if found.shape != (2,):
+        raise ArgumentError(f"pixel_phase must be (x, y), two numbers in px, got an array of shape {found.shape}")
+    return float(found[0]), float(found[1])
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
