@@ -29,9 +29,10 @@ def test_the_phase_is_found(rule):
     np.testing.assert_allclose(found.phase, phase, atol=0.002)
     assert found.std < 0.01
     assert "pixels' centres lie at" in found.remark.text
-    name, again = cell_rule(table, 256.0)
-    assert name == rule
-    assert again.phase == found.phase
+    seen = cell_rule(table, 256.0)
+    assert seen.rule == rule
+    assert seen.found.phase == found.phase
+    assert cell_rule(table, 200.0)[:2] == (rule if rule == "nearest" else None, None)
     other = recorded.rig(cell_value=RULES[rule == "nearest"])
     with pytest.raises(FitError, match=r"state pixel_phase|state the sphere's radius"):
         with_pixel_phase(other, table)
@@ -43,7 +44,9 @@ def test_other_tables_show_no_real_pixels():
     """Cells with a pixel of their own repeat nothing, and nothing is interpolated."""
     shot = recorded.pictures(30)
     table = shot.table(shot.rule.ways(oracle.GGX(0.005)).mean(-1))
-    assert cell_rule(table, 256.0) == (None, None)
+    assert cell_rule(table, 256.0)[:2] == (None, None)
+    constant = table.where(table.isnull(), 1.0)
+    assert cell_rule(constant, 256.0)[:2] == (None, None)
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -27,11 +27,13 @@ _RINGS = 16
 """Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
 _LEAST_REPEATS = 0.3
 """Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
+_MOST_REPEATS = 0.95
 _MOST_WRONG = 0.1
 """Share of the borders between values that a grid may miss."""
 _EQUAL = 1e-9
 _STRIDE = 1 << 16
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
+_FLAT = 1e-10
 _MOST_REST = 1e-6
 """Share of the variance of interpolated cells that a grid may leave."""
 _SLICES = np.arange(3, 84, 6)
@@ -214,8 +216,10 @@ def _interpolation_rest(x: np.ndarray, y: np.ndarray, values: np.ndarray, phase:
     rows = np.broadcast_to(np.arange(len(values))[:, None, None], number.shape)
     np.add.at(matrix, (rows.ravel(), index.ravel()), found.weight.ravel() / 2)
     best, *_ = np.linalg.lstsq(matrix, values, rcond=1e-10)
-    left = values - matrix @ best
-    return float((left**2).sum() / max(((values - values.mean()) ** 2).sum(), 1e-300))
+    left, own = values - matrix @ best, values - values.mean()
+    if (own**2).mean() < _FLAT * values.mean() ** 2:  # anything interpolates a constant
+        return 1.0
+    return float((left**2).sum() / (own**2).sum())
 
 
 def _places(
@@ -235,17 +239,40 @@ def _wrapped(phase: tuple[float, float]) -> tuple[float, float]:
     return x, y
 
 
-def cell_rule(table: xr.DataArray, radius: float) -> tuple[CellValue | None, FoundPhase | None]:
-    """Return the rule by which a table's cells were read from real pixels, and their phase; None where none shows.
+class CellRule(NamedTuple):
+    """Say how a table's cells look to have been read from pixels.
+
+    Attributes:
+        rule: "nearest" or "bilinear"; None: nothing shows that cells share pixels.
+        found: the pixels' phase; None: no grid on a sphere of that radius fits.
+        repeated: share of neighbouring cells near the highlight that hold one value.
+        values: distinct values near the highlight, mean over slices; of the nearest pixel, pairs of pixels.
+    """
+
+    rule: CellValue | None
+    found: FoundPhase | None
+    repeated: float
+    values: float
+
+
+def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
+    """Return the rule by which a table's cells were read from real pixels, as their values show it.
 
     radius: of the sphere, px.
     """
-    if repeats(table).share >= _LEAST_REPEATS:
-        try:
-            return "nearest", nearest_phase(table, radius)
-        except FitError:
-            return "nearest", None
+    repeated, values = repeats(table).share, _distinct(table)
+    rule: CellValue = "bilinear" if repeated < _LEAST_REPEATS else "nearest"
     try:
-        return "bilinear", bilinear_phase(table, radius)
+        found = bilinear_phase(table, radius) if rule == "bilinear" else nearest_phase(table, radius)
     except FitError:
-        return None, None
+        # what repeats is read from pixels, whatever the sphere's radius is; but a constant is no highlight
+        known = rule == "nearest" and repeated < _MOST_REPEATS
+        return CellRule(rule if known else None, None, repeated, values)
+    return CellRule(rule, found, repeated, values)
+
+
+def _distinct(table: xr.DataArray) -> float:
+    """Return the number of distinct values near the highlight, mean over the slices that show any."""
+    values = table.values[:_RINGS][:, _SLICES, :, 0].transpose(1, 0, 2).reshape(_SLICES.size, -1)
+    counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
+    return float(np.mean([count for count in counts if count] or [0]))
