@@ -132,7 +132,7 @@ def command(
 
     use_compilation_cache()
     workspace = Workspace.user()
-    rig = rig_of(camera, radius, lamp, cell_value=cell or sampling, pixel_phase=phase)
+    rig = rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase)
     how: dict[str, Any] = {
         "ndf": ndf,
         "masking": None if masking == "none" else masking,

@@ -86,7 +86,7 @@ def command(
     from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
-    rig = None if blind else rig_of(camera, radius, lamp, cell_value=cell or sampling, pixel_phase=phase)
+    rig = None if blind else rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(
             [read_table(file, sampling=sampling) for file in files],

@@ -97,7 +97,7 @@ def command(
             metals(metal)  # an unknown name should cost nothing
         result = fresnel(
             read_table(file, sampling=sampling),
-            rig_of(camera, radius, lamp, cell_value=cell or sampling, pixel_phase=phase),
+            rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase),
             ndf=ndf,
             masking=None if masking == "none" else masking,
             normalise=(math.radians(low), math.radians(high)),

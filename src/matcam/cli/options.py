@@ -126,7 +126,7 @@ RealPixels = Annotated[
     Literal["nearest", "bilinear"] | None,
     typer.Option(
         "--cell",
-        help="How cells were looked up in real pixels. Default: each has a pixel of its own where it was sampled.",
+        help="How cells were looked up in real pixels. Default: as the table shows; else each has a pixel of its own.",
     ),
 ]
 PixelPhase = Annotated[

@@ -18,6 +18,7 @@ from matcam.sample.shape import Curved
 _POINTS: dict[CellValue, tuple[float, ...]] = {
     "centre": (0.5,),
     "edge": (0.0,),
+    "unknown": (0.5,),
     "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
 }
 """Places in a cell at which it is looked at, as shares of its sides."""

@@ -41,7 +41,7 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
-from matcam.rigs import Rig, merl
+from matcam.rigs import UNKNOWN, Rig, merl
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Flat, Place
 
@@ -95,7 +95,8 @@ def measure(
             f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
         )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
-    attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value
+    attrs = {"cell_value": written, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     attrs["lamp_azimuth"] = float(np.asarray(azimuth))
     if rig.pixel_phase is not None:
         attrs["pixel_phase"] = list(rig.pixel_phase)
@@ -236,7 +237,7 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
 
     It is tilted so that each cell is seen. Even light has no blur.
     """
-    if rig.cell_value not in ("centre", "edge"):
+    if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
     sampling = cell_sampling(rig.cell_value)
     theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")

@@ -17,7 +17,6 @@ from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.fit.fit_setup import FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import sphere_radius
-from matcam.inverse.operator.pixel_phase import with_pixel_phase
 from matcam.rigs import Rig
 
 _BEND = 1.0
@@ -134,7 +133,7 @@ def rivals(
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
         (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
-        radius=sphere_radius(rig), pixels=grid_of(with_pixel_phase(rig, brdf)[0]), workspace=workspace,
+        radius=sphere_radius(rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
     return Rivals(_rival(camera), _rival(shadowing))

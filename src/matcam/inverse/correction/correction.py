@@ -126,7 +126,7 @@ class Correction:
         found = explain(brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace)
         best = found.fit
         fits = CorrectionFits(best, found.shape, found.doubts, found.others)
-        fitted = lobe_ratio(found.rig, sampling_of(brdf), fits, workspace, found.phase_std)
+        fitted = lobe_ratio(found.located.rig, sampling_of(brdf), fits, workspace, found.located.std)
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)
         if anyway:

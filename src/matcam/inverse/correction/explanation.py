@@ -32,7 +32,7 @@ from matcam.inverse.correction.doubts import (
 from matcam.inverse.fit.fit_setup import SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import sphere_radius
-from matcam.inverse.operator.pixel_phase import FoundPhase, with_pixel_phase
+from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
@@ -56,8 +56,7 @@ class Explanation(NamedTuple):
     """Hold the fits of a table and what they say together.
 
     Attributes:
-        rig: the rig, with the phase of its pixels.
-        phase: that phase, where the table had to tell it.
+        located: the rig, which says what cells stand for.
         setup: of `fit`.
         candidates: fits of each family through the camera.
         fit: the lobe through the camera that explains the data best.
@@ -70,8 +69,7 @@ class Explanation(NamedTuple):
         no_camera: probability that no camera, rather than this one, made the table.
     """
 
-    rig: Rig
-    phase: FoundPhase | None
+    located: LocatedRig
     setup: FitSetup
     candidates: list[MaterialFit]
     fit: MaterialFit
@@ -82,11 +80,6 @@ class Explanation(NamedTuple):
     blind_setup: FitSetup
     blind: MaterialFit
     no_camera: float
-
-    @property
-    def phase_std(self) -> float:
-        """Return the standard deviation of the pixels' phase, px; 0 where the rig states it."""
-        return self.phase.std if self.phase else 0.0
 
     @property
     def no_blur(self) -> bool:
@@ -110,7 +103,7 @@ class Explanation(NamedTuple):
     @property
     def remarks(self) -> tuple[Remark, ...]:
         """Say what a reader should know of it."""
-        remarks = [*self.fit.remarks, *([self.phase.remark] if self.phase else [])]
+        remarks = [*self.fit.remarks, *self.located.remarks]
         if self.shape.family_fails:
             remarks.append(self.shape.remark(self.fit.family, bent=self.fit.is_bent))
         return (*remarks, *(doubt.remark for doubt in self.doubts if doubt.contradicts))
@@ -131,7 +124,8 @@ def explain(
 
     every: spacing of the slices that are used. doubted: parameters of the rig that are left free.
     """
-    rig, phase = with_pixel_phase(rig, brdf)
+    located = located_rig(rig, brdf)
+    rig = located.rig
     exact = known_lens(rig.camera).exact
     setup = free_setup([brdf], rig, masking=masking, noise=noise, every=every, workspace=workspace)
     setup = setup.with_(lens_shape=not exact)
@@ -166,7 +160,7 @@ def explain(
     no_camera = float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))
     doubts = rig_doubts(setup, rig, found, doubted)
     return Explanation(
-        rig, phase, setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera
+        located, setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera
     )
 
 

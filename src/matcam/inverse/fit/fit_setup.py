@@ -30,7 +30,7 @@ from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
-from matcam.inverse.operator.pixel_phase import with_pixel_phase
+from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import (
     LENS,
     Axis,
@@ -132,7 +132,7 @@ class FitSetup:
             self.noise.check()
         if self.rig is not None:
             check_rig(self.rig)
-            object.__setattr__(self, "rig", with_pixel_phase(self.rig, tables[0])[0])
+            object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)
 
     def with_(self, **changes: Any) -> FitSetup:
         """Return the same setup with other fields.

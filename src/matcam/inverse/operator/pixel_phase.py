@@ -21,12 +21,13 @@ from matcam.core.grid import Sampling, merl_grid, sampling_of
 from matcam.core.remark import Remark
 from matcam.forward.pixel_grid import looked_up
 from matcam.inverse.operator.chosen_cells import cell_places
-from matcam.rigs import ON_REAL_PIXELS, CellValue, Rig
+from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, Rig
 
 _RINGS = 16
 """Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
 _LEAST_REPEATS = 0.3
 """Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
+_LEAST_OUTWARDS = 0.1
 _MOST_REPEATS = 0.95
 _MOST_WRONG = 0.1
 """Share of the borders between values that a grid may miss."""
@@ -52,14 +53,29 @@ class FoundPhase(NamedTuple):
     std: float
     unexplained: float
 
-    @property
-    def remark(self) -> Remark:
+    def remark(self, rule: CellValue) -> Remark:
         """Say what a reader should know of it."""
         x, y = self.phase
+        how = "read from the nearest pixel" if rule == "nearest" else "interpolated between pixels"
         return Remark(
-            "pixel-phase-found",
-            f"the pixels' centres lie at ({x:+.3f}, {y:+.3f}) +- {self.std:.1g} px, as the cells show",
+            "real-pixels-found",
+            f"cells were {how}, whose centres lie at ({x:+.3f}, {y:+.3f}) +- {self.std:.1g} px from the sphere's, as the "
+            "cells themselves show",
         )
+
+
+class LocatedRig(NamedTuple):
+    """Hold a rig that says what its table's cells stand for.
+
+    Attributes:
+        rig: with the pixels' phase, where cells were looked up in real pixels.
+        std: standard deviation of a phase that the table had to tell, px; 0 where it was stated.
+        remarks: what the table told.
+    """
+
+    rig: Rig
+    std: float = 0.0
+    remarks: tuple[Remark, ...] = ()
 
 
 class Repeats(NamedTuple):
@@ -75,10 +91,12 @@ class Repeats(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Return the share of neighbours that hold one value."""
+        """Return the share of neighbours that hold one value; 0 where rings repeat alone, as smooth lobes do."""
         known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
-        known = known[known >= 0]
-        return float(known.mean()) if known.size else 0.0
+        outwards = self.outwards[self.outwards >= 0]
+        if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
+            return 0.0
+        return float(known[known >= 0].mean())
 
 
 def repeats(table: xr.DataArray, slices: np.ndarray = _SLICES) -> Repeats:
@@ -94,20 +112,39 @@ def repeats(table: xr.DataArray, slices: np.ndarray = _SLICES) -> Repeats:
     return Repeats(same(values[:, :-1], values[:, 1:]), same(values[:, :, :-1], values[:, :, 1:]))
 
 
-def with_pixel_phase(rig: Rig, table: xr.DataArray) -> tuple[Rig, FoundPhase | None]:
-    """Return a rig whose pixels' phase is known: as it states, or as the table shows.
+def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
+    """Return a rig that says what cells stand for: as it states, or as the table shows.
 
     FitError where the cells are not what the rig says.
     """
-    if rig.cell_value not in ON_REAL_PIXELS or rig.pixel_phase is not None:
-        return rig, None
+    if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, UNKNOWN):
+        return LocatedRig(rig)
     radius = float(rig.sample.radius)  # type: ignore[attr-defined]
-    found = nearest_phase(table, radius) if rig.cell_value == "nearest" else bilinear_phase(table, radius)
-    located = Rig(
+    rule = rig.cell_value
+    if rule == UNKNOWN:
+        shown, found, repeated, _ = cell_rule(table, radius)
+        if shown is None or found is None:
+            remarks = () if shown is None else (_repeats_remark(repeated, radius),)
+            return LocatedRig(_with_cells(rig, sampling_of(table), None), 0.0, remarks)
+        rule = shown
+    else:
+        found = nearest_phase(table, radius) if rule == "nearest" else bilinear_phase(table, radius)
+    return LocatedRig(_with_cells(rig, rule, found.phase), found.std, (found.remark(rule),))
+
+
+def _with_cells(rig: Rig, rule: CellValue, phase: tuple[float, float] | None) -> Rig:
+    return Rig(
         rig.camera, rig.sample, rig.lamp, jitter=rig.jitter, aperture=rig.aperture, focus=rig.focus, crop=rig.crop,
-        cell_value=rig.cell_value, pixel_phase=found.phase,
+        cell_value=rule, pixel_phase=phase,
     )  # fmt: skip
-    return located, found
+
+
+def _repeats_remark(repeated: float, radius: float) -> Remark:
+    return Remark(
+        "cells-repeat",
+        f"{repeated:.0%} of the neighbours near the highlight hold one value, as if read from the nearest pixel, but no grid "
+        f"of pixels on a sphere of radius {radius:g} px fits: cells are taken as centred on their pixels",
+    )
 
 
 def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
