@@ -19,10 +19,15 @@ from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
 
-CellValue = Literal["centre", "edge", "mean"]
-CELL_VALUES: tuple[CellValue, ...] = get_args(CellValue)
-"""Meaning of a table's cell: the pixel at its centre, the one at its edge, or the mean of the pixels inside. At a sharp peak
-these differ by up to 45 % (docs/model.md 3)."""
+CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear", "unknown"]
+UNKNOWN: CellValue = "unknown"
+"""Nobody says what a cell stands for: a table that is read shows it, and one that is written has pixels of its own."""
+CELL_VALUES: tuple[CellValue, ...] = tuple(value for value in get_args(CellValue) if value != UNKNOWN)
+"""Meaning of a table's cell: the pixel at its centre, the one at its edge, the mean of the pixels inside, the nearest pixel
+of a real picture, or the bilinear interpolation between its pixels. At a sharp peak these differ by up to 45 % (docs/model.md
+3)."""
+ON_REAL_PIXELS: tuple[CellValue, ...] = ("nearest", "bilinear")
+"""Meanings that need a real grid of pixels, whose phase is stated or found from the table."""
 
 
 class Rig(eqx.Module):
@@ -43,8 +48,13 @@ class Rig(eqx.Module):
             sample closest to the camera.
         crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: all that the sample
             needs.
-        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there, or "mean", that of the
-            pixels inside. Default: "centre".
+        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there; "mean", that of the pixels
+            inside; "nearest", the pixel whose centre is nearest to the cell's place; "bilinear", the interpolation between
+            four pixels; "unknown", whichever of these a table shows that is fitted, and as "centre" where it shows none or is
+            written. Default: "centre".
+        pixel_phase: where the real pixels lie that "nearest", "bilinear" and "mean" look up: their centres are whole numbers
+            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]. Default: None. A fit finds the phase of
+            "nearest" and "bilinear" from the table; "mean" is that of pixels of any phase.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -67,6 +77,7 @@ class Rig(eqx.Module):
     focus: jax.Array
     crop: tuple[int, int] | None = eqx.field(static=True)
     cell_value: CellValue = eqx.field(static=True)
+    pixel_phase: tuple[float, float] | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -80,6 +91,7 @@ class Rig(eqx.Module):
         focus: ArrayLike = 0.0,
         crop: tuple[int, int] | None = None,
         cell_value: CellValue = "centre",
+        pixel_phase: tuple[float, float] | None = None,
     ):
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
@@ -102,7 +114,8 @@ class Rig(eqx.Module):
         self.aperture = number("aperture", aperture, 1)
         self.focus = number("focus", focus, np.pi / 2, "rad")
         self.crop = None if crop is None else picture_shape("crop", crop)
-        self.cell_value = checks.choice("cell_value", cell_value, CELL_VALUES)
+        self.cell_value = checks.choice("cell_value", cell_value, (*CELL_VALUES, UNKNOWN))
+        self.pixel_phase = None if pixel_phase is None else _checked_phase(pixel_phase, cell_value)
 
     @property
     def lamp_radius(self) -> jax.Array:
@@ -168,8 +181,18 @@ class Rig(eqx.Module):
         )
         more += f", crop={self.crop}" if self.crop else ""
         more += f", cell_value={self.cell_value!r}" if self.cell_value != "centre" else ""
+        more += f", pixel_phase={self.pixel_phase}" if self.pixel_phase is not None else ""
         lamp = f"lamp_radius={self.lamp.radius!s}" if isinstance(self.lamp, DistantLamp) else f"lamp={self.lamp!r}"
         return f"Rig({self.camera!r}, {self.sample!r}, {lamp}{more})"
+
+
+def _checked_phase(phase: tuple[float, float], cell_value: CellValue) -> tuple[float, float]:
+    if cell_value in ("centre", "edge", UNKNOWN):
+        raise ArgumentError(f"pixel_phase is for cell_value 'nearest', 'bilinear' or 'mean', not '{cell_value}'")
+    found = np.asarray(checks.within("pixel_phase", phase, -0.5, 0.5, "px"))
+    if found.shape != (2,):
+        raise ArgumentError(f"pixel_phase must be (x, y), two numbers in px, got an array of shape {found.shape}")
+    return float(found[0]), float(found[1])
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
@@ -202,7 +225,8 @@ def merl() -> Rig:
 
     It has a QImaging Retiga 1300 and a sphere over half the picture's height: a limb of radius 256 px. Pixels have 100 %
     fill, and the optics blur by sigma_mtf = half a pixel. That blur is the paper's guess, and it is stated as one: with a
-    standard deviation as large as itself. So a fit asks the data, down to no blur at all.
+    standard deviation as large as itself. So a fit asks the data, down to no blur at all. Nobody published how cells were
+    read from pixels: a table that shows it is believed.
 
     Returns:
         The rig; replace its parts to describe another.
@@ -218,4 +242,4 @@ def merl() -> Rig:
     source = "Holzschuch & Pacanowski 2017, section 4; sigma_mtf = sigma_p is their guess"
     guess = Uncertainty.of({"optics.sigma_px": 0.5})
     camera = Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=guess, provenance=Provenance(source=source))
-    return Rig(camera, Sphere(256.0))
+    return Rig(camera, Sphere(256.0), cell_value=UNKNOWN)

@@ -126,3 +126,28 @@ def test_report_of_a_camera(tmp_path):
     assert report["std"] == {"optics.sigma_px": pytest.approx(0.015)}
     f = report["mtf50_cycles_per_px"]
     assert np.exp(-2 * (np.pi * 0.5 * f) ** 2) * np.sinc(f) == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("rule", ["nearest", "bilinear"])
+def test_how_cells_were_read_from_pixels(rule, tmp_path, capsys):
+    """A table in which every cell is the mean of two places in one picture that is smooth, by the rule."""
+    from matcam.core.grid import GRID_SHAPE, merl_grid
+    from tests.oracle.real_pixels import angles_of, behind
+
+    grid, values = merl_grid("centre"), np.full((*GRID_SHAPE, 3), np.nan)
+    theta_h, phi_d = (a.ravel() for a in np.meshgrid(grid.theta_h[:16], grid.phi_d, indexing="ij"))
+    for j in range(3, 84, 6):
+        found = behind(rule, (0.25, -0.125), theta_h, grid.theta_d[j], phi_d, 200.0)
+        light = 1 / (1 + (angles_of(found.place, grid.theta_d[j], 200.0)[0] / 0.01) ** 2) ** 2
+        values[:16, j] = (found.share * light).sum(1).reshape(16, 180, 1)
+    cells = inspect_table(brdf_table(values, "centre"), radius=200.0)["cells"]
+    assert cells["rule"] == rule
+    np.testing.assert_allclose(cells["phase_px"], [0.25, -0.125], atol=2e-3)
+    assert (cells["repeated_share"] > 0.3) == (rule == "nearest")
+    if rule == "nearest":
+        assert 20 < cells["distinct_values"] < 2000
+        write_netcdf(tmp_path / "a.nc", brdf_table(values, "centre"))
+        assert _run(["inspect", str(tmp_path / "a.nc"), "--radius", "200"]) == 0
+        assert "cells: read from the nearest pixel" in capsys.readouterr().out
+        assert _run(["inspect", str(tmp_path / "a.nc")]) == 0
+        assert "try another --radius" in capsys.readouterr().out

@@ -8,7 +8,8 @@ from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, merl_grid
 from matcam.forward import with_pixel_noise
-from matcam.forward.measurement import PICTURE_STRIDE, cell_pixels, table_cells, true_table
+from matcam.forward.cells_in_pictures import table_cells
+from matcam.forward.measurement import PICTURE_STRIDE, cell_pixels, true_table
 from tests.oracle import merl_lobe
 
 

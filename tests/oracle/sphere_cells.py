@@ -117,12 +117,13 @@ def coma(sigma=0.5, angle=0.0):
 
 
 class Cells:
-    """Cells (i, j, k as angles) of some pictures. theta_h, phi_d: (slices, cells); theta_d: (slices,)."""
+    """Cells (i, j, k as angles) of some pictures. theta_h, phi_d: (slices, cells); theta_d: (slices,). turns: of phi_d, for
+    each way that a cell is seen."""
 
-    def __init__(self, theta_h, theta_d, phi_d, setup=None):
+    def __init__(self, theta_h, theta_d, phi_d, setup=None, turns=(0, np.pi)):
         self.setup, self._table = setup or Setup(), None
         r = self.setup.radius
-        th, td, psi = theta_h[..., None], theta_d[:, None, None], np.pi - phi_d[..., None] + np.array([0, np.pi])
+        th, td, psi = theta_h[..., None], theta_d[:, None, None], np.pi - phi_d[..., None] + np.array(turns)
         self.theta_d = theta_d
         self.x = r * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
         self.y = r * np.sin(th) * np.sin(psi)

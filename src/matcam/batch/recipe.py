@@ -146,7 +146,7 @@ def rig_description(rig: Rig) -> dict[str, Any]:
     """Describe all of a rig that its results depend on."""
     described = rig.description()
     described["camera"].pop("provenance")  # holds today's date, and changes no result
-    return {**described, "crop": rig.crop, "cell_value": rig.cell_value}
+    return {**described, "crop": rig.crop, "cell_value": rig.cell_value, "pixel_phase": rig.pixel_phase}
 
 
 def settings_key(settings: dict[str, Any]) -> str:

@@ -17,7 +17,9 @@ from matcam.cli.options import (
     Force,
     LampRadius,
     Masking,
+    PixelPhase,
     Radius,
+    RealPixels,
     Sampling,
     rig_of,
 )
@@ -46,6 +48,8 @@ def command(
     radius: Radius = None,
     lamp: LampRadius = 0.0,
     sampling: Sampling = "centre",
+    cell: RealPixels = None,
+    phase: PixelPhase = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -128,7 +132,7 @@ def command(
 
     use_compilation_cache()
     workspace = Workspace.user()
-    rig = rig_of(camera, radius, lamp, cell_value=sampling)
+    rig = rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase)
     how: dict[str, Any] = {
         "ndf": ndf,
         "masking": None if masking == "none" else masking,

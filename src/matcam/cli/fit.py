@@ -16,7 +16,9 @@ from matcam.cli.options import (
     FresnelModel,
     LampRadius,
     Masking,
+    PixelPhase,
     Radius,
+    RealPixels,
     Sampling,
     rig_of,
 )
@@ -56,6 +58,8 @@ def command(
     radius: Radius = None,
     lamp: LampRadius = 0.0,
     sampling: Sampling = "centre",
+    cell: RealPixels = None,
+    phase: PixelPhase = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file of the result to write.")
     ] = None,
@@ -82,7 +86,7 @@ def command(
     from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
-    rig = None if blind else rig_of(camera, radius, lamp, cell_value=sampling)
+    rig = None if blind else rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(
             [read_table(file, sampling=sampling) for file in files],

@@ -17,7 +17,9 @@ from matcam.cli.options import (
     Force,
     LampRadius,
     Masking,
+    PixelPhase,
     Radius,
+    RealPixels,
     Sampling,
     rig_of,
 )
@@ -41,6 +43,8 @@ def command(
     radius: Radius = None,
     lamp: LampRadius = 0.0,
     sampling: Sampling = "centre",
+    cell: RealPixels = None,
+    phase: PixelPhase = None,
     normalise: Annotated[
         tuple[float, float],
         typer.Option(
@@ -93,7 +97,7 @@ def command(
             metals(metal)  # an unknown name should cost nothing
         result = fresnel(
             read_table(file, sampling=sampling),
-            rig_of(camera, radius, lamp),
+            rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase),
             ndf=ndf,
             masking=None if masking == "none" else masking,
             normalise=(math.radians(low), math.radians(high)),

@@ -16,16 +16,21 @@ from matcam.files.formats import CONTENTS, titles_for
 def command(
     file: Annotated[Path, typer.Argument(help=f"A file: {titles_for(*CONTENTS)}.")],
     sampling: Sampling = "centre",
+    radius: Annotated[
+        float,
+        typer.Option("--radius", metavar="PX", help="Radius of the limb that a table was recorded from, px."),
+    ] = 256.0,
     json: AsJson = False,
 ) -> None:
     """Show what a file holds: a BRDF, another result, a picture or a camera profile.
 
-    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, and whether a camera shows in it.
+    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, whether a camera shows in it,
+    and how its cells were read from pixels.
 
     Example: `matcam inspect chrome.binary`
     """
     kind = formats.identify(file)
-    report = {"file": str(file), "format": kind, **_report(file, kind, sampling)}
+    report = {"file": str(file), "format": kind, **_report(file, kind, sampling, radius)}
     if json:
         show.as_json(report)
     elif kind == "camera profile":
@@ -36,7 +41,7 @@ def command(
         _print_rest(report)
 
 
-def _report(file: Path, kind: str, sampling: Any) -> dict[str, Any]:
+def _report(file: Path, kind: str, sampling: Any, radius: float) -> dict[str, Any]:
     if kind == "camera profile":
         from matcam.exchange.inspection import inspect_camera
 
@@ -45,13 +50,15 @@ def _report(file: Path, kind: str, sampling: Any) -> dict[str, Any]:
         from matcam.files.sidecar import read_sidecar
 
         return read_sidecar(file)
+    from matcam.core import checks
     from matcam.core.jax import use_compilation_cache
     from matcam.exchange.contents import read_contents
     from matcam.exchange.inspection import inspect_contents
 
     use_compilation_cache()
+    checks.positive("radius", radius, "px")
     with show.working("looking into it"):
-        return inspect_contents(read_contents(file, sampling))
+        return inspect_contents(read_contents(file, sampling), radius)
 
 
 def _print_brdf(report: dict[str, Any]) -> None:
@@ -71,6 +78,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
     show.table(["theta_o", *channels], rows, "Albedo: share of the light sent back in all")
     if "camera" in report:
         _print_trace(report["camera"])
+        _print_cells(report["cells"])
 
 
 def _print_trace(trace: dict[str, Any]) -> None:
@@ -86,6 +94,20 @@ def _print_trace(trace: dict[str, Any]) -> None:
         show.say(
             f"camera: not visible; in the plane of light and view lobes widen {trace['widening']:.2f} times as across it"
         )
+
+
+def _print_cells(cells: dict[str, Any]) -> None:
+    if cells["rule"] is None:
+        show.say("cells: nothing shows that they were looked up in shared pixels")
+        return
+    share = f"{cells['repeated_share']:.0%} of neighbours near the highlight hold one value"
+    how = "read from the nearest pixel" if cells["rule"] == "nearest" else "interpolated between pixels"
+    if cells["phase_px"] is None:
+        where = f"no grid of pixels on a sphere of {cells['radius_px']:g} px fits: try another --radius"
+    else:
+        x, y = cells["phase_px"]
+        where = f"the pixels' centres lie at ({x:+.3f}, {y:+.3f}) ± {cells['phase_std_px']:.1g} px from the sphere's"
+    show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")
 
 
 def _print_rest(report: dict[str, Any]) -> None:

@@ -34,6 +34,7 @@ _RENAMED = {
     "noise": "relative",
     "noise.floor": "floor",
     "noise.relative": "relative",
+    "pixel_phase": "phase",
     "pixel_pitch": "pitch",
     "pixels_across": "pixels",
     "shape": "size",
@@ -120,6 +121,22 @@ else:  # Literal types, as typer wants them, of the registries' names
 Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
+]
+RealPixels = Annotated[
+    Literal["nearest", "bilinear"] | None,
+    typer.Option(
+        "--cell",
+        help="How cells were looked up in real pixels. Default: as the table shows; else each has a pixel of its own.",
+    ),
+]
+PixelPhase = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        "--phase",
+        metavar="X Y",
+        help="Where the pixels of --cell lie: their centres are whole numbers plus this from the sphere's centre, px. "
+        "Default: as the table shows.",
+    ),
 ]
 Anyway = Annotated[
     bool, typer.Option("--anyway", help="Correct a table whose data contradict the rig; else it stays as it is.")

@@ -17,6 +17,10 @@
     radius_deg = 0.25           # angular, of its disc
     distance = 700              # in radii of the sample, or in mm
 
+    [table]
+    cell = "nearest"            # how cells are looked up in real pixels
+    phase_px = [0.1, -0.3]      # where these lie
+
 All but `schema` may be left out. An option of the command line wins over the file. What a command cannot take into account is
 refused, not ignored.
 """
@@ -41,6 +45,8 @@ _KEYS = {
     ("lens", "glare_radius_px"): "glare_radius",
     ("lamp", "radius_deg"): "lamp",
     ("lamp", "distance"): "lamp_distance",
+    ("table", "cell"): "cell",
+    ("table", "phase_px"): "phase",
 }
 """Entries of the file, and the parameters of commands that they set."""
 
@@ -88,14 +94,22 @@ def _entries(path: Path) -> dict[tuple[str, ...], Any]:
 def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
     """Return an entry as its option takes it: numbers, a shape's name, or the profile beside the file."""
     where = ".".join(keys)
-    if keys in (("camera",), ("sample", "shape")):
+    if keys == ("table", "phase_px"):
+        if not isinstance(value, list) or len(value) != 2 or not all(_is_number(one) for one in value):
+            raise FileFormatError(f"{path}: {where} must be two numbers, got {value!r:.60}")
+        return [float(one) for one in value]
+    if keys in (("camera",), ("sample", "shape"), ("table", "cell")):
         if not isinstance(value, str):
             raise FileFormatError(f"{path}: {where} must be text, got {value!r:.60}")
-        if keys == ("sample", "shape"):
+        if keys != ("camera",):
             return value
         if Path(value).name != value or (path.parent / value).is_symlink():
             raise FileFormatError(f"{path}: camera must be the plain name of a profile beside it, got {value!r:.60}")
         return path.parent / value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+    if not _is_number(value):
         raise FileFormatError(f"{path}: {where} must be a number, got {value!r:.60}")
     return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300

@@ -83,8 +83,18 @@ def command(
         typer.Option("--sample", help="Shape of the sample; flat: a table without any blur."),
     ] = "sphere",
     cell: Annotated[
-        Literal["centre", "edge", "mean"], typer.Option("--cell", help="What a cell of a table stands for.")
+        Literal["centre", "edge", "mean", "nearest", "bilinear"],
+        typer.Option("--cell", help="What a cell of a table stands for."),
     ] = "centre",
+    phase: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            "--phase",
+            metavar="X Y",
+            help="Where the real pixels of --cell nearest, bilinear or mean lie: their centres are whole numbers plus this "
+            "from the sphere's centre, px.",
+        ),
+    ] = None,
     size: Annotated[
         tuple[int, int] | None,
         typer.Option(
@@ -176,7 +186,8 @@ def command(
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, cell_value=cell, crop=crop)
+    table_of_rig = {"cell_value": cell, "pixel_phase": phase, "crop": crop}
+    rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, **table_of_rig)
     turned = math.radians(azimuth)
     material, described = _tabulated(table, sampling) if table else _microfacet(lobe)
     if suffix in _TABLES:

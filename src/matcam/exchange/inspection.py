@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
 from matcam.forward.measurement import true_table
+from matcam.inverse.operator.pixel_phase import cell_rule
 from matcam.material.material import albedo
 from matcam.material.measured import Adaptive, Tabulated
 
@@ -28,6 +30,8 @@ _STEEPEST = np.radians(75)  # of theta_d
 _FEWEST = 20  # angles with a lobe
 _HWHM = np.sqrt(2 * np.log(2))  # half width at half maximum over the standard deviation of a Gaussian
 _SIGNIFICANCE, _WIDENING = 5.0, 1.15
+SPHERE_RADIUS = 256.0
+"""px; of the MERL rig's sphere, where no other is given."""
 
 
 class LobeWidths(NamedTuple):
@@ -151,14 +155,16 @@ REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 """Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
 
 
-def inspect_contents(contents: Contents) -> dict[str, Any]:
+def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[str, Any]:
     """Report on contents (see `read_contents`), as plain values (JSON).
+
+    radius: of the sphere that a table was recorded from, px.
 
     The report has `holds`, and what there is of a table, samples, another result or a picture. RGL's fields are reported by
     their own grid, and by all that is reported of a table after resampling.
     """
     report: dict[str, Callable[[Any], dict[str, Any]]] = {
-        "table": inspect_table,
+        "table": partial(inspect_table, radius=radius),
         "fields": _fields_report,
         "samples": _samples_report,
         "result": _result_report,
@@ -167,11 +173,12 @@ def inspect_contents(contents: Contents) -> dict[str, Any]:
     return {"holds": contents.kind, **report[contents.content](contents.data)}
 
 
-def inspect_table(table: xr.DataArray) -> dict[str, Any]:
+def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[str, Any]:
     """Report on a BRDF table, as plain values (JSON).
 
     Args:
         table: BRDF on the MERL grid, 1/sr.
+        radius: of the sphere that it was recorded from, px. Default: 256, the MERL rig's.
 
     Returns:
         Grid, missing shares, range, and:
@@ -182,6 +189,9 @@ def inspect_table(table: xr.DataArray) -> dict[str, Any]:
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean over
           channels; None where there is no lobe.
         - `camera`: see `camera_trace`.
+        - `cells`: `rule` by which cells were read from real pixels, "nearest" or "bilinear", None where none shows; the pixels'
+          `phase_px` with `phase_std_px`, None where no grid on a sphere of `radius_px` fits; the share of neighbours near
+          the highlight that hold one value, `repeated_share`; and `distinct_values` there, mean over slices.
     """
     sampling = sampling_of(table)
     values = table.values
@@ -208,6 +218,20 @@ def inspect_table(table: xr.DataArray) -> dict[str, Any]:
             for angle, j in zip(REPORTED_ANGLES, reported, strict=True)
         ],
         "camera": camera_trace(table),
+        "cells": _cells_report(table, radius),
+    }
+
+
+def _cells_report(table: xr.DataArray, radius: float) -> dict[str, Any]:
+    shown = cell_rule(table, radius)
+    found = shown.found
+    return {
+        "rule": shown.rule,
+        "phase_px": None if found is None else list(found.phase),
+        "phase_std_px": None if found is None else found.std,
+        "radius_px": radius,
+        "repeated_share": shown.repeated,
+        "distinct_values": shown.values,
     }
 
 

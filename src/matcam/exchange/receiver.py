@@ -102,6 +102,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
         "source": {"solid_angle_sr": solid["lamp_sr"], "half_angle_rad": float(rig.lamp_radius)},
         "instrument": rig.description(),
         "cell_value": rig.cell_value,
+        "pixel_phase_px": rig.pixel_phase,
         "about": about,
     }
 

@@ -6,16 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.plan import RecordPlaces
+from matcam.forward.pixel_grid import slice_pixels
 from matcam.lamp.lamps import closeness
-from matcam.rigs import CellValue
+from matcam.rigs import ON_REAL_PIXELS, CellValue
 from matcam.sample.shape import Curved
 
 _POINTS: dict[CellValue, tuple[float, ...]] = {
     "centre": (0.5,),
     "edge": (0.0,),
+    "unknown": (0.5,),
     "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
 }
 """Places in a cell at which it is looked at, as shares of its sides."""
@@ -34,12 +37,29 @@ class CellChoice(NamedTuple):
         crop: (height, width) of the sensor, px; None: it shows all.
         azimuth: of the lamp in all pictures, rad.
         elongation: of the material's lobe, no unit.
+        pixel_phase: of the real pixels that are looked up, px; None: every cell has pixels of its own.
     """
 
     cell_value: CellValue
     crop: tuple[int, int] | None = None
     azimuth: float = 0.0
     elongation: float = 1.0
+    pixel_phase: tuple[float, float] | None = None
+
+    def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
+        """Return the cells of a table of this sample."""
+        if self.pixel_phase is None and self.cell_value not in ON_REAL_PIXELS:
+            return table_cells(sample, self.cell_value, self.crop, self.azimuth, lamp_nearness)
+        if not sample.distant or lamp_nearness is not None:
+            raise ArgumentError(
+                "a real pixel grid needs a distant camera and lamp: before near ones each cell has a picture of its own"
+            )
+        if self.pixel_phase is None:
+            raise ArgumentError(
+                f"cells of '{self.cell_value}' need the rig's pixel_phase (x, y), px: without it nobody knows where the "
+                "pixels lie"
+            )
+        return _real_cells(float(sample.radius), self, self.pixel_phase)
 
 
 class TableCells(NamedTuple):
@@ -112,12 +132,64 @@ def table_cells(
     return TableCells(places, index, irradiance, weight, pixels, mirrored)
 
 
-def cell_means(radiance: jax.Array, cells: TableCells) -> jax.Array:
+class RealCells(NamedTuple):
+    """The cells of a table that are looked up in real pixels.
+
+    Attributes:
+        places: the pixels, of all slices.
+        irradiance: (pixels,), cosine of the light at each.
+        cell: (entries,), position of a cell in the flattened (theta_d, theta_h, phi_d).
+        pixel: (entries,), position of a pixel behind it.
+        share: (entries,), share of the cell's value that it makes.
+        pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
+        mirrored: whether the lamp stands in the sensor's x direction.
+    """
+
+    places: RecordPlaces
+    irradiance: np.ndarray
+    cell: np.ndarray
+    pixel: np.ndarray
+    share: np.ndarray
+    pixels: np.ndarray
+    mirrored: bool
+
+
+def _real_cells(radius: float, chosen: CellChoice, phase: tuple[float, float]) -> RealCells:
+    """Find the pixels behind all cells, slice by slice."""
+    n_h, n_d, n_p = GRID_SHAPE
+    theta_d = merl_grid("centre").theta_d
+    columns: list[tuple[np.ndarray, ...]] = []
+    counts = np.zeros((n_d, n_h * n_p))
+    before = 0
+    for j in range(n_d):
+        one = slice_pixels(chosen.cell_value, phase, radius, theta_d[j], chosen.crop, chosen.azimuth)
+        turn = chosen.azimuth
+        x, y = one.x * np.cos(turn) - one.y * np.sin(turn), one.x * np.sin(turn) + one.y * np.cos(turn)
+        counts[j] = np.diff(one.share.indptr)
+        cell = j * n_h * n_p + np.repeat(np.arange(n_h * n_p), np.diff(one.share.indptr))
+        picture = np.full(x.size, j, dtype=np.int32)
+        columns.append((x, y, picture, one.cos_i, cell, before + one.share.indices, one.share.data))
+        before += x.size
+    x, y, picture, cos_i, cell, pixel, share = (np.concatenate(c) for c in zip(*columns, strict=True))
+    mirrored = chosen.azimuth == 0
+    turned = None if mirrored else np.full(x.size, chosen.azimuth)
+    places = RecordPlaces(x, y, 2 * theta_d[picture], picture, turned)
+    pixels = counts.reshape(n_d, n_h, n_p).transpose(1, 0, 2)
+    return RealCells(places, cos_i, cell, pixel, share, pixels, mirrored)
+
+
+def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> jax.Array:
     """Average the BRDF over the places of each cell, both ways.
 
     It is NaN where none is seen.
     """
     channels = radiance.shape[-1]
+    if isinstance(cells, RealCells):
+        n_h, n_d, n_p = GRID_SHAPE
+        parts = (radiance / cells.irradiance[:, None])[cells.pixel] * cells.share[:, None]
+        summed = jnp.zeros((n_d * n_h * n_p, channels)).at[cells.cell].add(parts)
+        summed = summed.reshape(n_d, n_h, n_p, channels).transpose(1, 0, 2, 3)
+        return jnp.where((cells.pixels > 0)[..., None], summed, jnp.nan)
     spread = jnp.zeros((cells.irradiance.size, channels)).at[cells.flat_index].set(radiance)
     spread = spread.reshape(*cells.irradiance.shape, channels)
     weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.irradiance, 1.0))[..., None]

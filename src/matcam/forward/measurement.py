@@ -29,18 +29,19 @@ from matcam.core.grid import (
 )
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.forward.cells_in_pictures import CellChoice, TableCells, cell_means, cell_sampling, table_cells
+from matcam.forward.cells_in_pictures import CellChoice, RealCells, TableCells, cell_means, cell_sampling
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
+from matcam.forward.pixel_grid import slice_pixels
 from matcam.lamp.lamps import checked_azimuth, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
-from matcam.rigs import Rig, merl
+from matcam.rigs import UNKNOWN, Rig, merl
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Flat, Place
 
@@ -51,8 +52,10 @@ def measure(
     """Return the BRDF table that a rig records of a material.
 
     Each cell is the pixel centred on the point of the cell that the rig's `cell_value` names; "mean" is the mean over the
-    pixels inside. The record is divided by the cosine of the light at the pixel's centre. It is averaged over the two
-    places that show the cell (reciprocity). A flat sample's light is the same all over: nothing is lost.
+    pixels inside. "nearest" and "bilinear" look the cell up in a real grid of pixels, as "mean" does where the rig states
+    `pixel_phase`: so cells near the peak repeat a pixel. The record is divided by the cosine of the light at the pixel's
+    centre. It is averaged over the two places that show the cell (reciprocity). A flat sample's light is the same all over:
+    nothing is lost.
 
     Before a near camera or under a near lamp each cell is taken from the picture whose lamp shows it at its angles, and
     divided by the lamp's irradiance there. A whole table takes about 15 s on two cores, and that for every point of a
@@ -92,8 +95,11 @@ def measure(
             f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
         )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
-    attrs = {"cell_value": rig.cell_value, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value
+    attrs = {"cell_value": written, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     attrs["lamp_azimuth"] = float(np.asarray(azimuth))
+    if rig.pixel_phase is not None:
+        attrs["pixel_phase"] = list(rig.pixel_phase)
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
 
@@ -140,7 +146,7 @@ def table_values(
             f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
         )
     imaging, turned = imaging_of(rig), checked_azimuth(azimuth)
-    chosen = CellChoice(rig.cell_value, rig.crop, turned, material.elongation)
+    chosen = CellChoice(rig.cell_value, rig.crop, turned, material.elongation, rig.pixel_phase)
     if disc_of(rig.lamp) == 0:
         cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())
         return cell_means(record(material, imaging, plan), cells), cells.pixels
@@ -171,7 +177,7 @@ def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArra
 class TablePlan(NamedTuple):
     """The cells of a table, and the plan of their record."""
 
-    cells: TableCells
+    cells: TableCells | RealCells
     plan: IntegrationPlan
 
 
@@ -183,7 +189,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> T
         raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
 
     def plan() -> TablePlan:
-        cells = table_cells(imaging.sample, chosen.cell_value, chosen.crop, chosen.azimuth, imaging.lamp_nearness)
+        cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
         lamps = _slice_lamps(imaging, chosen)
         turned = None if cells.mirrored else np.full(lamps.size, chosen.azimuth)
         return TablePlan(cells, integration_plan(imaging, lamps, cells.places, turned, chosen.elongation))
@@ -203,7 +209,7 @@ def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoi
 
     Slices whose highlight needs about as many points are recorded together, one point of the disc at a time.
     """
-    cells = table_cells(imaging.sample, chosen.cell_value, chosen.crop, chosen.azimuth, imaging.lamp_nearness)
+    cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
     lamps, places = _slice_lamps(imaging, chosen), cells.places
     fineness = np.exp2(np.ceil(2 * np.log2(np.maximum(disc_fineness(rig, imaging, lamps, material), 0.25))) / 2)
     total = jnp.zeros((places.x.size, 1))
@@ -231,7 +237,7 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
 
     It is tilted so that each cell is seen. Even light has no blur.
     """
-    if rig.cell_value == "mean":
+    if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
     sampling = cell_sampling(rig.cell_value)
     theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
@@ -279,12 +285,21 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
-    pixels = cell_pixels(rig.sample, sampling_of(checked_table(table)))
+    sampling = sampling_of(checked_table(table))
+    real = rig.pixel_phase is not None
+    pixels = None if real else cell_pixels(rig.sample, sampling)
+    azimuth = float(table.attrs.get("lamp_azimuth", 0.0))
     values = table.values.copy()
     for j in range(GRID_SHAPE[1]):
-        numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
-        place = place.reshape(2, *pixels.first[j].shape)
-        draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place].mean(axis=1)
+        if pixels is None:
+            theta_d, radius = merl_grid(sampling).theta_d[j], float(rig.sample.radius)
+            share = slice_pixels(rig.cell_value, rig.pixel_phase, radius, theta_d, rig.crop, azimuth).share  # type: ignore[arg-type]
+            of_pixels = rng.standard_normal((2, share.shape[1], values.shape[3]))
+            draws = np.stack([share @ e for e in of_pixels]).reshape(2, *values[:, j].shape)
+        else:
+            numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
+            place = place.reshape(2, *pixels.first[j].shape)
+            draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place].mean(axis=1)
         picture = values[:, j]
         brightest = np.nanmax(picture, axis=(0, 1), initial=0.0)
         values[:, j] = picture * (1 + noise.relative * draws[0]) + noise.floor * brightest * draws[1]

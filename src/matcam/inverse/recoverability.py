@@ -177,7 +177,7 @@ class _Information:
         at = np.array([np.log(roughness), 0.0])
         record, slopes = record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
         peak = record.max(-1, keepdims=True, where=cells.valid, initial=0)
-        share = np.where(cells.one_pixel, 1.0, 0.5)
+        share = cells.noise_share
         used = cells.valid & (peak > 0)
         variance = share * ((noise.relative * record) ** 2 + (noise.floor * peak) ** 2)
         self.root = np.where(used, 1 / np.sqrt(np.where(used, variance, 1.0)), 0.0)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import xarray as xr
 
 from matcam.core.workspace import Workspace
+from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.fit.fit_setup import FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import sphere_radius
@@ -132,7 +133,7 @@ def rivals(
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
         (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
-        radius=sphere_radius(rig), workspace=workspace,
+        radius=sphere_radius(rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
     return Rivals(_rival(camera), _rival(shadowing))

@@ -17,9 +17,7 @@ from matcam.core.remark import Remark
 
 FEWEST_EDGES = 8
 _APART = np.radians(20.0)  # least angle between two directions
-_PROCESSED = (
-    0.3  # share of edges that are sharpened, crushed or saturated, beyond which the rest is no sample of the lens
-)
+_PROCESSED = 0.3  # share of sharpened, crushed or saturated edges, beyond which the rest is no sample of the lens
 _FAR, _LEAST = 5.0, 0.5  # standard deviations; of ln sigma: blur may vary by a half over a field
 _IMPOSSIBLE = 0.5  # of the step: a dark level below minus that is none
 

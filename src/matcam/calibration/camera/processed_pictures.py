@@ -19,11 +19,8 @@ from matcam.core.remark import Remark
 _LARGEST = 1500  # px: so much of a picture is enough
 _SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06  # px, px, of the range: smoothed light that varies by less over a window is even
 _LEAST_NOISE = 2e-4  # of the range
-_DENOISED, _DEMOSAICED, _BENT = (
-    0.2,
-    0.15,
-    0.03,
-)  # px / blur, px^2 / blur^2, and of the blur: as of one edge (edge/processing.py)
+# px / blur, px^2 / blur^2, and of the blur: as of one edge (edge/processing.py)
+_DENOISED, _DEMOSAICED, _BENT = 0.2, 0.15, 0.03
 _MOST = 0.4
 _PIXEL = 1 / 12  # px^2
 

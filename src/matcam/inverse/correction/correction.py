@@ -19,7 +19,8 @@ from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
 from matcam.inverse.correction.explanation import explain
 from matcam.inverse.correction.harmless import LobeRatio, shrunk, withheld, within_energy
-from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio, seen_cells
+from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
+from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig, sphere_radius
@@ -125,7 +126,7 @@ class Correction:
         found = explain(brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace)
         best = found.fit
         fits = CorrectionFits(best, found.shape, found.doubts, found.others)
-        fitted = lobe_ratio(rig, sampling_of(brdf), fits, workspace)
+        fitted = lobe_ratio(found.located.rig, sampling_of(brdf), fits, workspace, found.located.std)
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)
         if anyway:

@@ -20,6 +20,7 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core.remark import Remark
 from matcam.core.workspace import Workspace
+from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.doubts import (
     DOUBTED,
     Doubt,
@@ -31,6 +32,7 @@ from matcam.inverse.correction.doubts import (
 from matcam.inverse.fit.fit_setup import SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import sphere_radius
+from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
@@ -54,6 +56,7 @@ class Explanation(NamedTuple):
     """Hold the fits of a table and what they say together.
 
     Attributes:
+        located: the rig, which says what cells stand for.
         setup: of `fit`.
         candidates: fits of each family through the camera.
         fit: the lobe through the camera that explains the data best.
@@ -66,6 +69,7 @@ class Explanation(NamedTuple):
         no_camera: probability that no camera, rather than this one, made the table.
     """
 
+    located: LocatedRig
     setup: FitSetup
     candidates: list[MaterialFit]
     fit: MaterialFit
@@ -99,7 +103,7 @@ class Explanation(NamedTuple):
     @property
     def remarks(self) -> tuple[Remark, ...]:
         """Say what a reader should know of it."""
-        remarks = list(self.fit.remarks)
+        remarks = [*self.fit.remarks, *self.located.remarks]
         if self.shape.family_fails:
             remarks.append(self.shape.remark(self.fit.family, bent=self.fit.is_bent))
         return (*remarks, *(doubt.remark for doubt in self.doubts if doubt.contradicts))
@@ -120,6 +124,8 @@ def explain(
 
     every: spacing of the slices that are used. doubted: parameters of the rig that are left free.
     """
+    located = located_rig(rig, brdf)
+    rig = located.rig
     exact = known_lens(rig.camera).exact
     setup = free_setup([brdf], rig, masking=masking, noise=noise, every=every, workspace=workspace)
     setup = setup.with_(lens_shape=not exact)
@@ -128,7 +134,7 @@ def explain(
     setup = setup.with_(ndf=found.family)
     blind_setup = FitSetup(
         (brdf,), None, found.family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=setup.every,
-        radius=sphere_radius(rig), workspace=workspace,
+        radius=sphere_radius(rig), pixels=grid_of(rig), workspace=workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
     others: tuple[MaterialFit, ...] = ()
@@ -153,7 +159,9 @@ def explain(
     difference = _EVIDENCE * (blind.log_likelihood - through_camera.log_likelihood)
     no_camera = float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))
     doubts = rig_doubts(setup, rig, found, doubted)
-    return Explanation(setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera)
+    return Explanation(
+        located, setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera
+    )
 
 
 def _explains(found: MaterialFit, noise: PixelNoise | None) -> bool:

@@ -99,7 +99,7 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
     return FitData(
         np.where(used, values, 0.0),
         used,
-        np.where(cells.one_pixel, 1.0, 0.5),
+        cells.noise_share,
         np.where(peak > 0, peak, 1.0),
         labels,
         (index,) * len(labels),

@@ -23,12 +23,14 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import checked_table, sampling_of
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS
 from matcam.core.workspace import Workspace, default_workspace
+from matcam.forward.pixel_grid import PixelGrid
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
+from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import (
     LENS,
     Axis,
@@ -78,6 +80,7 @@ class FitSetup:
         noise: noise of a pixel. Default: None, estimated from the residuals.
         every: spacing of the slices of theta_d (no unit). Default: 1.
         radius: radius of the sphere, px, whose pixels are distinguished without a rig. Default: 256.
+        pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own.
         workspace: keeps what depends on the rig alone. Default: None, the process's own.
 
     Raises:
@@ -110,6 +113,7 @@ class FitSetup:
     noise: PixelNoise | None = None
     every: int = 1
     radius: float = sphere_radius(None)
+    pixels: PixelGrid | None = None
     workspace: Workspace | None = None
 
     def __post_init__(self) -> None:
@@ -126,6 +130,9 @@ class FitSetup:
         checks.within("bend", self.bend, 0, 10)
         if self.noise is not None:
             self.noise.check()
+        if self.rig is not None:
+            check_rig(self.rig)
+            object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)
 
     def with_(self, **changes: Any) -> FitSetup:
         """Return the same setup with other fields.
@@ -187,7 +194,7 @@ class FitSetup:
         """Return the least-squares problem."""
         layout, sampling = self.layout, sampling_of(self.tables[0])  # the layout first: it checks the arguments
         if self.rig is None:
-            cells, operator = perfect_operator(sampling, self.every, self.radius, self.workspace)
+            cells, operator = perfect_operator(sampling, self.every, self.radius, self.workspace, self.pixels)
         else:
             cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
         radius = self.radius if self.rig is None else sphere_radius(self.rig)

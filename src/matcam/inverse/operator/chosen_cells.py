@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
+from matcam.forward.pixel_grid import PixelGrid, looked_up, pixel_angles
 
 NEAR_RINGS = 12
 NEAR_COSINE, FAR_COSINE = 0.06, 0.17
@@ -23,6 +24,24 @@ _CELLS = 112
 """Most cells of a slice: one shape for all."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
+_STRIDE = 1 << 16
+"""Pixels per row in a pixel's number."""
+
+
+class RealPixels(NamedTuple):
+    """Hold what real pixels show, whose centres are not the cells' places. Shapes: s slices, n cells, w pixels of a cell.
+
+    Attributes:
+        theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
+        psi: (s, n, w), its azimuth about it, rad.
+        weight: (s, n, w), share of each pixel in its cell.
+        noise_share: (s, n), variance of a cell over that of a pixel.
+    """
+
+    theta: np.ndarray
+    psi: np.ndarray
+    weight: np.ndarray
+    noise_share: np.ndarray
 
 
 class ChosenCells(NamedTuple):
@@ -41,6 +60,8 @@ class ChosenCells(NamedTuple):
         cos_i: (s, n, 2), cosine of the light at each place.
         cos_o: (s, n, 2), cosine of the view.
         one_pixel: (s, n), whether both ways fall into the same pixel.
+        real: where cells are looked up in real pixels, what these show; x, y and the cosines are the pixels' then, and their
+            last axis is over all pixels of a cell. None: each way is a pixel at the cell's place.
     """
 
     slices: np.ndarray
@@ -55,6 +76,17 @@ class ChosenCells(NamedTuple):
     cos_i: np.ndarray
     cos_o: np.ndarray
     one_pixel: np.ndarray
+    real: RealPixels | None = None
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Return the share of each pixel in its cell, (s, n, pixels)."""
+        return np.full(self.x.shape, 0.5) if self.real is None else self.real.weight
+
+    @property
+    def noise_share(self) -> np.ndarray:
+        """Return the variance of each cell over that of a pixel, (s, n): half, unless both ways are one pixel."""
+        return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
 
 class CellPlaces(NamedTuple):
@@ -73,19 +105,46 @@ class CellPlaces(NamedTuple):
     cos_o: np.ndarray
 
 
-def chosen_cells(radius: float, sampling: Sampling, every: int = 1) -> ChosenCells:
-    """Choose cells in every `every`-th slice of a table recorded from a distant sphere of `radius` px."""
+def chosen_cells(radius: float, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
+    """Choose cells in every `every`-th slice of a table recorded from a distant sphere of `radius` px.
+
+    pixels: the real grid that the cells are looked up in; None: each has pixels of its own.
+    """
     grid = merl_grid(sampling)
     slices = np.arange(every // 2, GRID_SHAPE[1], every)
     columns = []
     for j in slices:
-        columns.append(_slice_cells(radius, grid.theta_h, grid.theta_d[j], grid.phi_d))
+        columns.append(_slice_cells(radius, grid.theta_h, grid.theta_d[j], grid.phi_d, pixels))
     i, k, valid = (np.stack(part) for part in zip(*columns, strict=True))
     theta_h, phi_d = grid.theta_h[i], grid.phi_d[k]
     x, y, cos_i, cos_o = cell_places(radius, theta_h, grid.theta_d[slices, None], phi_d)
-    pixel = np.rint(np.stack([x, y]))
-    one_pixel = (pixel[..., 0] == pixel[..., 1]).all(axis=0)
-    return ChosenCells(slices, grid.theta_d[slices], i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel)
+    numbers = _pixel_numbers(x, y, pixels)
+    one_pixel = numbers[..., 0] == numbers[..., 1]
+    real = None
+    if pixels is not None:
+        real, x, y, cos_i, cos_o = _in_pixels(radius, grid.theta_d[slices, None], x, y, pixels)
+        for cosine in (cos_i, cos_o):  # of cells that only fill up a slice
+            cosine[~valid] = 1.0
+    return ChosenCells(slices, grid.theta_d[slices], i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
+
+
+def _pixel_numbers(x: np.ndarray, y: np.ndarray, pixels: PixelGrid | None) -> np.ndarray:
+    """Return numbers of the pixels in which places fall."""
+    u, v = (0.0, 0.0) if pixels is None else pixels.phase
+    return np.rint(x - u) * _STRIDE + np.rint(y - v)
+
+
+def _in_pixels(
+    radius: float, theta_d: np.ndarray, x: np.ndarray, y: np.ndarray, pixels: PixelGrid
+) -> tuple[RealPixels, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pixels that two places of each cell are looked up in, and their x, y, cos_i, cos_o."""
+    found = looked_up(pixels.rule, pixels.phase, x, y)
+    x, y, weight = (a.reshape(*a.shape[:-2], -1) for a in (found.x, found.y, found.weight / 2))
+    at = pixel_angles(radius, theta_d[..., None], x, y)
+    numbers = _pixel_numbers(x, y, pixels)
+    same = numbers[..., :, None] == numbers[..., None, :]
+    noise_share = np.einsum("...a,...ab,...b->...", weight, same, weight)
+    return RealPixels(at.theta_h, at.psi, weight, noise_share), x, y, at.cos_i, at.cos_o
 
 
 def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
@@ -98,13 +157,13 @@ def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: 
 
 
 def _slice_cells(
-    radius: float, theta_h: np.ndarray, theta_d: float, phi_d: np.ndarray
+    radius: float, theta_h: np.ndarray, theta_d: float, phi_d: np.ndarray, grid: PixelGrid | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (i, k, valid) of one slice, rings from the highlight outwards.
 
     A cell is refused if one of its pixels belongs to another cell.
     """
-    occupied: set[tuple[float, float]] = set()
+    occupied: set[float] = set()
     chosen: list[tuple[int, int]] = []
     for ring in _RINGS:
         # the ring's half circumference in px, foreshortened in one direction
@@ -117,9 +176,13 @@ def _slice_cells(
         i = np.full(k.size, ring)
         x, y, cos_i, cos_o = cell_places(radius, theta_h[i], np.full(k.size, theta_d), phi_d[k])
         seen = (np.minimum(cos_i, cos_o) > (NEAR_COSINE if near else FAR_COSINE)).all(axis=-1)
+        if grid is not None:  # the pixels themselves must be there, too
+            _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid)
+            seen &= (np.minimum(cos_i, cos_o) > NEAR_COSINE).all(axis=-1)
+        numbers = _pixel_numbers(x, y, grid)
         # in an order that spreads over the ring even where not all cells fit
         for n in np.argsort((np.arange(k.size) * 0.618) % 1):
-            pixels = {(round(float(a)), round(float(b))) for a, b in zip(x[n], y[n], strict=True)}
+            pixels = set(numbers[n].tolist())
             if wanted and seen[n] and not pixels & occupied and len(chosen) < _CELLS:
                 occupied |= pixels
                 chosen.append((int(i[n]), int(k[n])))

@@ -22,6 +22,7 @@ from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
+from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.polar_rule import (
     THROUGH_SAMPLES,
@@ -83,9 +84,12 @@ class LobeOperator(eqx.Module):
         """
         return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
 
-    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean."""
-        return 2 * jnp.sum(self._weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
+    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array, factor: jax.Array | float = 1.0) -> jax.Array:
+        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean.
+
+        factor: of D, (cells, ways, nodes), at `theta`.
+        """
+        return 2 * jnp.sum(self._weighted(ndf, masking, shifts) * factor, axis=-1).reshape(*self.shape, -1)
 
     def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
         """Return the same of D times each of some functions of theta; shape (functions, slices, cells).
@@ -163,10 +167,12 @@ def lobe_operator(
     if rig is None:
         return perfect_operator(sampling, every, _PERFECT_RADIUS, workspace)
     workspace = workspace or default_workspace()
-    key = (rig_key(rig), sampling, every, axes)
+    known = rig_key(rig)
+    pixels = grid_of(rig)
+    key = (known, sampling, every, axes, pixels)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(sphere_radius(rig), sampling, every)
+        cells = chosen_cells(sphere_radius(rig), sampling, every, pixels)
         return cells, operator_in(rig, cells, axes, repr(key), workspace)
 
     return workspace.remember("lobe operator", key, make)
@@ -201,7 +207,10 @@ def check_rig(rig: Rig) -> None:
             "a fit needs a distant lamp (DistantLamp()): under a near one theta_d varies over a picture"
         )
     if rig.cell_value == "mean":
-        raise ArgumentError("a fit needs cells that stand for one pixel: cell_value 'centre' or 'edge', not 'mean'")
+        raise ArgumentError(
+            "a fit needs cells that stand for one pixel, or are interpolated between four: cell_value 'centre', 'edge', "
+            "'nearest' or 'bilinear', not 'mean'"
+        )
 
 
 def operator_in(
@@ -216,9 +225,10 @@ def operator_in(
 def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
     """Return the arrays of `_Rules` by name; those of the axes are along0, along1 ..."""
     radius = sphere_radius(rig)
-    flat = np.flatnonzero(np.repeat(cells.valid.ravel(), 2))
+    ways = cells.x.shape[-1]
+    flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
     theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
-    pixels = Pixels(*(padded(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, 0.5 / cells.cos_i)))
+    pixels = Pixels(*(padded(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, cells.weight / cells.cos_i)))
     depth = np.sqrt(np.maximum(1 - (pixels.x**2 + pixels.y**2) / radius**2, 0))
     own = blur_of(rig)
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
@@ -232,7 +242,7 @@ def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np
     def full(part: np.ndarray) -> np.ndarray:
         result = np.zeros((cells.x.size, *part.shape[1:]))
         result[flat] = part[: flat.size]
-        return result.reshape(-1, 2, *part.shape[1:])
+        return result.reshape(-1, ways, *part.shape[1:])
 
     columns: list[list[np.ndarray]] = []
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
@@ -288,22 +298,33 @@ def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.n
 
 
 def perfect_operator(
-    sampling: Sampling, every: int, radius: float, workspace: Workspace | None = None
+    sampling: Sampling,
+    every: int,
+    radius: float,
+    workspace: Workspace | None = None,
+    pixels: PixelGrid | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Return the rule of a camera that sees points, in the cells that are chosen for a sphere of `radius` px."""
+    """Return the rule of a camera that sees points, in the cells that are chosen for a sphere of `radius` px.
+
+    pixels: the real grid that the cells are looked up in.
+    """
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(radius, sampling, every)
+        cells = chosen_cells(radius, sampling, every, pixels)
         return cells, point_operator(cells)
 
-    return (workspace or default_workspace()).remember("perfect operator", (sampling, every, radius), make)
+    key = (sampling, every, radius, pixels)
+    return (workspace or default_workspace()).remember("perfect operator", key, make)
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
-    """Return the rule of a camera that sees points: one node, at the cell itself."""
-    valid = cells.valid[..., None]
-    weight = np.where(valid, 0.5 / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0).reshape(-1, 2, 1)
-    theta = np.repeat(cells.theta_h.reshape(-1, 1, 1), 2, axis=1)
-    psi = np.pi - cells.phi_d.ravel()[:, None, None, None] + np.array([0.0, np.pi])[:, None, None]
-    rules = _Rules(theta, weight, theta[:, :, None], np.cos(psi)[:, :, None], ())
+    """Return the rule of a camera that sees points: one node, at the cell itself or at each of its pixels."""
+    valid, ways = cells.valid[..., None], cells.x.shape[-1]
+    weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
+    if cells.real is None:
+        theta = np.repeat(cells.theta_h.reshape(-1, 1, 1), 2, axis=1)
+        psi = np.pi - cells.phi_d.ravel()[:, None, None, None] + np.array([0.0, np.pi])[:, None, None]
+    else:
+        theta, psi = cells.real.theta.reshape(-1, ways, 1), cells.real.psi.reshape(-1, ways, 1, 1)
+    rules = _Rules(theta, weight.reshape(-1, ways, 1), theta[:, :, None], np.cos(psi).reshape(-1, ways, 1, 1, 1), ())
     return rules.operator(cells, np.ones((1, 1)), ())

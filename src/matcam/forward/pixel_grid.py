@@ -1,0 +1,201 @@
+"""The real pixels behind the cells of one picture of a distant sphere (docs/model.md 3, *Cells on real pixels*).
+
+A measured table is not recorded by pixels that lie where its cells are. The picture has its own grid, and a cell's value is
+looked up in it: the pixel whose centre is nearest to the cell's place, the bilinear interpolation between four, or the mean of
+the pixels that show directions of the cell. Near the peak many cells repeat one pixel. A pixel's value is its radiance over
+the cosine of the light at its own centre, so that what is repeated is repeated to the last digit.
+
+The grid's phase says where the pixels lie: their centres are whole numbers of px plus the phase from the sphere's centre.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from matcam.core.grid import GRID_SHAPE, merl_grid
+from matcam.rigs import ON_REAL_PIXELS, CellValue, Rig
+
+_SMALLEST = 1e-12
+"""Weight below which an interpolation does not ask for a pixel."""
+_STRIDE = 1 << 16
+"""Pixels per row in a pixel's number; no picture is that wide."""
+
+
+class PixelGrid(NamedTuple):
+    """Say how cells are looked up in a real grid of pixels.
+
+    Attributes:
+        rule: "nearest" or "bilinear".
+        phase: of the grid, px.
+    """
+
+    rule: CellValue
+    phase: tuple[float, float]
+
+
+def grid_of(rig: Rig) -> PixelGrid | None:
+    """Return the grid that a rig's cells are looked up in; None: each has a pixel of its own, or nobody knows the grid."""
+    if rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None:
+        return PixelGrid(rig.cell_value, rig.pixel_phase)
+    return None
+
+
+class PlacePixels(NamedTuple):
+    """Hold the pixels that are looked up for places in a picture; the last axis is over the pixels of one place.
+
+    Attributes:
+        x: centres, px from the sphere's centre.
+        y: the same upwards.
+        weight: share of each; they add up to 1.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+
+
+class SlicePixels(NamedTuple):
+    """Hold the pixels behind all cells of one theta_d slice.
+
+    Attributes:
+        x: (pixels,), centres in the plane of light and view, px from the sphere's centre, the lamp towards +x.
+        y: (pixels,), the same across it.
+        cos_i: (pixels,), cosine of the light at each centre.
+        share: (cells, pixels) matrix, cells over (theta_h, phi_d); rows add up to 1, and to 0 where nothing is seen.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    cos_i: np.ndarray
+    share: csr_matrix
+
+
+def looked_up(rule: CellValue, phase: tuple[float, float], x: np.ndarray, y: np.ndarray) -> PlacePixels:
+    """Return the pixels that a rule looks up for places of a picture.
+
+    Args:
+        rule: "nearest" or "bilinear".
+        phase: of the pixel grid, px.
+        x: places, px from the sphere's centre along the sensor's rows.
+        y: the same across them.
+    """
+    u, v = x - phase[0], y - phase[1]
+    if rule == "nearest":
+        return PlacePixels(
+            np.rint(u)[..., None] + phase[0], np.rint(v)[..., None] + phase[1], np.ones((*np.shape(u), 1))
+        )
+    left, low = np.floor(u), np.floor(v)
+    right, up = u - left, v - low
+    columns = np.stack([left, left + 1, left, left + 1], axis=-1) + phase[0]
+    rows = np.stack([low, low, low + 1, low + 1], axis=-1) + phase[1]
+    weight = np.stack([(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up], axis=-1)
+    return PlacePixels(columns, rows, weight)
+
+
+class PixelAngles(NamedTuple):
+    """Hold the angles at which a distant sphere's picture shows pixels; arrays of one shape.
+
+    Attributes:
+        theta_h: half angle, rad.
+        psi: azimuth about the half vector from the lamp's side, rad.
+        cos_i: cosine of the light; -1 beside the sphere.
+        cos_o: cosine of the view; -1 beside the sphere.
+    """
+
+    theta_h: np.ndarray
+    psi: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+
+
+def pixel_angles(radius: float, theta_d: np.ndarray | float, x: np.ndarray, y: np.ndarray) -> PixelAngles:
+    """Return the angles that the centres of pixels show, in the plane of light and view."""
+    n_x, n_y = x / radius, y / radius
+    depth2 = 1 - n_x**2 - n_y**2
+    n_z = np.sqrt(np.maximum(depth2, 0))
+    sin, cos = np.sin(theta_d), np.cos(theta_d)
+    along, up = n_x * cos - n_z * sin, n_x * sin + n_z * cos
+    cos_i = n_x * np.sin(2 * theta_d) + n_z * np.cos(2 * theta_d)
+    hit = depth2 > 0
+    return PixelAngles(
+        np.arctan2(np.hypot(along, n_y), up),
+        np.arctan2(n_y, along),
+        np.where(hit, cos_i, -1.0),
+        np.where(hit, n_z, -1.0),
+    )
+
+
+def slice_pixels(
+    rule: CellValue,
+    phase: tuple[float, float],
+    radius: float,
+    theta_d: float,
+    crop: tuple[int, int] | None = None,
+    azimuth: float = 0.0,
+) -> SlicePixels:
+    """Return the pixels behind all cells of a slice, both places of a cell together.
+
+    Args:
+        rule: "nearest", "bilinear" or "mean".
+        phase: of the pixel grid, px.
+        radius: of the sphere, px.
+        theta_d: of the slice, rad.
+        crop: (height, width) of the sensor, px about the optical axis; None: it shows all.
+        azimuth: of the lamp about the optical axis, rad.
+    """
+    n_h, _, n_p = GRID_SHAPE
+    grid = merl_grid("centre")
+    th, psi = grid.theta_h[:, None, None], np.pi - grid.phi_d[:, None] + np.array([0.0, np.pi])
+    x = radius * (np.cos(th) * np.sin(theta_d) + np.sin(th) * np.cos(psi) * np.cos(theta_d))
+    y = radius * np.sin(th) * np.sin(psi)
+    above = np.cos(th) * np.cos(theta_d) > np.sin(th) * np.sin(theta_d) * np.abs(np.cos(psi))
+    found = looked_up("bilinear" if rule == "bilinear" else "nearest", phase, *_turned(x, y, azimuth))
+    cell = np.broadcast_to(np.arange(n_h * n_p).reshape(n_h, n_p, 1, 1), found.x.shape)
+    used = (found.weight > _SMALLEST) & above[..., None]
+    cells, columns, rows, weight = (a[used] for a in (cell, found.x, found.y, found.weight))
+    if rule == "mean":
+        inside = _pixels_inside(phase, radius, theta_d, azimuth)
+        empty = ~np.isin(cells, inside[0])
+        cells, columns, rows, weight = (
+            np.concatenate([a[empty], b])
+            for a, b in zip((cells, columns, rows, weight), (*inside, np.ones(inside[0].size)), strict=True)
+        )
+    if crop is not None:
+        shown = (np.abs(columns) <= crop[1] / 2) & (np.abs(rows) <= crop[0] / 2)
+        cells, columns, rows, weight = (a[shown] for a in (cells, columns, rows, weight))
+    number = np.rint(columns - phase[0]).astype(np.int64) * _STRIDE + np.rint(rows - phase[1]).astype(np.int64)
+    _, first, index = np.unique(number, return_index=True, return_inverse=True)
+    x, y = _turned(columns[first], rows[first], -azimuth)
+    at = pixel_angles(radius, theta_d, x, y)
+    seen = (at.cos_i > 0) & (at.cos_o > 0)
+    place = np.cumsum(seen) - 1
+    there = seen[index]
+    size = (n_h * n_p, int(seen.sum()))
+    share = csr_matrix((weight[there], (cells[there], place[index[there]])), shape=size)
+    total = np.asarray(share.sum(axis=1)).ravel()
+    share.data /= np.repeat(total, np.diff(share.indptr))
+    return SlicePixels(x[seen], y[seen], at.cos_i[seen], share)
+
+
+def _pixels_inside(
+    phase: tuple[float, float], radius: float, theta_d: float, azimuth: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (cell, x, y) of every pixel that shows light, the cell being the one whose directions its centre shows."""
+    n_h, _, n_p = GRID_SHAPE
+    size = int(np.ceil(radius)) + 1
+    line = np.arange(-size, size + 1.0)
+    columns, rows = (a.ravel() for a in np.meshgrid(line + phase[0], line + phase[1], indexing="ij"))
+    at = pixel_angles(radius, theta_d, *_turned(columns, rows, -azimuth))
+    seen = (at.cos_i > 0) & (at.cos_o > 0)
+    i = np.minimum((n_h * np.sqrt(at.theta_h[seen] / (np.pi / 2))).astype(int), n_h - 1)
+    k = np.minimum((np.mod(np.pi - at.psi[seen], np.pi) / np.pi * n_p).astype(int), n_p - 1)
+    return i * n_p + k, columns[seen], rows[seen]
+
+
+def _turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    if angle == 0:
+        return x, y
+    return x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)

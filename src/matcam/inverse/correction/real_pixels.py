@@ -1,0 +1,123 @@
+"""What looking cells up in real pixels changes of the ratio of true over recorded lobe (docs/correct.md).
+
+The ratio is known for a pixel at the cell's own place (`lobe_ratio`). What was recorded is that of the pixels behind the cell:
+the record at their centres. It is smooth, as the camera has blurred it. So it is computed for each way on the lattices of the
+ratio, and its logarithm is interpolated to the cells' places and to the pixels' centres. Both are read from one
+interpolation, and their difference is small.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator, RectBivariateSpline
+
+from matcam.core.grid import GRID_SHAPE, merl_grid
+from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
+from matcam.forward.pixel_grid import PixelGrid, looked_up, pixel_angles
+from matcam.inverse.correction.doubts import ShapeCorrection
+from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, seen_cells
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.fit.fit_readings import FitCoordinates
+from matcam.inverse.operator.chosen_cells import cell_places
+from matcam.inverse.operator.lobe_operator import LobeOperator
+from matcam.material.ndf.free_lobe import bend_basis
+
+_CUBIC = 3
+
+
+class Lattices(NamedTuple):
+    """Hold the two lattices of a ratio, and where the fit put the rig along the axes of the coarse one.
+
+    Attributes:
+        fine: with the rig as given.
+        coarse: with the rig's axes.
+        fitted: coordinates along them.
+    """
+
+    fine: ResponseLattice
+    coarse: ResponseLattice
+    fitted: np.ndarray
+
+
+def pixel_log_ratio(
+    lattices: Lattices, at: FitCoordinates, shape: ShapeCorrection, pixels: PixelGrid, radius: float, std: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return ln(record at the cells' places / record of their pixels), (90, 90, 180), and its variance by the phase.
+
+    std: of the pixels' phase, px.
+    """
+    fine, coarse, fitted = lattices
+    splines = [_splines(fine, _record(fine, at, np.zeros(0), shape))]
+    if fitted.any():
+        none = shape._replace(b=np.zeros_like(shape.b))
+        change = _record(coarse, at, fitted, none) - _record(coarse, at, np.zeros(fitted.size), none)
+        splines.append(_splines(coarse, change))
+    grid = merl_grid(fine.sampling)
+    seen = seen_cells(fine.sampling)
+    log, variance = np.zeros(GRID_SHAPE), np.zeros(GRID_SHAPE)
+    for j, theta_d in enumerate(grid.theta_d):
+        i, k = np.nonzero(seen[:, j])
+        if not i.size:
+            continue
+        place = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
+        theta_h = np.repeat(grid.theta_h[i][:, None], 2, axis=1)
+        psi = np.pi - grid.phi_d[k][:, None] + np.array([0.0, np.pi])
+        own = [one[j] for one in splines]
+        centred = np.log(_recorded(own, theta_h, psi).mean(axis=-1))
+
+        def behind(
+            phase: tuple[float, float], x: np.ndarray = place.x, y: np.ndarray = place.y, own=own, td: float = theta_d
+        ) -> np.ndarray:
+            found = looked_up(pixels.rule, phase, x, y)
+            angles = pixel_angles(radius, td, found.x, found.y)
+            weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), found.weight, 0.0)
+            value = (weight * _recorded(own, angles.theta_h, angles.psi)).sum(axis=(-2, -1))
+            total = weight.sum(axis=(-2, -1))
+            return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), 1.0))
+
+        u, v = pixels.phase
+        recorded = behind(pixels.phase)
+        log[i, j, k] = centred - recorded
+        if std:
+            variance[i, j, k] = (behind((u + std, v)) - recorded) ** 2 + (behind((u, v + std)) - recorded) ** 2
+    return log, variance
+
+
+@kept_program
+def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array, b: jax.Array) -> jax.Array:
+    """Return the record of each way of a lobe times 1 + sum b_k B_k, (slices, cells, 2)."""
+    ndf = kind.ndf(q)
+    slope2 = jnp.tan(jnp.minimum(operator.theta, 1.57)) ** 2
+    lift = 1 + sum(b_k * part for b_k, part in zip(b, bend_basis(slope2), strict=True))
+    return operator.ways(ndf, kind.masking, shifts, lift)
+
+
+def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray, shape: ShapeCorrection) -> np.ndarray:
+    """Return the logarithm of the record of each way on a lattice, (slices, rings, azimuths from 0 to 180 degrees)."""
+    rings, slices, azimuths = where.spacing
+    both = np.asarray(_ways(where.recorded, at.kind, jnp.asarray(at.lobe), jnp.asarray(shifts), jnp.asarray(shape.b)))
+    log = np.log(np.maximum(np.where(where.cells.valid[..., None], both, np.nan), VANISHED))
+    log = log.reshape(len(slices), len(rings), len(azimuths), 2)
+    # the first way lies at 180 degrees less phi_d, the second, mirrored, at phi_d
+    whole = np.concatenate([log[..., 1], log[:, :, -2::-1, 0]], axis=-1)
+    for s in range(1, len(slices)):
+        whole[s] = np.where(np.isfinite(whole[s]), whole[s], whole[s - 1])
+    return np.round(np.nan_to_num(whole), 12)
+
+
+def _splines(where: ResponseLattice, values: np.ndarray) -> list[RectBivariateSpline]:
+    """Return splines over (ring, azimuth in degrees) for every slice of a table."""
+    rings, slices, azimuths = where.spacing
+    around = [*azimuths, *(180 - a for a in azimuths[-2::-1])]
+    along = PchipInterpolator(slices, values, axis=0)(np.arange(GRID_SHAPE[1]))
+    return [RectBivariateSpline(rings, around, one, kx=_CUBIC, ky=_CUBIC) for one in along]
+
+
+def _recorded(splines: list[RectBivariateSpline], theta_h: np.ndarray, psi: np.ndarray) -> np.ndarray:
+    """Return the record at angles, (...), of the first spline and the changes that the others hold."""
+    ring = np.clip(GRID_SHAPE[0] * np.sqrt(theta_h / (np.pi / 2)) - 0.5, 0, GRID_SHAPE[0] - 1)
+    around = np.degrees(np.abs(np.mod(psi + np.pi, 2 * np.pi) - np.pi))
+    return np.exp(sum(one.ev(ring, around) for one in splines))

@@ -1,0 +1,315 @@
+"""Where the pixels behind a table lie, found from the table alone (docs/correct.md, *Cells on real pixels*).
+
+Cells that were read from the nearest pixel repeat its value, to the last digit. Where one value ends and the next begins is
+the border of a pixel. Near the highlight cells lie a twentieth of a pixel apart, so that the borders of a few slices give the
+grid's phase to some thousandths of a pixel, whatever the material and its noise.
+
+Cells that were interpolated are linear in the values of few pixels: a grid of the right phase explains hundreds of cells by
+a few dozen values, without any rest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy.optimize import minimize
+
+from matcam.core.errors import FitError
+from matcam.core.grid import Sampling, merl_grid, sampling_of
+from matcam.core.remark import Remark
+from matcam.forward.pixel_grid import looked_up
+from matcam.inverse.operator.chosen_cells import cell_places
+from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, Rig
+
+_RINGS = 16
+"""Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
+_LEAST_REPEATS = 0.3
+"""Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
+_LEAST_OUTWARDS = 0.1
+_MOST_REPEATS = 0.95
+_MOST_WRONG = 0.1
+"""Share of the borders between values that a grid may miss."""
+_EQUAL = 1e-9
+_STRIDE = 1 << 16
+_FEW_RINGS, _FEW_AZIMUTHS = 7, 6
+_FLAT = 1e-10
+_MOST_REST = 1e-6
+"""Share of the variance of interpolated cells that a grid may leave."""
+_SLICES = np.arange(3, 84, 6)
+
+
+class FoundPhase(NamedTuple):
+    """Say where the pixels behind a table lie.
+
+    Attributes:
+        phase: (x, y), px.
+        std: standard deviation of either, px.
+        unexplained: share of the table's borders between values, or of its variance, that the grid does not explain.
+    """
+
+    phase: tuple[float, float]
+    std: float
+    unexplained: float
+
+    def remark(self, rule: CellValue) -> Remark:
+        """Say what a reader should know of it."""
+        x, y = self.phase
+        how = "read from the nearest pixel" if rule == "nearest" else "interpolated between pixels"
+        return Remark(
+            "real-pixels-found",
+            f"cells were {how}, whose centres lie at ({x:+.3f}, {y:+.3f}) +- {self.std:.1g} px from the sphere's, as the "
+            "cells themselves show",
+        )
+
+
+class LocatedRig(NamedTuple):
+    """Hold a rig that says what its table's cells stand for.
+
+    Attributes:
+        rig: with the pixels' phase, where cells were looked up in real pixels.
+        std: standard deviation of a phase that the table had to tell, px; 0 where it was stated.
+        remarks: what the table told.
+    """
+
+    rig: Rig
+    std: float = 0.0
+    remarks: tuple[Remark, ...] = ()
+
+
+class Repeats(NamedTuple):
+    """Hold which neighbouring cells near the highlight hold one value. Shapes: s slices, r rings, k azimuths.
+
+    Attributes:
+        outwards: (s, r - 1, k), 1 where a cell repeats its outer neighbour's, 0 where not, -1 where there is none.
+        around: (s, r, k - 1), the same along phi_d.
+    """
+
+    outwards: np.ndarray
+    around: np.ndarray
+
+    @property
+    def share(self) -> float:
+        """Return the share of neighbours that hold one value; 0 where rings repeat alone, as smooth lobes do."""
+        known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
+        outwards = self.outwards[self.outwards >= 0]
+        if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
+            return 0.0
+        return float(known[known >= 0].mean())
+
+
+def repeats(table: xr.DataArray, slices: np.ndarray = _SLICES) -> Repeats:
+    """Return which neighbouring cells near the highlight of a table hold one value."""
+    values = table.values[:_RINGS][:, slices].transpose(1, 0, 2, 3)
+
+    def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            there = (np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)).any(axis=-1)
+            different = (np.abs(a - b) > _EQUAL * np.abs(a)).any(axis=-1)
+        return np.where(there, np.where(different, 0, 1), -1)
+
+    return Repeats(same(values[:, :-1], values[:, 1:]), same(values[:, :, :-1], values[:, :, 1:]))
+
+
+def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
+    """Return a rig that says what cells stand for: as it states, or as the table shows.
+
+    FitError where the cells are not what the rig says.
+    """
+    if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, UNKNOWN):
+        return LocatedRig(rig)
+    radius = float(rig.sample.radius)  # type: ignore[attr-defined]
+    rule = rig.cell_value
+    if rule == UNKNOWN:
+        shown, found, repeated, _ = cell_rule(table, radius)
+        if shown is None or found is None:
+            remarks = () if shown is None else (_repeats_remark(repeated, radius),)
+            return LocatedRig(_with_cells(rig, sampling_of(table), None), 0.0, remarks)
+        rule = shown
+    else:
+        found = nearest_phase(table, radius) if rule == "nearest" else bilinear_phase(table, radius)
+    return LocatedRig(_with_cells(rig, rule, found.phase), found.std, (found.remark(rule),))
+
+
+def _with_cells(rig: Rig, rule: CellValue, phase: tuple[float, float] | None) -> Rig:
+    return Rig(
+        rig.camera, rig.sample, rig.lamp, jitter=rig.jitter, aperture=rig.aperture, focus=rig.focus, crop=rig.crop,
+        cell_value=rule, pixel_phase=phase,
+    )  # fmt: skip
+
+
+def _repeats_remark(repeated: float, radius: float) -> Remark:
+    return Remark(
+        "cells-repeat",
+        f"{repeated:.0%} of the neighbours near the highlight hold one value, as if read from the nearest pixel, but no grid "
+        f"of pixels on a sphere of radius {radius:g} px fits: cells are taken as centred on their pixels",
+    )
+
+
+def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
+    """Return the phase of a table whose cells were read from the nearest pixel."""
+    shown = repeats(table)
+    if shown.share < _LEAST_REPEATS:
+        raise FitError(
+            f"cells that are read from the nearest pixel repeat its value, and {shown.share:.0%} of the neighbours near the "
+            "highlight do: state pixel_phase, or another cell_value"
+        )
+    places = _places(radius, sampling_of(table), _SLICES, np.arange(_RINGS), 1)
+
+    def wrong(phase: tuple[float, float]) -> int:
+        x, y = (np.rint(a - b) for a, b in zip(places, phase, strict=True))
+        number = x * _STRIDE + y
+        low, high = number.min(axis=-1), number.max(axis=-1)
+        total = 0
+        for axis, one in ((1, shown.outwards), (2, shown.around)):
+            same = (np.diff(low, axis=axis) == 0) & (np.diff(high, axis=axis) == 0)
+            total += int(((one >= 0) & (one != same)).sum())
+        return total
+
+    best, step = (0.0, 0.0), 0.0625
+    offsets = np.arange(-8, 8) * step
+    fewest = wrong(best)
+    while step > 5e-4:
+        for u in offsets:
+            for v in offsets:
+                phase = best[0] + u, best[1] + v
+                count = wrong(phase)
+                if count < fewest:
+                    fewest, nearer = count, phase
+                elif u == v == offsets[0]:
+                    nearer = best
+        best, step = nearer, step / 2
+        offsets = np.array([-1, 0, 1]) * step
+    borders = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
+    unexplained = fewest / max(borders, 1)
+    if unexplained > _MOST_WRONG:
+        raise FitError(
+            f"no grid of pixels on a sphere of radius {radius:g} px has the borders that the table's values show "
+            f"({unexplained:.0%} of them differ): state the sphere's radius, or another cell_value"
+        )
+    return FoundPhase(_wrapped(best), _width(wrong, best, fewest, step), unexplained)
+
+
+def _width(wrong, best: tuple[float, float], fewest: int, step: float) -> float:  # type: ignore[no-untyped-def]
+    """Return by how far a phase may be off before clearly more borders are missed."""
+    limit = fewest + 3 + np.sqrt(fewest)
+    for size in step * 2.0 ** np.arange(10):
+        turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
+        if all(wrong((best[0] + u, best[1] + v)) > limit for u, v in turns):
+            return float(size)
+    return 0.3
+
+
+def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
+    """Return the phase of a table whose cells were interpolated between pixels."""
+    rings = np.arange(_FEW_RINGS)
+    slices = _SLICES[::3]
+    places = _places(radius, sampling_of(table), slices, rings, _FEW_AZIMUTHS)
+    values = table.values[:_FEW_RINGS][:, slices, ::_FEW_AZIMUTHS].transpose(1, 0, 2, 3)
+    channel = int(np.nanargmax(np.nanmax(values, axis=(0, 1, 2))))
+    values = values[..., channel].reshape(slices.size, -1)
+    x, y = (a.reshape(slices.size, -1, 2) for a in places)
+    there = [np.isfinite(row) for row in values]
+
+    def rest(phase: np.ndarray) -> float:
+        total = []
+        for s, known in enumerate(there):
+            if known.sum() < known.size / 2:
+                continue
+            left = _interpolation_rest(x[s][known], y[s][known], values[s][known], (phase[0], phase[1]))
+            total.append(left)
+        return float(np.mean(total)) if total else 1.0
+
+    line = np.arange(-0.5, 0.5, 0.1)
+    starts = sorted(((rest(np.array([u, v])), u, v) for u in line for v in line), key=lambda entry: entry[0])[:3]
+    found = min(
+        (
+            minimize(
+                lambda p: np.log(rest(p) + 1e-30),
+                [u, v],
+                method="Nelder-Mead",
+                options={"initial_simplex": [[u, v], [u + 0.04, v], [u, v + 0.04]], "xatol": 1e-5, "maxfev": 90},
+            )
+            for _, u, v in starts
+        ),
+        key=lambda one: one.fun,
+    )
+    unexplained = float(np.exp(found.fun))
+    if unexplained > _MOST_REST:
+        raise FitError(
+            f"no grid of pixels on a sphere of radius {radius:g} px interpolates to the cells near the highlight "
+            f"({unexplained:.1g} of their variance is left): state the sphere's radius, or another cell_value"
+        )
+    return FoundPhase(_wrapped((found.x[0], found.x[1])), 1e-3, unexplained)
+
+
+def _interpolation_rest(x: np.ndarray, y: np.ndarray, values: np.ndarray, phase: tuple[float, float]) -> float:
+    """Return the share of the cells' variance that the values of a grid's pixels leave, at best."""
+    found = looked_up("bilinear", phase, x, y)
+    number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
+    pixels, index = np.unique(number, return_inverse=True)
+    matrix = np.zeros((len(values), pixels.size))
+    rows = np.broadcast_to(np.arange(len(values))[:, None, None], number.shape)
+    np.add.at(matrix, (rows.ravel(), index.ravel()), found.weight.ravel() / 2)
+    best, *_ = np.linalg.lstsq(matrix, values, rcond=1e-10)
+    left, own = values - matrix @ best, values - values.mean()
+    if (own**2).mean() < _FLAT * values.mean() ** 2:  # anything interpolates a constant
+        return 1.0
+    return float((left**2).sum() / (own**2).sum())
+
+
+def _places(
+    radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places of cells, (slices, rings, azimuths, 2)."""
+    grid = merl_grid(sampling)
+    theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")
+    found = cell_places(radius, theta_h, grid.theta_d[slices][:, None, None], phi_d)
+    x, y = np.broadcast_arrays(found.x, found.y)
+    return x, y
+
+
+def _wrapped(phase: tuple[float, float]) -> tuple[float, float]:
+    """Return the same grid's phase in [-0.5, 0.5] px."""
+    x, y = (float(np.round(p - np.rint(p), 6)) for p in phase)
+    return x, y
+
+
+class CellRule(NamedTuple):
+    """Say how a table's cells look to have been read from pixels.
+
+    Attributes:
+        rule: "nearest" or "bilinear"; None: nothing shows that cells share pixels.
+        found: the pixels' phase; None: no grid on a sphere of that radius fits.
+        repeated: share of neighbouring cells near the highlight that hold one value.
+        values: distinct values near the highlight, mean over slices; of the nearest pixel, pairs of pixels.
+    """
+
+    rule: CellValue | None
+    found: FoundPhase | None
+    repeated: float
+    values: float
+
+
+def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
+    """Return the rule by which a table's cells were read from real pixels, as their values show it.
+
+    radius: of the sphere, px.
+    """
+    repeated, values = repeats(table).share, _distinct(table)
+    rule: CellValue = "bilinear" if repeated < _LEAST_REPEATS else "nearest"
+    try:
+        found = bilinear_phase(table, radius) if rule == "bilinear" else nearest_phase(table, radius)
+    except FitError:
+        # what repeats is read from pixels, whatever the sphere's radius is; but a constant is no highlight
+        known = rule == "nearest" and repeated < _MOST_REPEATS
+        return CellRule(rule if known else None, None, repeated, values)
+    return CellRule(rule, found, repeated, values)
+
+
+def _distinct(table: xr.DataArray) -> float:
+    """Return the number of distinct values near the highlight, mean over the slices that show any."""
+    values = table.values[:_RINGS][:, _SLICES, :, 0].transpose(1, 0, 2).reshape(_SLICES.size, -1)
+    counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
+    return float(np.mean([count for count in counts if count] or [0]))
