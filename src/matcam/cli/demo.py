@@ -49,7 +49,7 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
     from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
 
     show.say(
-        f"1. A chromium sphere with a Gaussian lobe of {CHROMIUM_WIDTH} rad (as a width of EPD: {2**0.5 * CHROMIUM_WIDTH:.3g}), "
+        f"1. A chromium sphere with a Gaussian lobe of {CHROMIUM_WIDTH} rad (EPD: {2**0.5 * CHROMIUM_WIDTH:.3g}), "
         "photographed by the MERL rig, with 1 % pixel noise:"
     )
     show.say(f"   {table}")
