@@ -127,7 +127,7 @@ def test_distortion_that_is_left_out(tmp_path, k1):
     capture = drawn(VIEW._replace(k1=k1))
     result, _ = found(capture, tmp_path)
     is_right(result, capture)
-    assert abs(ratio_pull(result)[0]) < 2
+    assert abs(ratio_pull(result)[0]) < 2.5  # twice what is reckoned with
     assert 0 < result.budget["distortion"]["ratio"] < result.budget["total"]["ratio"]
 
 

@@ -247,7 +247,8 @@ class JointSolution(NamedTuple):
     Attributes:
         problem: what was solved.
         p: parameters.
-        covariance: of the parameters, with what the fit does not explain.
+        covariance: of the parameters, with what the fit does not explain, and what nobody has stated.
+        fitted: the same without what nobody has stated: it weighs.
         cost: minus twice the logarithm of likelihood and prior, but for a constant.
         unexplained: share of the model that enters the noise, no unit.
         theta_d: angle of each picture's strengths, rad, (pictures,).
@@ -259,6 +260,7 @@ class JointSolution(NamedTuple):
     problem: JointProblem
     p: np.ndarray
     covariance: np.ndarray
+    fitted: np.ndarray
     cost: float
     unexplained: float
     theta_d: np.ndarray
@@ -366,10 +368,9 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
     moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
     cost, _, normal = _assembled(moving, judge, p)
     free = ~problem.fixed
-    covariance = np.zeros_like(normal)
-    covariance[np.ix_(free, free)] = scaled_inverse(normal[np.ix_(free, free)], undetermined=1e14)
-    if problem.unstated:
-        covariance += _of_the_unstated(problem, normal, covariance)
+    fitted = np.zeros_like(normal)
+    fitted[np.ix_(free, free)] = scaled_inverse(normal[np.ix_(free, free)], undetermined=1e14)
+    covariance = fitted + _of_the_unstated(problem, normal, fitted) if problem.unstated else fitted
     theta, slopes, chi2, out = [], [], [], []
     for k in range(layout.pictures):
         fit = moving.picture(p, k, slopes=True)
@@ -381,7 +382,16 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
         residual, _, _ = judge.residual(problem.pixels[k], fit.value)
         out.append(int((np.abs(residual) > 6).sum()))
     return JointSolution(
-        problem, p, covariance, cost, unexplained, np.array(theta), np.array(slopes), np.array(chi2), np.array(out)
+        problem,
+        p,
+        covariance,
+        fitted,
+        cost,
+        unexplained,
+        np.array(theta),
+        np.array(slopes),
+        np.array(chi2),
+        np.array(out),
     )
 
 
@@ -391,35 +401,6 @@ def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.n
     moved = -covariance @ normal[:, at]
     moved[at] = 1.0
     return field.k1.std**2 * np.outer(moved, moved)
-
-
-def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
-    """Return the share of the model that, added to photon and read noise, makes the residuals of the bright pixels normal.
-
-    It is judged by the median of squared residuals, so that dust on a few pixels does not decide.
-    """
-    values, residuals, stds = [], [], []
-    for k in range(problem.layout.pictures):
-        fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
-        bright = pixels.used & ~pixels.clipped & (fit.value > 10 * pixels.std)
-        values.append(fit.value[bright])
-        residuals.append((pixels.values - fit.value)[bright])
-        stds.append(pixels.std[bright])
-    value, residual, std = map(np.concatenate, (values, residuals, stds))
-    if value.size < 50:
-        return 0.0
-
-    def excess(share: float) -> float:
-        u2 = residual**2 / (std**2 + (share * value) ** 2)
-        return float(np.mean(np.minimum(u2, 9.0)) / 0.9733 - 1)  # the mean of a normal's square, cut at 9
-
-    if excess(0.0) <= 0:
-        return 0.0
-    low, high = 1e-5, 1.0
-    for _ in range(40):
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return float(high)
 
 
 def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

@@ -310,7 +310,12 @@ def reconstructed(
     fit = chosen.fit
     theta = fit.solution.theta_d
     curves = tuple(
-        reflectance_curve(theta, fit.strengths[:, c], channel_covariance(fit, c), None if units is None else units[c])
+        reflectance_curve(
+            theta,
+            fit.strengths[:, c],
+            channel_covariance(fit, c, fit.solution.fitted),
+            None if units is None else units[c],
+        )
         for c in range(fit.layout.channels)
     )
     if units is None:

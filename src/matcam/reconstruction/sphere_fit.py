@@ -27,7 +27,6 @@ from matcam.reconstruction.joint_fit import (
     Likelihood,
     solve,
     summed_up,
-    unexplained_share,
 )
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
@@ -210,7 +209,7 @@ def fit_sphere(
             p[layout.diffuse] *= diffuse
         before = p.copy()
         p, _ = solve(problem, p, unexplained)
-        share = unexplained_share(problem, p)
+        share = _unexplained_share(problem, p)
         settled = abs(share - unexplained) < 0.05 * unexplained + 1e-4
         unexplained = share
         solution = summed_up(problem, p, unexplained)
@@ -227,6 +226,35 @@ def fit_sphere(
         ):
             break
     return found
+
+
+def _unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
+    """Return the share of the model that, added to photon and read noise, makes the residuals of the bright pixels normal.
+
+    It is judged by the median of squared residuals, so that dust on a few pixels does not decide.
+    """
+    values, residuals, stds = [], [], []
+    for k in range(problem.layout.pictures):
+        fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
+        bright = pixels.used & ~pixels.clipped & (fit.value > 10 * pixels.std)
+        values.append(fit.value[bright])
+        residuals.append((pixels.values - fit.value)[bright])
+        stds.append(pixels.std[bright])
+    value, residual, std = map(np.concatenate, (values, residuals, stds))
+    if value.size < 50:
+        return 0.0
+
+    def excess(share: float) -> float:
+        u2 = residual**2 / (std**2 + (share * value) ** 2)
+        return float(np.mean(np.minimum(u2, 9.0)) / 0.9733 - 1)  # the mean of a normal's square, cut at 9
+
+    if excess(0.0) <= 0:
+        return 0.0
+    low, high = 1e-5, 1.0
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return float(high)
 
 
 def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:

@@ -21,7 +21,7 @@ from matcam.reconstruction.picture_model import SCENE, LampFrame
 from matcam.reconstruction.rig.earlier_rig import KnownRig
 from matcam.reconstruction.rig.field_change import FIELD, FieldChange, outline_slopes
 
-_UNSTATED_DISTORTION = 1e-3
+_UNSTATED_DISTORTION = 5e-4
 """Of the radius, at the sphere's limb: standard deviation where nothing is stated of a distortion."""
 
 
