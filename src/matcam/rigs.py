@@ -14,6 +14,7 @@ from matcam.camera.pixel import BoxPixel
 from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
+from matcam.core.grid import GRID_SHAPE
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, closeness
 from matcam.sample.curved import Sphere
@@ -28,6 +29,10 @@ of a real picture, or the bilinear interpolation between its pixels. At a sharp 
 3)."""
 ON_REAL_PIXELS: tuple[CellValue, ...] = ("nearest", "bilinear")
 """Meanings that need a real grid of pixels, whose phase is stated or found from the table."""
+
+
+PixelPhase = tuple[float, float] | tuple[tuple[float, float], ...]
+"""Where real pixels lie, px: (x, y), or a pair for each slice of theta_d."""
 
 
 class Rig(eqx.Module):
@@ -53,7 +58,8 @@ class Rig(eqx.Module):
             four pixels; "unknown", whichever of these a table shows that is fitted, and as "centre" where it shows none or is
             written. Default: "centre".
         pixel_phase: where the real pixels lie that "nearest", "bilinear" and "mean" look up: their centres are whole numbers
-            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]. Default: None. A fit finds the phase of
+            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of each
+            slice of theta_d. Default: None. A fit finds the phase of
             "nearest" and "bilinear" from the table; "mean" is that of pixels of any phase.
 
     Raises:
@@ -77,7 +83,7 @@ class Rig(eqx.Module):
     focus: jax.Array
     crop: tuple[int, int] | None = eqx.field(static=True)
     cell_value: CellValue = eqx.field(static=True)
-    pixel_phase: tuple[float, float] | None = eqx.field(static=True)
+    pixel_phase: PixelPhase | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -91,7 +97,7 @@ class Rig(eqx.Module):
         focus: ArrayLike = 0.0,
         crop: tuple[int, int] | None = None,
         cell_value: CellValue = "centre",
-        pixel_phase: tuple[float, float] | None = None,
+        pixel_phase: PixelPhase | None = None,
     ):
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
@@ -181,18 +187,24 @@ class Rig(eqx.Module):
         )
         more += f", crop={self.crop}" if self.crop else ""
         more += f", cell_value={self.cell_value!r}" if self.cell_value != "centre" else ""
-        more += f", pixel_phase={self.pixel_phase}" if self.pixel_phase is not None else ""
+        if self.pixel_phase is not None:
+            several = isinstance(self.pixel_phase[0], tuple)
+            more += ", pixel_phase=" + (f"{len(self.pixel_phase)} pairs" if several else str(self.pixel_phase))
         lamp = f"lamp_radius={self.lamp.radius!s}" if isinstance(self.lamp, DistantLamp) else f"lamp={self.lamp!r}"
         return f"Rig({self.camera!r}, {self.sample!r}, {lamp}{more})"
 
 
-def _checked_phase(phase: tuple[float, float], cell_value: CellValue) -> tuple[float, float]:
+def _checked_phase(phase: PixelPhase, cell_value: CellValue) -> PixelPhase:
     if cell_value in ("centre", "edge", UNKNOWN):
         raise ArgumentError(f"pixel_phase is for cell_value 'nearest', 'bilinear' or 'mean', not '{cell_value}'")
-    found = np.asarray(checks.within("pixel_phase", phase, -0.5, 0.5, "px"))
-    if found.shape != (2,):
-        raise ArgumentError(f"pixel_phase must be (x, y), two numbers in px, got an array of shape {found.shape}")
-    return float(found[0]), float(found[1])
+    found = np.asarray(checks.within("pixel_phase", phase, -0.5, 0.5, "px"))  # type: ignore[arg-type]
+    if found.shape not in ((2,), (GRID_SHAPE[1], 2)):
+        raise ArgumentError(
+            f"pixel_phase must be (x, y), px, or {GRID_SHAPE[1]} such pairs, got an array of shape {found.shape}"
+        )
+    if found.ndim == 1:
+        return float(found[0]), float(found[1])
+    return tuple((float(x), float(y)) for x, y in found)
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:

@@ -101,7 +101,7 @@ def test_refusals():
         Rig(camera, sphere, pixel_phase=(0.0, 0.1))
     with pytest.raises(ArgumentError, match=r"pixel_phase must lie in \[-0.5, 0.5\] px, got 0.7"):
         Rig(camera, sphere, cell_value="nearest", pixel_phase=(0.0, 0.7))
-    with pytest.raises(ArgumentError, match=r"pixel_phase must be \(x, y\), two numbers in px"):
+    with pytest.raises(ArgumentError, match=r"pixel_phase must be \(x, y\), px, or 90 such pairs"):
         Rig(camera, sphere, cell_value="nearest", pixel_phase=(0.0, 0.1, 0.2))
     with pytest.raises(ArgumentError, match="cells of 'bilinear' need the rig's pixel_phase"):
         measure(Microfacet(GGX(0.1), 1.0), Rig(camera, sphere, cell_value="bilinear"))

@@ -32,7 +32,7 @@ class RealShot:
             self.k.append(k)
         self.theta_d = recorded.GRID.theta_d[self.slices]
         angles = [(recorded.GRID.theta_h[i], recorded.GRID.phi_d[k]) for i, k in zip(self.i, self.k, strict=True)]
-        self.truth = real_pixels.RealTable(rule, phase, self.theta_d, angles)
+        self.truth = real_pixels.RealTable(rule, self.grid.of_slices(self.slices), self.theta_d, angles)
 
     def table(self, lobe, seed=None, **noise):
         """One channel; seed: of the pixels' noise, None: none."""

@@ -69,20 +69,22 @@ def angles_of(place, theta_d, radius=256.0):
 
 
 class RealTable:
-    """Cells of some slices of a table. cells: for each theta_d (theta_h, phi_d), two arrays of one length."""
+    """Cells of some slices of a table. cells: for each theta_d (theta_h, phi_d), two arrays of one length. phase: of all
+    pictures, (2,), or of each."""
 
     def __init__(self, rule, phase, theta_d, cells, setup=None):
         setup = setup or sphere_cells.Setup()
         radius, self.theta_d = setup.radius, np.asarray(theta_d)
         self.share, self.index = [], []
         columns = []
-        for td, (theta_h, phi_d) in zip(self.theta_d, cells, strict=True):
-            found = behind(rule, phase, theta_h, td, phi_d, radius)
-            number = np.rint(found.place - phase).astype(int)
+        phases = np.broadcast_to(phase, (self.theta_d.size, 2))
+        for td, (theta_h, phi_d), shift in zip(self.theta_d, cells, phases, strict=True):
+            found = behind(rule, shift, theta_h, td, phi_d, radius)
+            number = np.rint(found.place - shift).astype(int)
             pixels, index = np.unique(number.reshape(-1, 2), axis=0, return_inverse=True)
             self.share.append(found.share)
             self.index.append(index.reshape(found.share.shape))
-            columns.append(angles_of(pixels + np.asarray(phase), td, radius))
+            columns.append(angles_of(pixels + shift, td, radius))
         most = max(len(th) for th, _ in columns)
         self.count = [len(th) for th, _ in columns]
         th, psi = (np.stack([np.pad(c[n], (0, most - len(c[n])), mode="edge") for c in columns]) for n in (0, 1))

@@ -105,8 +105,12 @@ def _print_cells(cells: dict[str, Any]) -> None:
     if cells["phase_px"] is None:
         where = f"no grid of pixels on a sphere of {cells['radius_px']:g} px fits: try another --radius"
     else:
-        x, y = cells["phase_px"]
-        where = f"the pixels' centres lie at ({x:+.3f}, {y:+.3f}) ± {cells['phase_std_px']:.1g} px from the sphere's"
+        phases, std = cells["phase_px"], f"± {cells['phase_std_px']:.1g} px"
+        where = "the pixels' centres lie "
+        if isinstance(phases[0], list):
+            where += f"elsewhere in each picture, known to {std}"
+        else:
+            where += f"at ({phases[0]:+.3f}, {phases[1]:+.3f}) {std} from the sphere's"
     show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")
 
 

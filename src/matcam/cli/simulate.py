@@ -186,7 +186,7 @@ def command(
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    table_of_rig = {"cell_value": cell, "pixel_phase": phase, "crop": crop}
+    table_of_rig: dict[str, Any] = {"cell_value": cell, "pixel_phase": phase, "crop": crop}
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, **table_of_rig)
     turned = math.radians(azimuth)
     material, described = _tabulated(table, sampling) if table else _microfacet(lobe)

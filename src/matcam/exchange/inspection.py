@@ -190,8 +190,9 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
           channels; None where there is no lobe.
         - `camera`: see `camera_trace`.
         - `cells`: `rule` by which cells were read from real pixels, "nearest" or "bilinear", None where none shows; the pixels'
-          `phase_px` with `phase_std_px`, None where no grid on a sphere of `radius_px` fits; the share of neighbours near
-          the highlight that hold one value, `repeated_share`; and `distinct_values` there, mean over slices.
+          `phase_px`, or one for each slice, with `phase_std_px`, None where no grid on a sphere of `radius_px` fits; the
+          share of neighbours near the highlight that hold one value, `repeated_share`; and `distinct_values` there, mean
+          over slices.
     """
     sampling = sampling_of(table)
     values = table.values
@@ -227,7 +228,7 @@ def _cells_report(table: xr.DataArray, radius: float) -> dict[str, Any]:
     found = shown.found
     return {
         "rule": shown.rule,
-        "phase_px": None if found is None else list(found.phase),
+        "phase_px": None if found is None else np.asarray(found.phase).tolist(),
         "phase_std_px": None if found is None else found.std,
         "radius_px": radius,
         "repeated_share": shown.repeated,

@@ -10,9 +10,9 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.plan import RecordPlaces
-from matcam.forward.pixel_grid import slice_pixels
+from matcam.forward.pixel_grid import phase_of_slices, slice_pixels
 from matcam.lamp.lamps import closeness
-from matcam.rigs import ON_REAL_PIXELS, CellValue
+from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
 from matcam.sample.shape import Curved
 
 _POINTS: dict[CellValue, tuple[float, ...]] = {
@@ -44,7 +44,7 @@ class CellChoice(NamedTuple):
     crop: tuple[int, int] | None = None
     azimuth: float = 0.0
     elongation: float = 1.0
-    pixel_phase: tuple[float, float] | None = None
+    pixel_phase: PixelPhase | None = None
 
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
         """Return the cells of a table of this sample."""
@@ -154,15 +154,16 @@ class RealCells(NamedTuple):
     mirrored: bool
 
 
-def _real_cells(radius: float, chosen: CellChoice, phase: tuple[float, float]) -> RealCells:
+def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCells:
     """Find the pixels behind all cells, slice by slice."""
     n_h, n_d, n_p = GRID_SHAPE
     theta_d = merl_grid("centre").theta_d
     columns: list[tuple[np.ndarray, ...]] = []
     counts = np.zeros((n_d, n_h * n_p))
     before = 0
+    phases = phase_of_slices(phase)
     for j in range(n_d):
-        one = slice_pixels(chosen.cell_value, phase, radius, theta_d[j], chosen.crop, chosen.azimuth)
+        one = slice_pixels(chosen.cell_value, phases[j], radius, theta_d[j], chosen.crop, chosen.azimuth)
         turn = chosen.azimuth
         x, y = one.x * np.cos(turn) - one.y * np.sin(turn), one.x * np.sin(turn) + one.y * np.cos(turn)
         counts[j] = np.diff(one.share.indptr)

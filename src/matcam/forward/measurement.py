@@ -34,7 +34,7 @@ from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
-from matcam.forward.pixel_grid import slice_pixels
+from matcam.forward.pixel_grid import phase_of_slices, slice_pixels
 from matcam.lamp.lamps import checked_azimuth, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
@@ -99,7 +99,7 @@ def measure(
     attrs = {"cell_value": written, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     attrs["lamp_azimuth"] = float(np.asarray(azimuth))
     if rig.pixel_phase is not None:
-        attrs["pixel_phase"] = list(rig.pixel_phase)
+        attrs["pixel_phase"] = np.ravel(rig.pixel_phase).tolist()
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
     return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
 
@@ -286,17 +286,17 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     sampling = sampling_of(checked_table(table))
-    real = rig.pixel_phase is not None
-    pixels = None if real else cell_pixels(rig.sample, sampling)
+    phases = None if rig.pixel_phase is None else phase_of_slices(rig.pixel_phase)
+    pixels = cell_pixels(rig.sample, sampling) if phases is None else None
     azimuth = float(table.attrs.get("lamp_azimuth", 0.0))
     values = table.values.copy()
     for j in range(GRID_SHAPE[1]):
-        if pixels is None:
+        if phases is not None:
             theta_d, radius = merl_grid(sampling).theta_d[j], float(rig.sample.radius)
-            share = slice_pixels(rig.cell_value, rig.pixel_phase, radius, theta_d, rig.crop, azimuth).share  # type: ignore[arg-type]
+            share = slice_pixels(rig.cell_value, phases[j], radius, theta_d, rig.crop, azimuth).share
             of_pixels = rng.standard_normal((2, share.shape[1], values.shape[3]))
             draws = np.stack([share @ e for e in of_pixels]).reshape(2, *values[:, j].shape)
-        else:
+        elif pixels is not None:
             numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
             place = place.reshape(2, *pixels.first[j].shape)
             draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place].mean(axis=1)

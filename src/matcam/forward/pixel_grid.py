@@ -13,10 +13,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, merl_grid
-from matcam.rigs import ON_REAL_PIXELS, CellValue, Rig
+from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 
 _SMALLEST = 1e-12
 """Weight below which an interpolation does not ask for a pixel."""
@@ -29,11 +30,20 @@ class PixelGrid(NamedTuple):
 
     Attributes:
         rule: "nearest" or "bilinear".
-        phase: of the grid, px.
+        phase: of the grid, px; one for all pictures, or one for the picture of each slice of theta_d.
     """
 
     rule: CellValue
-    phase: tuple[float, float]
+    phase: PixelPhase
+
+    def of_slices(self, slices: np.ndarray) -> np.ndarray:
+        """Return the phase of each slice's picture, (slices, 2), px."""
+        return phase_of_slices(self.phase)[slices]
+
+
+def phase_of_slices(phase: PixelPhase) -> np.ndarray:
+    """Return the phase of every slice's picture, (90, 2), px."""
+    return np.broadcast_to(np.asarray(phase, dtype=float), (GRID_SHAPE[1], 2))
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
@@ -73,24 +83,24 @@ class SlicePixels(NamedTuple):
     share: csr_matrix
 
 
-def looked_up(rule: CellValue, phase: tuple[float, float], x: np.ndarray, y: np.ndarray) -> PlacePixels:
+def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -> PlacePixels:
     """Return the pixels that a rule looks up for places of a picture.
 
     Args:
         rule: "nearest" or "bilinear".
-        phase: of the pixel grid, px.
+        phase: of the pixel grid, px, (2,) or (..., 2), over the axes of the places.
         x: places, px from the sphere's centre along the sensor's rows.
         y: the same across them.
     """
-    u, v = x - phase[0], y - phase[1]
+    shift = np.asarray(phase)
+    a, b = shift[..., 0], shift[..., 1]
+    u, v = np.broadcast_arrays(x - a, y - b)
     if rule == "nearest":
-        return PlacePixels(
-            np.rint(u)[..., None] + phase[0], np.rint(v)[..., None] + phase[1], np.ones((*np.shape(u), 1))
-        )
+        return PlacePixels((np.rint(u) + a)[..., None], (np.rint(v) + b)[..., None], np.ones((*np.shape(u), 1)))
     left, low = np.floor(u), np.floor(v)
     right, up = u - left, v - low
-    columns = np.stack([left, left + 1, left, left + 1], axis=-1) + phase[0]
-    rows = np.stack([low, low, low + 1, low + 1], axis=-1) + phase[1]
+    columns = np.stack([left, left + 1, left, left + 1], axis=-1) + a[..., None]
+    rows = np.stack([low, low, low + 1, low + 1], axis=-1) + b[..., None]
     weight = np.stack([(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up], axis=-1)
     return PlacePixels(columns, rows, weight)
 
@@ -130,7 +140,7 @@ def pixel_angles(radius: float, theta_d: np.ndarray | float, x: np.ndarray, y: n
 
 def slice_pixels(
     rule: CellValue,
-    phase: tuple[float, float],
+    phase: np.ndarray,
     radius: float,
     theta_d: float,
     crop: tuple[int, int] | None = None,
@@ -181,7 +191,7 @@ def slice_pixels(
 
 
 def _pixels_inside(
-    phase: tuple[float, float], radius: float, theta_d: float, azimuth: float
+    phase: np.ndarray, radius: float, theta_d: float, azimuth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (cell, x, y) of every pixel that shows light, the cell being the one whose directions its centre shows."""
     n_h, _, n_p = GRID_SHAPE

@@ -16,7 +16,7 @@ from scipy.interpolate import PchipInterpolator, RectBivariateSpline
 from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
-from matcam.forward.pixel_grid import PixelGrid, looked_up, pixel_angles
+from matcam.forward.pixel_grid import PixelGrid, PlacePixels, looked_up, phase_of_slices, pixel_angles
 from matcam.inverse.correction.doubts import ShapeCorrection
 from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, seen_cells
 from matcam.inverse.fit.fit_parameters import LobeKind
@@ -56,7 +56,7 @@ def pixel_log_ratio(
         change = _record(coarse, at, fitted, none) - _record(coarse, at, np.zeros(fitted.size), none)
         splines.append(_splines(coarse, change))
     grid = merl_grid(fine.sampling)
-    seen = seen_cells(fine.sampling)
+    seen, phases = seen_cells(fine.sampling), phase_of_slices(pixels.phase)
     log, variance = np.zeros(GRID_SHAPE), np.zeros(GRID_SHAPE)
     for j, theta_d in enumerate(grid.theta_d):
         i, k = np.nonzero(seen[:, j])
@@ -66,24 +66,22 @@ def pixel_log_ratio(
         theta_h = np.repeat(grid.theta_h[i][:, None], 2, axis=1)
         psi = np.pi - grid.phi_d[k][:, None] + np.array([0.0, np.pi])
         own = [one[j] for one in splines]
-        centred = np.log(_recorded(own, theta_h, psi).mean(axis=-1))
-
-        def behind(
-            phase: tuple[float, float], x: np.ndarray = place.x, y: np.ndarray = place.y, own=own, td: float = theta_d
-        ) -> np.ndarray:
-            found = looked_up(pixels.rule, phase, x, y)
-            angles = pixel_angles(radius, td, found.x, found.y)
-            weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), found.weight, 0.0)
-            value = (weight * _recorded(own, angles.theta_h, angles.psi)).sum(axis=(-2, -1))
-            total = weight.sum(axis=(-2, -1))
-            return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), 1.0))
-
-        u, v = pixels.phase
-        recorded = behind(pixels.phase)
-        log[i, j, k] = centred - recorded
-        if std:
-            variance[i, j, k] = (behind((u + std, v)) - recorded) ** 2 + (behind((u, v + std)) - recorded) ** 2
+        behind = looked_up(pixels.rule, phases[j], place.x, place.y)
+        recorded = _log_behind(own, radius, theta_d, behind)
+        log[i, j, k] = np.log(_recorded(own, theta_h, psi).mean(axis=-1)) - recorded
+        if std:  # which pixel a cell was read from is known by its value
+            for moved in (behind._replace(x=behind.x + std), behind._replace(y=behind.y + std)):
+                variance[i, j, k] += (_log_behind(own, radius, theta_d, moved) - recorded) ** 2
     return log, variance
+
+
+def _log_behind(splines: list[RectBivariateSpline], radius: float, theta_d: float, pixels: PlacePixels) -> np.ndarray:
+    """Return the logarithm of what the pixels behind cells record, mean of both ways; 0 where none shows light."""
+    angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
+    weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
+    value = (weight * _recorded(splines, angles.theta_h, angles.psi)).sum(axis=(-2, -1))
+    total = weight.sum(axis=(-2, -1))
+    return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), 1.0))
 
 
 @kept_program

@@ -14,6 +14,7 @@ import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.forward.pixel_grid import PixelGrid, looked_up, pixel_angles
+from matcam.rigs import CellValue
 
 NEAR_RINGS = 12
 NEAR_COSINE, FAR_COSINE = 0.06, 0.17
@@ -114,34 +115,35 @@ def chosen_cells(radius: float, sampling: Sampling, every: int = 1, pixels: Pixe
     slices = np.arange(every // 2, GRID_SHAPE[1], every)
     columns = []
     for j in slices:
-        columns.append(_slice_cells(radius, grid.theta_h, grid.theta_d[j], grid.phi_d, pixels))
+        one = None if pixels is None else pixels._replace(phase=tuple(pixels.of_slices(slices)[len(columns)].tolist()))
+        columns.append(_slice_cells(radius, grid.theta_h, grid.theta_d[j], grid.phi_d, one))
     i, k, valid = (np.stack(part) for part in zip(*columns, strict=True))
     theta_h, phi_d = grid.theta_h[i], grid.phi_d[k]
     x, y, cos_i, cos_o = cell_places(radius, theta_h, grid.theta_d[slices, None], phi_d)
-    numbers = _pixel_numbers(x, y, pixels)
+    shift = np.zeros(2) if pixels is None else pixels.of_slices(slices)[:, None, None]
+    numbers = _pixel_numbers(x, y, shift)
     one_pixel = numbers[..., 0] == numbers[..., 1]
     real = None
     if pixels is not None:
-        real, x, y, cos_i, cos_o = _in_pixels(radius, grid.theta_d[slices, None], x, y, pixels)
+        real, x, y, cos_i, cos_o = _in_pixels(radius, grid.theta_d[slices, None], x, y, pixels.rule, shift)
         for cosine in (cos_i, cos_o):  # of cells that only fill up a slice
             cosine[~valid] = 1.0
     return ChosenCells(slices, grid.theta_d[slices], i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
-def _pixel_numbers(x: np.ndarray, y: np.ndarray, pixels: PixelGrid | None) -> np.ndarray:
+def _pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray) -> np.ndarray:
     """Return numbers of the pixels in which places fall."""
-    u, v = (0.0, 0.0) if pixels is None else pixels.phase
-    return np.rint(x - u) * _STRIDE + np.rint(y - v)
+    return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
 
 def _in_pixels(
-    radius: float, theta_d: np.ndarray, x: np.ndarray, y: np.ndarray, pixels: PixelGrid
+    radius: float, theta_d: np.ndarray, x: np.ndarray, y: np.ndarray, rule: CellValue, phase: np.ndarray
 ) -> tuple[RealPixels, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the pixels that two places of each cell are looked up in, and their x, y, cos_i, cos_o."""
-    found = looked_up(pixels.rule, pixels.phase, x, y)
+    found = looked_up(rule, phase, x, y)
     x, y, weight = (a.reshape(*a.shape[:-2], -1) for a in (found.x, found.y, found.weight / 2))
     at = pixel_angles(radius, theta_d[..., None], x, y)
-    numbers = _pixel_numbers(x, y, pixels)
+    numbers = _pixel_numbers(x, y, phase)
     same = numbers[..., :, None] == numbers[..., None, :]
     noise_share = np.einsum("...a,...ab,...b->...", weight, same, weight)
     return RealPixels(at.theta_h, at.psi, weight, noise_share), x, y, at.cos_i, at.cos_o
@@ -164,6 +166,7 @@ def _slice_cells(
     A cell is refused if one of its pixels belongs to another cell.
     """
     occupied: set[float] = set()
+    shift = np.zeros(2) if grid is None else np.asarray(grid.phase)
     chosen: list[tuple[int, int]] = []
     for ring in _RINGS:
         # the ring's half circumference in px, foreshortened in one direction
@@ -177,9 +180,9 @@ def _slice_cells(
         x, y, cos_i, cos_o = cell_places(radius, theta_h[i], np.full(k.size, theta_d), phi_d[k])
         seen = (np.minimum(cos_i, cos_o) > (NEAR_COSINE if near else FAR_COSINE)).all(axis=-1)
         if grid is not None:  # the pixels themselves must be there, too
-            _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid)
+            _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid.rule, shift)
             seen &= (np.minimum(cos_i, cos_o) > NEAR_COSINE).all(axis=-1)
-        numbers = _pixel_numbers(x, y, grid)
+        numbers = _pixel_numbers(x, y, shift)
         # in an order that spreads over the ring even where not all cells fit
         for n in np.argsort((np.arange(k.size) * 0.618) % 1):
             pixels = set(numbers[n].tolist())

@@ -17,23 +17,31 @@ import xarray as xr
 from scipy.optimize import minimize
 
 from matcam.core.errors import FitError
-from matcam.core.grid import Sampling, merl_grid, sampling_of
+from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid, sampling_of
 from matcam.core.remark import Remark
 from matcam.forward.pixel_grid import looked_up
 from matcam.inverse.operator.chosen_cells import cell_places
-from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, Rig
+from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _RINGS = 16
 """Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
 _LEAST_REPEATS = 0.3
 """Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
 _LEAST_OUTWARDS = 0.1
+_COMMON = 0.02
+"""Share of borders that a phase may miss that is common to all pictures; where it misses more each has its own."""
+_MOST_OF_A_SLICE = 0.5
+_COARSE, _FINE = 0.0625, 5e-4
+"""px; first and last step of the search."""
+_UNKNOWN_STD = 0.3
+"""px; of a phase that may lie anywhere in a pixel."""
 _MOST_REPEATS = 0.95
 _MOST_WRONG = 0.1
 """Share of the borders between values that a grid may miss."""
 _EQUAL = 1e-9
 _STRIDE = 1 << 16
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
+_SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
 _MOST_REST = 1e-6
 """Share of the variance of interpolated cells that a grid may leave."""
@@ -44,24 +52,29 @@ class FoundPhase(NamedTuple):
     """Say where the pixels behind a table lie.
 
     Attributes:
-        phase: (x, y), px.
+        phase: (x, y), px, or a pair for each slice.
         std: standard deviation of either, px.
         unexplained: share of the table's borders between values, or of its variance, that the grid does not explain.
     """
 
-    phase: tuple[float, float]
+    phase: PixelPhase
     std: float
     unexplained: float
 
     def remark(self, rule: CellValue) -> Remark:
         """Say what a reader should know of it."""
-        x, y = self.phase
         how = "read from the nearest pixel" if rule == "nearest" else "interpolated between pixels"
         return Remark(
-            "real-pixels-found",
-            f"cells were {how}, whose centres lie at ({x:+.3f}, {y:+.3f}) +- {self.std:.1g} px from the sphere's, as the "
-            "cells themselves show",
+            "real-pixels-found", f"cells were {how}, whose centres {self.words}, as the cells themselves show"
         )
+
+    @property
+    def words(self) -> str:
+        """Say where the pixels' centres lie."""
+        phases = np.atleast_2d(self.phase)
+        if len(phases) == 1:
+            return f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) +- {self.std:.1g} px from the sphere's"
+        return f"lie elsewhere in each picture, known to {self.std:.1g} px"
 
 
 class LocatedRig(NamedTuple):
@@ -132,7 +145,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
     return LocatedRig(_with_cells(rig, rule, found.phase), found.std, (found.remark(rule),))
 
 
-def _with_cells(rig: Rig, rule: CellValue, phase: tuple[float, float] | None) -> Rig:
+def _with_cells(rig: Rig, rule: CellValue, phase: PixelPhase | None) -> Rig:
     return Rig(
         rig.camera, rig.sample, rig.lamp, jitter=rig.jitter, aperture=rig.aperture, focus=rig.focus, crop=rig.crop,
         cell_value=rule, pixel_phase=phase,
@@ -148,78 +161,126 @@ def _repeats_remark(repeated: float, radius: float) -> Remark:
 
 
 def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Return the phase of a table whose cells were read from the nearest pixel."""
+    """Return the phase of a table whose cells were read from the nearest pixel.
+
+    Where no phase serves all pictures, each has its own: a sphere or a lamp that was not exactly where it was thought.
+    """
     shown = repeats(table)
     if shown.share < _LEAST_REPEATS:
         raise FitError(
             f"cells that are read from the nearest pixel repeat its value, and {shown.share:.0%} of the neighbours near the "
             "highlight do: state pixel_phase, or another cell_value"
         )
-    places = _places(radius, sampling_of(table), _SLICES, np.arange(_RINGS), 1)
-
-    def wrong(phase: tuple[float, float]) -> int:
-        x, y = (np.rint(a - b) for a, b in zip(places, phase, strict=True))
-        number = x * _STRIDE + y
-        low, high = number.min(axis=-1), number.max(axis=-1)
-        total = 0
-        for axis, one in ((1, shown.outwards), (2, shown.around)):
-            same = (np.diff(low, axis=axis) == 0) & (np.diff(high, axis=axis) == 0)
-            total += int(((one >= 0) & (one != same)).sum())
-        return total
-
-    best, step = (0.0, 0.0), 0.0625
-    offsets = np.arange(-8, 8) * step
-    fewest = wrong(best)
-    while step > 5e-4:
-        for u in offsets:
-            for v in offsets:
-                phase = best[0] + u, best[1] + v
-                count = wrong(phase)
-                if count < fewest:
-                    fewest, nearer = count, phase
-                elif u == v == offsets[0]:
-                    nearer = best
-        best, step = nearer, step / 2
-        offsets = np.array([-1, 0, 1]) * step
-    borders = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
-    unexplained = fewest / max(borders, 1)
+    sampling = sampling_of(table)
+    common = _best_phase(_Borders(radius, sampling, _SLICES, shown))
+    if common.unexplained <= _COMMON:
+        return _upright(common, _near_cells(table, radius, _SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS))
+    every = np.arange(GRID_SHAPE[1])
+    shown = repeats(table, every)
+    own: dict[int, FoundPhase] = {}
+    for j in every:
+        one = Repeats(shown.outwards[j : j + 1], shown.around[j : j + 1])
+        if (one.around >= 0).mean() > _MOST_OF_A_SLICE:
+            found = _best_phase(_Borders(radius, sampling, every[j : j + 1], one))
+            own[int(j)] = _upright(found, _near_cells(table, radius, every[j : j + 1], _SIGN_RINGS, _SIGN_AZIMUTHS))
+    unexplained = float(np.median([found.unexplained for found in own.values()])) if own else 1.0
     if unexplained > _MOST_WRONG:
         raise FitError(
             f"no grid of pixels on a sphere of radius {radius:g} px has the borders that the table's values show "
             f"({unexplained:.0%} of them differ): state the sphere's radius, or another cell_value"
         )
-    return FoundPhase(_wrapped(best), _width(wrong, best, fewest, step), unexplained)
+    known = [j for j, found in own.items() if found.unexplained <= _MOST_WRONG]
+    nearest = [min(known, key=lambda k: abs(k - j)) for j in every]
+    std = float(np.median([own[j].std for j in known]))
+    return FoundPhase(tuple(own[j].phase for j in nearest), std, unexplained)  # type: ignore[misc]
 
 
-def _width(wrong, best: tuple[float, float], fewest: int, step: float) -> float:  # type: ignore[no-untyped-def]
-    """Return by how far a phase may be off before clearly more borders are missed."""
-    limit = fewest + 3 + np.sqrt(fewest)
-    for size in step * 2.0 ** np.arange(10):
-        turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
-        if all(wrong((best[0] + u, best[1] + v)) > limit for u, v in turns):
-            return float(size)
-    return 0.3
+class _Borders:
+    """Count the borders between values of some slices that a grid of pixels does not have where the table has them."""
+
+    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats):
+        self.places = _places(radius, sampling, slices, np.arange(_RINGS), 1)
+        self.shown = shown
+        self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
+
+    def wrong(self, x: float, y: float) -> int:
+        """Return the count of a grid of this phase, px."""
+        column, row = (np.rint(a - b) for a, b in zip(self.places, (x, y), strict=True))
+        number = column * _STRIDE + row
+        low, high = number.min(axis=-1), number.max(axis=-1)
+        total = 0
+        for axis, one in ((1, self.shown.outwards), (2, self.shown.around)):
+            same = (np.diff(low, axis=axis) == 0) & (np.diff(high, axis=axis) == 0)
+            total += int(((one >= 0) & (one != same)).sum())
+        return total
+
+    def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
+        """Return by how far a phase may be off before clearly more borders are missed."""
+        limit = fewest + 3 + np.sqrt(fewest)
+        for size in step * 2.0 ** np.arange(10):
+            turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
+            if all(self.wrong(best[0] + u, best[1] + v) > limit for u, v in turns):
+                return float(size)
+        return _UNKNOWN_STD
+
+
+def _best_phase(borders: _Borders) -> FoundPhase:
+    """Return the phase that misses fewest borders: by a coarse grid, and ever finer steps about its best."""
+    line = np.arange(-8, 8) * _COARSE
+    fewest, *best = min((borders.wrong(u, v), u, v) for u in line for v in line)
+    step = _COARSE
+    while step > _FINE:
+        step /= 2
+        turns = [(a * step, b * step) for a in (-1, 0, 1) for b in (-1, 0, 1)]
+        fewest, *best = min((borders.wrong(best[0] + u, best[1] + v), best[0] + u, best[1] + v) for u, v in turns)
+    at = best[0], best[1]
+    return FoundPhase(_wrapped(at), borders.width(at, fewest, step), fewest / max(borders.count, 1))
+
+
+def _upright(found: FoundPhase, cells: list[_NearCells]) -> FoundPhase:
+    """Return a phase or its mirror image across the plane of light, whose borders are the same: by the values themselves.
+
+    A cell is the mean of two places on either side of that plane. Only one of the two makes all cells the means of few pixels.
+    """
+    x, y = found.phase
+    turned = x, -y  # type: ignore[operator]
+    if _rest("nearest", turned, cells) < _rest("nearest", (x, y), cells):  # type: ignore[arg-type]
+        return found._replace(phase=turned)  # type: ignore[arg-type]
+    return found
+
+
+class _NearCells(NamedTuple):
+    """Hold some cells near the highlight of a slice: both places of each (cells, 2), px, and their values."""
+
+    x: np.ndarray
+    y: np.ndarray
+    values: np.ndarray
+
+
+def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: int, every: int) -> list[_NearCells]:
+    """Return cells of the slices that show most of them, in the brightest channel."""
+    places = _places(radius, sampling_of(table), slices, np.arange(rings), every)
+    values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
+    channel = int(np.argmax(np.nan_to_num(values).max(axis=(0, 1, 2))))
+    found = []
+    for x, y, one in zip(*places, values[..., channel], strict=True):
+        known = np.isfinite(one)
+        if known.mean() > _MOST_OF_A_SLICE:
+            found.append(_NearCells(x[known], y[known], one[known]))
+    return found
+
+
+def _rest(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
+    """Return the share of the cells' variance that the values of a grid's pixels leave, mean over slices."""
+    return float(np.mean([_interpolation_rest(rule, one, phase) for one in cells])) if cells else 1.0
 
 
 def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Return the phase of a table whose cells were interpolated between pixels."""
-    rings = np.arange(_FEW_RINGS)
-    slices = _SLICES[::3]
-    places = _places(radius, sampling_of(table), slices, rings, _FEW_AZIMUTHS)
-    values = table.values[:_FEW_RINGS][:, slices, ::_FEW_AZIMUTHS].transpose(1, 0, 2, 3)
-    channel = int(np.nanargmax(np.nanmax(values, axis=(0, 1, 2))))
-    values = values[..., channel].reshape(slices.size, -1)
-    x, y = (a.reshape(slices.size, -1, 2) for a in places)
-    there = [np.isfinite(row) for row in values]
+    cells = _near_cells(table, radius, _SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
     def rest(phase: np.ndarray) -> float:
-        total = []
-        for s, known in enumerate(there):
-            if known.sum() < known.size / 2:
-                continue
-            left = _interpolation_rest(x[s][known], y[s][known], values[s][known], (phase[0], phase[1]))
-            total.append(left)
-        return float(np.mean(total)) if total else 1.0
+        return _rest("bilinear", (phase[0], phase[1]), cells)
 
     line = np.arange(-0.5, 0.5, 0.1)
     starts = sorted(((rest(np.array([u, v])), u, v) for u in line for v in line), key=lambda entry: entry[0])[:3]
@@ -244,9 +305,10 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     return FoundPhase(_wrapped((found.x[0], found.x[1])), 1e-3, unexplained)
 
 
-def _interpolation_rest(x: np.ndarray, y: np.ndarray, values: np.ndarray, phase: tuple[float, float]) -> float:
-    """Return the share of the cells' variance that the values of a grid's pixels leave, at best."""
-    found = looked_up("bilinear", phase, x, y)
+def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
+    """Return the share of a slice's variance that the values of a grid's pixels leave, at best."""
+    values = cells.values
+    found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
     number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
     pixels, index = np.unique(number, return_inverse=True)
     matrix = np.zeros((len(values), pixels.size))
