@@ -113,7 +113,7 @@ def chosen_cells(radius: float, sampling: Sampling, every: int = 1, pixels: Pixe
     """
     grid = merl_grid(sampling)
     slices = np.arange(every // 2, GRID_SHAPE[1], every)
-    columns = []
+    columns: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for j in slices:
         one = None if pixels is None else pixels._replace(phase=tuple(pixels.of_slices(slices)[len(columns)].tolist()))
         columns.append(_slice_cells(radius, grid.theta_h, grid.theta_d[j], grid.phi_d, one))
