@@ -36,7 +36,7 @@ def test_the_phase_is_found(rule, phase):
     with pytest.raises(FitError, match=r"state pixel_phase|state the sphere's radius"):
         located_rig(other, table)
     stated = recorded.rig(cell_value=rule, pixel_phase=(0.0, 0.25))
-    assert located_rig(stated, table) == (stated, 0.0, ())
+    assert located_rig(stated, table) == (stated, 0.0, (), False)
 
 
 def test_other_tables_show_no_real_pixels():
@@ -96,6 +96,17 @@ def test_repeats_on_no_known_sphere_are_remarked():
     found = located_rig(small, table)
     assert found.rig.cell_value == "centre"
     assert [remark.code for remark in found.remarks] == ["cells-repeat"]
+    assert found.unexplained
+
+
+@pytest.mark.slow
+def test_a_table_of_pixels_that_fit_no_grid_is_left_alone():
+    table = real_shot("nearest", PHASES["nearest"]).table(oracle.GGX(0.005), seed=1)
+    small = Rig(recorded.rig(std=0.015).camera, Sphere(240.0), cell_value="unknown")
+    done = Correction.of(table, small)
+    assert done.withheld
+    np.testing.assert_allclose(done.table["brdf"].values, np.maximum(table.values, 0), rtol=1e-12)
+    assert "cells-repeat" in [remark.code for remark in done.remarks]
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -88,8 +88,12 @@ class Explanation(NamedTuple):
 
     @property
     def contradicts(self) -> bool:
-        """Say whether rig and data contradict each other: no blur, or another lens than is stated."""
-        return self.no_blur or any(doubt.contradicts for doubt in self.doubts if doubt.axis.name == LENS)
+        """Say whether rig and data contradict each other: no blur, another lens than is stated, or cells of other pixels."""
+        return (
+            self.located.unexplained
+            or self.no_blur
+            or any(doubt.contradicts for doubt in self.doubts if doubt.axis.name == LENS)
+        )
 
     @property
     def no_blur_remark(self) -> Remark:

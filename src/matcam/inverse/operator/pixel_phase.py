@@ -84,11 +84,13 @@ class LocatedRig(NamedTuple):
         rig: with the pixels' phase, where cells were looked up in real pixels.
         std: standard deviation of a phase that the table had to tell, px; 0 where it was stated.
         remarks: what the table told.
+        unexplained: whether cells repeat values in a way that no grid of pixels explains.
     """
 
     rig: Rig
     std: float = 0.0
     remarks: tuple[Remark, ...] = ()
+    unexplained: bool = False
 
 
 class Repeats(NamedTuple):
@@ -138,7 +140,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
         shown, found, repeated, _ = cell_rule(table, radius)
         if shown is None or found is None:
             remarks = () if shown is None else (_repeats_remark(repeated, radius),)
-            return LocatedRig(_with_cells(rig, sampling_of(table), None), 0.0, remarks)
+            return LocatedRig(_with_cells(rig, sampling_of(table), None), 0.0, remarks, bool(remarks))
         rule = shown
     else:
         found = nearest_phase(table, radius) if rule == "nearest" else bilinear_phase(table, radius)
@@ -156,7 +158,8 @@ def _repeats_remark(repeated: float, radius: float) -> Remark:
     return Remark(
         "cells-repeat",
         f"{repeated:.0%} of the neighbours near the highlight hold one value, as if read from the nearest pixel, but no grid "
-        f"of pixels on a sphere of radius {radius:g} px fits: cells are taken as centred on their pixels",
+        f"of pixels on a sphere of radius {radius:g} px fits: state the sphere's radius; cells are taken as centred on their "
+        "pixels",
     )
 
 
@@ -360,13 +363,14 @@ def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
     radius: of the sphere, px.
     """
     repeated, values = repeats(table).share, _distinct(table)
+    if repeated > _MOST_REPEATS:  # a constant is no highlight
+        return CellRule(None, None, repeated, values)
     rule: CellValue = "bilinear" if repeated < _LEAST_REPEATS else "nearest"
     try:
         found = bilinear_phase(table, radius) if rule == "bilinear" else nearest_phase(table, radius)
     except FitError:
-        # what repeats is read from pixels, whatever the sphere's radius is; but a constant is no highlight
-        known = rule == "nearest" and repeated < _MOST_REPEATS
-        return CellRule(rule if known else None, None, repeated, values)
+        # what repeats is read from pixels, whatever the sphere's radius is
+        return CellRule(rule if rule == "nearest" else None, None, repeated, values)
     return CellRule(rule, found, repeated, values)
 
 
