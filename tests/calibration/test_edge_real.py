@@ -96,6 +96,40 @@ def test_what_is_not_explained_is_said():
     assert stack.problems[2].code == "unexplained"
 
 
+def test_ghosts_that_spoil_few_cells_are_said():
+    rng = np.random.default_rng(46)
+    scenes = [oracle.levels((1 - q) * even() + q * even(offset=x)) for q, x in ((0.12, 5), (0.1, 4), (0.15, 6))]
+    stack = edge_mtf_stack(np.stack([oracle.exposed(scene, 40, rng) for scene in scenes]))
+    for i, (share, offset) in enumerate(((0.12, 5), (0.1, 4), (0.15, 6))):
+        truth = oracle.ghosted_half(SIGMA, DEGREES, share, offset)
+        assert stack.problems[i] or abs(stack.mtf50[i] - truth) < 2 * stack.mtf50_std[i]
+        assert stack.problems[i] or "unexplained" in [remark.code for remark in stack[i].remarks]
+
+
+def test_a_blur_that_reaches_the_border_is_said():
+    rng = np.random.default_rng(47)
+    scenes = [oracle.levels(oracle.response(sigma, DEGREES)) for sigma in (3, 8, 10, 12)]
+    stack = edge_mtf_stack(np.stack([oracle.exposed(scene, 100, rng) for scene in scenes]))
+    assert not any(stack.problems)  # no lens overshoots
+    codes = [{remark.code for remark in stack[i].remarks} for i in range(4)]
+    assert "narrow-region" not in codes[0]
+    assert all("narrow-region" in of and "sharpened" not in of for of in codes[1:])
+    for i, sigma in enumerate((3, 8, 10, 12)):
+        truth = oracle.half(sigma, DEGREES)
+        assert abs(stack.mtf50[i] - truth) < 2.5 * stack.mtf50_std[i]
+        assert abs(stack.parametric.mtf50[i] / truth - 1) < 0.012
+    assert np.all(stack.parametric.mtf50_std[1:3] < 0.2 * stack.mtf50_std[1:3])
+
+
+def test_wide_glare_may_be_light():
+    rng = np.random.default_rng(48)
+    scene = oracle.levels(0.9 * even() + 0.1 * oracle.response(30.0, DEGREES))
+    edge = edge_mtf_stack(oracle.exposed(scene, 100, rng)[None])[0]
+    assert "wide-glare" in [remark.code for remark in edge.remarks]
+    assert edge.mtf50_std / edge.mtf50 > 0.7 * edge.glare_fraction > 0.05
+    assert abs(edge.core_mtf50 / TRUTH - 1) < 3 * edge.core_mtf50_std / TRUTH < 0.03
+
+
 def test_small_regions():
     rng = np.random.default_rng(45)
     scene = oracle.levels(oracle.response(SIGMA, DEGREES, size=(21, 16)))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.calibration.edge.free_curve import GLARE
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.core.remark import Remark
 
@@ -20,6 +21,12 @@ _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
 _WIDEST_GAP = 0.55  # px: sampling the edge more coarsely leaves the MTF50 of a sharp lens undetermined
 _OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # of the step, standard deviations
 _UNEXPLAINED = 0.015  # of the step: misfit near the edge
+VEIL = 0.25
+"""Of a region's width, beyond which glare and uneven light look alike."""
+CLEAR = 4.6
+"""Times its blur that an edge must stand off the region's borders; nearer, its levels are unsure."""
+_SOME = 0.1  # of the rows may be nearer to a border
+_VEILED, _SPOILT = 0.15, 0.002  # of the light; of the step: so much wide glare, and a misfit, are no lens's
 _BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
 
 
@@ -132,6 +139,9 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
     gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve), np.where(lost, 0.0, found.slope))
 
+    glare, clear = found.free.even[:, GLARE], clearance(found, region)
+    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
+
     def refusal(i: int) -> Remark | None:
         if lost[i]:
             return Remark("no-edge", "no edge that crosses the region from one side to the other was found in it")
@@ -149,12 +159,15 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
                 "too-narrow",
                 f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
             )
-        if not accept_sharpened and over[i] > least[i]:
+        if not accept_sharpened and over[i] > least[i] and clear[i] > CLEAR:
             return Remark(
                 "sharpened",
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
                 "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
+        if not accept_sharpened and veiled[i]:
+            text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
+            return Remark("unexplained", f"{text}: a ghost, a second edge or dirt lies in it: choose another region")
         if not accept_sharpened and found.misfit[i] > _UNEXPLAINED:
             return Remark(
                 "unexplained",
@@ -164,6 +177,20 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         return None
 
     return [refusal(i) for i in range(len(lost))]
+
+
+def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
+    """Return how far edges stand off their regions' borders (n,), in standard deviations of their blur."""
+    shape = region.value.shape[:2]
+    y, start = (np.broadcast_to(a, shape) for a in (region.y, region.start))
+    curves = np.nan_to_num(np.asarray(found.curve))
+    place = np.stack([np.polyval(curve[::-1], at) for curve, at in zip(curves, y, strict=True)])
+    there = np.isfinite(region.value)
+    first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
+    ends = [place - start - region.step * first, start + region.step * last - place]
+    off = np.stack([np.where(there.any(2), end, np.nan) for end in ends])
+    nearest = np.nanquantile(off, _SOME, axis=2).min(0) / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope)))
+    return np.asarray(nearest / np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3)))
 
 
 def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) -> np.ndarray:
