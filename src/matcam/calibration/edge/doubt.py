@@ -42,8 +42,8 @@ class Doubt(NamedTuple):
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     """Return the standard deviation of cells near the edge about the free curve, beyond the noise, in units of the step.
 
-    curve: with its glare, if there is any; fit: without. excess: factor by which all variances were raised; 1 where the cells as
-    a whole scatter no more than their noise.
+    curve: with its glare, if there is any; fit: without. excess: factor by which all variances were raised; 1 where the cells
+    as a whole scatter no more than their noise.
     """
     everywhere = jnp.where(excess > 1, jnp.sqrt(1 - 1 / excess) * _residual(fit), 0.0)
     return jnp.maximum(everywhere, _local_misfit(fit, _left(fit, curve), excess))

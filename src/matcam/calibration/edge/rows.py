@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE
 from matcam.calibration.edge.measurement import EdgeFits
+from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
@@ -20,6 +22,17 @@ _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
 _WIDEST_GAP = 0.55  # px: sampling the edge more coarsely leaves the MTF50 of a sharp lens undetermined
 _OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # of the step, standard deviations
+_ANYTHING = "a ghost, a second edge, a shadow's border or dirt lies in it"
+_BY, _STEEP, _ABOVE = (
+    1.0,
+    0.3,
+    4.0,
+)  # px of smoothing; of the steepest slope; standard deviations: what counts as a step
+_UNLIKE, _ENDS = 1.5, 0.05  # steps a row; of the rows
+_REPEATED, _SURE = (
+    1.5,
+    5.0,
+)  # variance between neighbours over that 2 px apart: no sharpening makes it so large; deviations
 _UNEXPLAINED = 0.015  # of the step: misfit near the edge
 VEIL = 0.25
 """Of a region's width, beyond which glare and uneven light look alike."""
@@ -147,7 +160,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
             return Remark("no-edge", "no edge that crosses the region from one side to the other was found in it")
         if contrast[i] < _LEAST_CONTRAST:
             text = f"no edge was found in the region: its step is {contrast[i]:.1f} times the scatter about it"
-            return Remark("no-edge", text)
+            seen = what_is_seen(region.value[i])
+            return Remark("no-edge", f"{text}; {seen}: choose another region" if seen else text)
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
@@ -168,15 +182,41 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         if not accept_sharpened and veiled[i]:
             text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
             return Remark("unexplained", f"{text}: a ghost, a second edge or dirt lies in it: choose another region")
-        if not accept_sharpened and found.misfit[i] > _UNEXPLAINED:
+        seen = what_is_seen(region.value[i]) if not accept_sharpened and found.misfit[i] > _SPOILT else ""
+        if seen or (not accept_sharpened and found.misfit[i] > _UNEXPLAINED):
             return Remark(
                 "unexplained",
-                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; a ghost, "
-                "a second edge, a shadow's border or dirt lies in it: choose another region",
+                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; "
+                f"{seen or _ANYTHING}: choose another region",
             )
         return None
 
     return [refusal(i) for i in range(len(lost))]
+
+
+def what_is_seen(value: np.ndarray) -> str:
+    """Return what lies in a region (rows, columns) instead of one edge, in words; empty where nothing can be told."""
+    value = value[np.isfinite(value).any(1)][:, np.isfinite(value).any(0)]
+    known = np.isfinite(value)
+    middle = float(np.median(value[known]))
+    noise = flat_noise(value, known & (value < middle), known & (value >= middle))
+    if noise.alike > _REPEATED and noise.apart > _SURE:
+        return "a pattern of few px lies in it: a screen, or a halftone"
+    slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
+    slope = np.where(known[:, 2:-2], slope, 0.0)
+    size = np.abs(slope)
+    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * 1.48 * np.median(size))
+    up, down = (
+        (np.diff(there.astype(int), axis=1, prepend=0) == 1).sum(1) for there in (slope > least, slope < -least)
+    )
+    steps = up + down
+    if steps.std() > _UNLIKE:
+        return "rows differ from one another: text, or a pattern"
+    if np.median(steps) > 1:
+        return f"there are {np.median(steps):.0f} edges in it"
+    if np.median(steps) == 1 and (steps == 0).mean() > _ENDS:
+        return f"the edge ends in it, {(steps == 0).mean():.0%} of the rows have none: a corner"
+    return ""
 
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
