@@ -21,7 +21,7 @@ _PER_MISFIT = 5.0  # of an MTF, by an equal misfit of the cells: ghosts and shad
 _LOW = 0.1  # cycles/px, below which an MTF is ever surer: at 0 it is 1
 
 
-class Doubt(NamedTuple):
+class Unexplained(NamedTuple):
     """Hold what no noise explains, and what it may have done to an MTF.
 
     Attributes:

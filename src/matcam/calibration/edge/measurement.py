@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.calibration.edge import free_curve, free_fit, geometry, start
-from matcam.calibration.edge.doubt import Doubt, misfit_of
+from matcam.calibration.edge.doubt import Unexplained, misfit_of
 from matcam.calibration.edge.free_curve import FREQUENCIES, CoreShape, FreeCurve, SampledCurve
 from matcam.calibration.edge.geometry import AlignedRows, EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
@@ -192,7 +192,7 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     tested = edge_model(found.cells, fitted, seen.profile)
     at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
     fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape)
-    doubt = Doubt(found.roughness, found.misfit)
+    doubt = Unexplained(found.roughness, found.misfit)
     return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
 
 
@@ -292,7 +292,7 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
     slope = stage.to_slope @ stage.curve
     seen = LensAtEdge(Gaussian(), jnp.arctan(slope), half_width)
     misfit = misfit_of(stage.free, free, excess)
-    doubt = Doubt(stage.moved.roughness, misfit)
+    doubt = Unexplained(stage.moved.roughness, misfit)
 
     def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
         total, core = free_curve.transfer(free, f)
@@ -374,7 +374,7 @@ def _lens_fit(
     structure: free_fit.Structure,
     seen: LensAtEdge,
     excess: jax.Array,
-    doubt: Doubt,
+    doubt: Unexplained,
 ) -> LensFit:
     """Read everything off a fitted family of lenses."""
     parameters = at.state.profile
