@@ -96,6 +96,84 @@ def test_what_is_not_explained_is_said():
     assert stack.problems[2].code == "unexplained"
 
 
+def test_ghosts_that_spoil_few_cells_are_said():
+    rng = np.random.default_rng(46)
+    scenes = [oracle.levels((1 - q) * even() + q * even(offset=x)) for q, x in ((0.12, 5), (0.1, 4), (0.15, 6))]
+    stack = edge_mtf_stack(np.stack([oracle.exposed(scene, 40, rng) for scene in scenes]))
+    for i, (share, offset) in enumerate(((0.12, 5), (0.1, 4), (0.15, 6))):
+        truth = oracle.ghosted_half(SIGMA, DEGREES, share, offset)
+        assert stack.problems[i] or abs(stack.mtf50[i] - truth) < 2 * stack.mtf50_std[i]
+        assert stack.problems[i] or "unexplained" in [remark.code for remark in stack[i].remarks]
+
+
+def test_a_blur_that_reaches_the_border_is_said():
+    rng = np.random.default_rng(47)
+    scenes = [oracle.levels(oracle.response(sigma, DEGREES)) for sigma in (3, 8, 10, 12)]
+    stack = edge_mtf_stack(np.stack([oracle.exposed(scene, 100, rng) for scene in scenes]))
+    assert not any(stack.problems)  # no lens overshoots
+    codes = [{remark.code for remark in stack[i].remarks} for i in range(4)]
+    assert "narrow-region" not in codes[0]
+    assert all("narrow-region" in of and "sharpened" not in of for of in codes[1:])
+    for i, sigma in enumerate((3, 8, 10, 12)):
+        truth = oracle.half(sigma, DEGREES)
+        assert abs(stack.mtf50[i] - truth) < 2.5 * stack.mtf50_std[i]
+        assert abs(stack.parametric.mtf50[i] / truth - 1) < 0.012
+    assert np.all(stack.parametric.mtf50_std[1:3] < 0.2 * stack.mtf50_std[1:3])
+
+
+def test_wide_glare_may_be_light():
+    rng = np.random.default_rng(48)
+    scene = oracle.levels(0.9 * even() + 0.1 * oracle.response(30.0, DEGREES))
+    edge = edge_mtf_stack(oracle.exposed(scene, 100, rng)[None])[0]
+    assert "wide-glare" in [remark.code for remark in edge.remarks]
+    assert edge.mtf50_std / edge.mtf50 > 0.7 * edge.glare_fraction > 0.05
+    assert abs(edge.core_mtf50 / TRUTH - 1) < 3 * edge.core_mtf50_std / TRUTH < 0.03
+
+
+def across(x, y):
+    """Distance from an edge at 5 degrees."""
+    return x * np.cos(np.radians(5)) + y * np.sin(np.radians(5))
+
+
+def along(x, y):
+    return y * np.cos(np.radians(5)) - x * np.sin(np.radians(5))
+
+
+def letters(x, y):
+    return 1 - ((np.floor(x / 7) + np.floor(y / 11)) % 2 == 0) * (np.sin(1.3 * x + 3 * np.sin(y)) > -0.2) * (y % 14 < 8)
+
+
+def screen(x, y):
+    return (across(x, y) > 0) * (0.55 + 0.45 * np.cos(2.98 * x)) * (0.6 + 0.4 * np.cos(3.27 * y))
+
+
+NO_EDGE = {
+    "a bar": (lambda x, y: np.abs(across(x, y)) < 6, "there are 2 edges in it"),
+    "a wide bar": (lambda x, y: np.abs(across(x, y)) < 12, "there are 2 edges in it"),
+    "steps": (lambda x, y: 0.5 * (across(x, y) > -7) + 0.5 * (across(x, y) > 8), "there are 2 edges in it"),
+    "distant steps": (lambda x, y: 0.5 * (across(x, y) > -20) + 0.5 * (across(x, y) > 20), "there are 2 edges in it"),
+    "a line beside": (
+        lambda x, y: 1.0 * (across(x, y) > 0) - 0.8 * (np.abs(across(x, y) - 11.5) < 1.5),
+        "there are 3 edges in it",
+    ),
+    "a corner": (lambda x, y: (across(x, y) > 0) & (along(x, y) > 0), "a corner"),
+    "a corner near the end": (lambda x, y: (across(x, y) > 0) & (along(x, y) > -30), "a corner"),
+    "text": (letters, "text, or a pattern"),
+    "a screen": (screen, "a screen, or a halftone"),
+}
+
+
+@pytest.mark.parametrize("snr", [40, 100])
+def test_what_is_no_single_edge_is_refused_by_name(snr):
+    rng = np.random.default_rng(49)
+    scenes = [oracle.levels(oracle.printed(of, 0.6)) for of, _ in NO_EDGE.values()]
+    stack = edge_mtf_stack(np.stack([oracle.exposed(scene, snr, rng) for scene in scenes]))
+    for name, problem, (_, words) in zip(NO_EDGE, stack.problems, NO_EDGE.values(), strict=True):
+        assert problem, name
+        assert words in problem.text, (name, problem.text)
+        assert "\n" not in problem.text
+
+
 def test_small_regions():
     rng = np.random.default_rng(45)
     scene = oracle.levels(oracle.response(SIGMA, DEGREES, size=(21, 16)))

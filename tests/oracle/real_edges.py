@@ -58,6 +58,16 @@ def exposed(scene, snr, rng):
     return rng.poisson(np.maximum(scene, 0) * snr**2).astype(float)
 
 
+def printed(of, sigma, size=(100, 80), fine=4):
+    """What a camera sees of any print `of(x, y)`, 0 to 1: sampled finely, blurred, summed over pixels."""
+    from scipy.ndimage import gaussian_filter
+
+    height, width = size
+    y, x = (np.mgrid[: fine * height, : fine * width] + 0.5) / fine - 0.5
+    seen = gaussian_filter(of(x - (width - 1) / 2, y - (height - 1) / 2).astype(float), fine * sigma, mode="nearest")
+    return seen.reshape(height, fine, width, fine).mean((1, 3))
+
+
 def levels(of):
     return DARK + (BRIGHT - DARK) * of
 

@@ -65,7 +65,7 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
         if not accept:
             raise FitError(
                 f"this is a processed picture; its MTF is not the lens's: {text}: use camera raw, or accept "
-                "the MTF of lens and software together (accept_sharpened=True)"
+                "the MTF of lens and software together (accept_sharpened)"
             )
         return Processed(
             (Remark("processed", f"this is a processed picture; its MTF is not the lens's: {text}"),), noise

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 
 SHARPENED = 0.02
 """Overshoot, of the step, from which an edge is remarked on by itself."""
+MISFIT = 0.002
+"""Misfit, of the step, from which an edge is remarked on."""
 _LENGTH = 512
-_MISFIT = 0.002  # of the step, from which it is remarked on
 _ROUGH = 0.03  # px, from which it is remarked on
 
 
@@ -180,14 +181,16 @@ class EdgeMTF(_EdgeNumbers[float]):
     def remarks(self) -> tuple[Remark, ...]:
         """Return what a reader should know of this edge."""
         remarks = list(self.given)
-        if self.overshoot > SHARPENED:
+        # where the levels are unsure, a lens may seem to overshoot them
+        narrow = any(remark.code == "narrow-region" for remark in self.given)
+        if self.overshoot > SHARPENED and not narrow:
             text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
             remarks.append(Remark("sharpened", text))
         if self.excess > 1:
             raised = np.sqrt(self.excess)
             text = f"the picture scatters more than its noise: errors were raised by {raised:.1f}"
             remarks.append(Remark("scatter", text))
-        if self.misfit > _MISFIT:
+        if self.misfit > MISFIT:
             text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: a ghost, a shadow or dirt"
             remarks.append(Remark("unexplained", f"{text}? Errors were raised for it"))
         if self.roughness > _ROUGH:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.calibration.edge import free_curve, free_fit, geometry, start
+from matcam.calibration.edge.doubt import Unexplained, misfit_of
 from matcam.calibration.edge.free_curve import FREQUENCIES, CoreShape, FreeCurve, SampledCurve
 from matcam.calibration.edge.geometry import AlignedRows, EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
@@ -27,9 +28,6 @@ from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
 from matcam.core.jax import AnyArray, jax, jnp, plainly_compiled
 from matcam.numerics.linalg import scaled_inverse
 
-_CORE = 7.0  # px
-_PER_MISFIT = 5.0  # of an MTF, by an equal misfit of the cells: ghosts and shadows of tests/oracle/real_edges.py
-_LOW = 0.1  # cycles/px, below which an MTF is ever surer: at 0 it is 1
 _START = -0.5  # ln px: sigma 0.6
 _STEPS, _MODEL_STEPS = 3, 12
 _LAST_LIGHT = 3  # of `LIGHTS`, with which the edge's profile and place take their last turn
@@ -140,24 +138,6 @@ class _Stage(NamedTuple):
         return self.glare.rise > free_fit.FOUND * self.scatter
 
 
-class _Doubt(NamedTuple):
-    """Hold what no noise explains, and what it may have done to an MTF.
-
-    Attributes:
-        roughness: px, of the edge. It blurs, as a lens does.
-        misfit: of the cells near the edge, in units of the step.
-    """
-
-    roughness: jax.Array
-    misfit: jax.Array
-
-    def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
-        """Return a curve at f cycles/px whose standard deviation contains it."""
-        blurred = 2 * (jnp.pi * self.roughness * f) ** 2 * jnp.abs(curve.value)
-        unknown = _PER_MISFIT * self.misfit * jnp.minimum(f / _LOW, 1.0)
-        return SampledCurve(curve.value, jnp.sqrt(curve.std**2 + blurred**2 + unknown**2))
-
-
 class _Turn(NamedTuple):
     """Hold one turn of the fits of profile and curve."""
 
@@ -212,7 +192,7 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     tested = edge_model(found.cells, fitted, seen.profile)
     at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
     fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape)
-    doubt = _Doubt(found.roughness, found.misfit)
+    doubt = Unexplained(found.roughness, found.misfit)
     return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
 
 
@@ -311,8 +291,8 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
     free = free._replace(covariance=free.covariance * excess)
     slope = stage.to_slope @ stage.curve
     seen = LensAtEdge(Gaussian(), jnp.arctan(slope), half_width)
-    misfit = jnp.where(excess > 1, jnp.sqrt(1 - 1 / excess) * _residual(stage.free), 0.0)
-    doubt = _Doubt(stage.moved.roughness, misfit)
+    misfit = misfit_of(stage.free, free, excess)
+    doubt = Unexplained(stage.moved.roughness, misfit)
 
     def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
         total, core = free_curve.transfer(free, f)
@@ -341,12 +321,6 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
         roughness=stage.moved.roughness,
         misfit=misfit,
     )
-
-
-def _residual(fit: free_fit.LinearFit) -> jax.Array:
-    """Return the standard deviation of the cells near the edge about the free curve, in units of the step."""
-    near = (fit.cells.pixels > 0) & (jnp.abs(fit.cells.distance) < _CORE)
-    return jnp.sqrt((near * (fit.left / fit.step) ** 2).sum() / jnp.maximum(near.sum(), 1.0))
 
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
@@ -400,7 +374,7 @@ def _lens_fit(
     structure: free_fit.Structure,
     seen: LensAtEdge,
     excess: jax.Array,
-    doubt: _Doubt,
+    doubt: Unexplained,
 ) -> LensFit:
     """Read everything off a fitted family of lenses."""
     parameters = at.state.profile

@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
-from matcam.calibration.edge.rows import EdgeRegions
+from matcam.calibration.edge.rows import CLEAR, VEIL, EdgeRegions, clearance
 from matcam.calibration.photograph.flat_noise import FlatNoise, flat_noise
-from matcam.core.jax import FloatArray
+from matcam.core.jax import FloatArray, jax
 from matcam.core.remark import Remark
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
@@ -34,6 +34,10 @@ _PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the da
 _CRUSHED = 0.01  # of MTF50, at least
 _COARSE, _FINE = 0.6, 1e-3  # noise in levels; of the step, below which levels are fine enough
 _MOST_LEVELS = 2000
+_TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
+_SURER = 0.1  # of that, of a lens model
+_JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
+_BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _LEAST_NOISE = 2e-4  # of the step
 
 
@@ -43,22 +47,31 @@ class Traces(NamedTuple):
     Attributes:
         remarks: what was seen, and what it may do.
         share: standard deviation of MTF50 by it, relative.
+        free: the same, of the free estimate alone.
+        glare: the same, of what contains glare.
     """
 
     remarks: tuple[Remark, ...]
     share: float
+    free: float = 0.0
+    glare: float = 0.0
 
 
 def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
     """Return results whose remarks and errors contain what software has done to their pictures."""
-    values = [(rows, k) for rows in regions for k in range(len(rows.value))]
-    shares, given = np.zeros(len(stack)), list(stack.given or [()] * len(stack))
-    for i in stack.good:
-        rows, k = values[i]
-        traces = _traces(stack, int(i), rows, k)
-        shares[i] = traces.share
-        given[i] = given[i] + traces.remarks
-    return _widened(replace(stack, given=tuple(given)), shares) if any(given) or shares.any() else stack
+    shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
+    first = 0
+    for rows in regions:
+        part = slice(first, first + len(rows.value))
+        clear = clearance(jax.tree.map(lambda a: a[part], stack.fits), rows)  # noqa: B023
+        for k in range(len(rows.value)):
+            i = first + k
+            if stack.problems[i] is None:
+                traces = _traces(stack, i, rows, k, float(clear[k]))
+                shares[:, i] = traces.share, traces.free, traces.glare
+                given[i] = given[i] + traces.remarks
+        first += len(rows.value)
+    return _with_jumps(_widened(replace(stack, given=tuple(given)), shares))
 
 
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
@@ -74,8 +87,11 @@ def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
     return float(count[0]) if piled else 0.0
 
 
-def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int) -> Traces:
-    """Return what is found in the region of edge i, the k-th of its regions."""
+def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -> Traces:
+    """Return what is found in the region of edge i, the k-th of its regions.
+
+    clear: how far it stands off the borders, in standard deviations of its blur.
+    """
     value, fits = rows.value[k], stack.fits
     y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
     place = np.polyval(np.asarray(fits.curve[i])[::-1], y)
@@ -90,12 +106,37 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int) -> Traces:
     found: list[tuple[Remark | None, float]] = [
         *_smoothed(noise, blur),
         *_bent(stack, i, noise),
-        *_sharpened(stack, i, noise),
+        *(_sharpened(stack, i, noise) if clear > CLEAR else []),
     ]
     found += _crushed(stack, i, crushed_share(value[dark], value[bright])) or _coarse(value[dark | bright], noise, step)
-    return Traces(
-        tuple(remark for remark, _ in found if remark), float(np.hypot.reduce([0.0, *(share for _, share in found)]))
+    share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
+    narrow, free = _narrow(clear, blur)
+    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1))
+    remarks = (*(remark for remark, _ in found), narrow, veiled)
+    return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
+
+
+def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
+    """Return what a blur that reaches the region's border leaves unsure of the free estimate."""
+    share = _TAILS * float(np.clip((CLEAR - clear) / _FADING, 0.0, 1.0))
+    if not share:
+        return None, 0.0
+    text = (
+        f"the blur ({blur:.1f} px) reaches the region's border, {clear:.1f} of it away, so that the levels are unsure"
     )
+    return Remark(
+        "narrow-region", f"{text}: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
+    ), share
+
+
+def _veiled(stack: EdgeStack, i: int, width: float) -> tuple[Remark | None, float]:
+    """Return what glare as wide as the region leaves unsure: uneven light looks like it."""
+    glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
+    if not (glare > 0 and radius > VEIL * width):
+        return None, 0.0
+    share = _BY_GLARE * glare
+    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light: MTF50 with it may be too low by {share:.0%}"
+    return Remark("wide-glare", text), share
 
 
 def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
@@ -200,15 +241,45 @@ def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
     return float(abs(1 - plain.x[1] / best.x[1]))
 
 
-def _widened(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
-    """Return results whose frequencies are unknown by a relative share each (n,)."""
+def _with_jumps(stack: EdgeStack) -> EdgeStack:
+    """Return results whose MTF50 is as unsure as the place where the MTF, a standard deviation up or down, is one half.
 
-    def curve(mtf: np.ndarray, std: np.ndarray) -> np.ndarray:
+    A ghost makes the MTF wavy. Where it comes near one half twice, the MTF50 may jump.
+    """
+
+    def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
+        low, high = (_first_half(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
+        reach = np.fmax(half - low, high - half)
+        return np.where(reach > _JUMP * half_std, reach, half_std)
+
+    return replace(
+        stack,
+        mtf50_std=std(stack.mtf, stack.mtf_std, stack.mtf50, stack.mtf50_std),
+        core_mtf50_std=std(stack.core_mtf, stack.core_mtf_std, stack.core_mtf50, stack.core_mtf50_std),
+    )
+
+
+def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
+    """Return the first frequency at which curves (n, frequencies) fall to one half; the last one where they do not."""
+    below = mtf < 0.5
+    k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
+    after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
+    share = np.clip((before - 0.5) / np.where(before > after, before - after, 1.0), 0.0, 1.0)
+    return np.asarray(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
+
+
+def _widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
+    """Return results whose frequencies are unknown by relative shares (3, n), as in `Traces`."""
+    shares, free, glare = all_shares
+    core = np.hypot(shares, free)
+    total = np.hypot(core, glare)
+
+    def curve(mtf: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
         slope = np.gradient(mtf, stack.frequency, axis=-1)
-        return np.hypot(std, shares[:, None] * stack.frequency * np.abs(slope))
+        return np.hypot(std, by[:, None] * stack.frequency * np.abs(slope))
 
-    def half(value: np.ndarray, std: np.ndarray) -> np.ndarray:
-        return np.hypot(std, shares * value)
+    def half(value: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
+        return np.hypot(std, by * value)
 
     lens = stack.parametric
     first, box = lens.values[:, 0], lens.half_width**2 / 3
@@ -218,14 +289,14 @@ def _widened(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
     covariance[:, 0, 0] += own**2
     return replace(
         stack,
-        mtf_std=curve(stack.mtf, stack.mtf_std),
-        core_mtf_std=curve(stack.core_mtf, stack.core_mtf_std),
-        mtf50_std=half(stack.mtf50, stack.mtf50_std),
-        core_mtf50_std=half(stack.core_mtf50, stack.core_mtf50_std),
+        mtf_std=curve(stack.mtf, stack.mtf_std, total),
+        core_mtf_std=curve(stack.core_mtf, stack.core_mtf_std, core),
+        mtf50_std=half(stack.mtf50, stack.mtf50_std, total),
+        core_mtf50_std=half(stack.core_mtf50, stack.core_mtf50_std, core),
         parametric=replace(
             lens,
             covariance=covariance,
-            mtf_std=curve(lens.mtf, lens.mtf_std),
-            mtf50_std=half(lens.mtf50, lens.mtf50_std),
+            mtf_std=curve(lens.mtf, lens.mtf_std, shares),
+            mtf50_std=half(lens.mtf50, lens.mtf50_std, shares),
         ),
     )

@@ -9,8 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
+from matcam.calibration.edge.free_curve import GLARE
 from matcam.calibration.edge.measurement import EdgeFits
+from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
@@ -19,7 +22,24 @@ _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
 _WIDEST_GAP = 0.55  # px: sampling the edge more coarsely leaves the MTF50 of a sharp lens undetermined
 _OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # of the step, standard deviations
+_ANYTHING = "a ghost, a second edge, a shadow's border or dirt lies in it"
+_BY, _STEEP, _ABOVE = (
+    1.0,
+    0.3,
+    4.0,
+)  # px of smoothing; of the steepest slope; standard deviations: what counts as a step
+_UNLIKE, _ENDS = 1.5, 0.05  # steps a row; of the rows
+_REPEATED, _SURE = (
+    1.5,
+    5.0,
+)  # variance between neighbours over that 2 px apart: no sharpening makes it so large; deviations
 _UNEXPLAINED = 0.015  # of the step: misfit near the edge
+VEIL = 0.25
+"""Of a region's width, beyond which glare and uneven light look alike."""
+CLEAR = 4.6
+"""Times its blur that an edge must stand off the region's borders; nearer, its levels are unsure."""
+_SOME = 0.1  # of the rows may be nearer to a border
+_VEILED, _SPOILT = 0.15, 0.002  # of the light; of the step: so much wide glare, and a misfit, are no lens's
 _BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
 
 
@@ -132,12 +152,16 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
     gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve), np.where(lost, 0.0, found.slope))
 
+    glare, clear = found.free.even[:, GLARE], clearance(found, region)
+    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
+
     def refusal(i: int) -> Remark | None:
         if lost[i]:
             return Remark("no-edge", "no edge that crosses the region from one side to the other was found in it")
         if contrast[i] < _LEAST_CONTRAST:
             text = f"no edge was found in the region: its step is {contrast[i]:.1f} times the scatter about it"
-            return Remark("no-edge", text)
+            seen = what_is_seen(region.value[i])
+            return Remark("no-edge", f"{text}; {seen}: choose another region" if seen else text)
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
@@ -149,21 +173,64 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
                 "too-narrow",
                 f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
             )
-        if not accept_sharpened and over[i] > least[i]:
+        if not accept_sharpened and over[i] > least[i] and clear[i] > CLEAR:
             return Remark(
                 "sharpened",
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
                 "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
-        if not accept_sharpened and found.misfit[i] > _UNEXPLAINED:
+        if not accept_sharpened and veiled[i]:
+            text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
+            return Remark("unexplained", f"{text}: a ghost, a second edge or dirt lies in it: choose another region")
+        seen = what_is_seen(region.value[i]) if not accept_sharpened and found.misfit[i] > _SPOILT else ""
+        if seen or (not accept_sharpened and found.misfit[i] > _UNEXPLAINED):
             return Remark(
                 "unexplained",
-                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; a ghost, "
-                "a second edge, a shadow's border or dirt lies in it: choose another region",
+                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; "
+                f"{seen or _ANYTHING}: choose another region",
             )
         return None
 
     return [refusal(i) for i in range(len(lost))]
+
+
+def what_is_seen(value: np.ndarray) -> str:
+    """Return what lies in a region (rows, columns) instead of one edge, in words; empty where nothing can be told."""
+    value = value[np.isfinite(value).any(1)][:, np.isfinite(value).any(0)]
+    known = np.isfinite(value)
+    middle = float(np.median(value[known]))
+    noise = flat_noise(value, known & (value < middle), known & (value >= middle))
+    if noise.alike > _REPEATED and noise.apart > _SURE:
+        return "a pattern of few px lies in it: a screen, or a halftone"
+    slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
+    slope = np.where(known[:, 2:-2], slope, 0.0)
+    size = np.abs(slope)
+    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * 1.48 * np.median(size))
+    up, down = (
+        (np.diff(there.astype(int), axis=1, prepend=0) == 1).sum(1) for there in (slope > least, slope < -least)
+    )
+    steps = up + down
+    if steps.std() > _UNLIKE:
+        return "rows differ from one another: text, or a pattern"
+    if np.median(steps) > 1:
+        return f"there are {np.median(steps):.0f} edges in it"
+    if np.median(steps) == 1 and (steps == 0).mean() > _ENDS:
+        return f"the edge ends in it, {(steps == 0).mean():.0%} of the rows have none: a corner"
+    return ""
+
+
+def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
+    """Return how far edges stand off their regions' borders (n,), in standard deviations of their blur."""
+    shape = region.value.shape[:2]
+    y, start = (np.broadcast_to(a, shape) for a in (region.y, region.start))
+    curves = np.nan_to_num(np.asarray(found.curve))
+    place = np.stack([np.polyval(curve[::-1], at) for curve, at in zip(curves, y, strict=True)])
+    there = np.isfinite(region.value)
+    first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
+    ends = [place - start - region.step * first, start + region.step * last - place]
+    off = np.stack([np.where(there.any(2), end, np.nan) for end in ends])
+    nearest = np.nanquantile(off, _SOME, axis=2).min(0) / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope)))
+    return np.asarray(nearest / np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3)))
 
 
 def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) -> np.ndarray:

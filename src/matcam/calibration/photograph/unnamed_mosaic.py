@@ -22,7 +22,7 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
             f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey: "
-            "give cfa, the colours of its first 2 x 2 px"
+            "give cfa if it is one, the colours of its first 2 x 2 px"
         )
 
 
