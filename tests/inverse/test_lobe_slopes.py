@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from matcam import fit, rigs
+from matcam.core.jax import jax
 from matcam.core.workspace import default_workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import RecordBatch, record_and_slopes
 from matcam.inverse.operator.lobe_operator import lobe_operator
+from matcam.inverse.operator.rig_axes import free_axis, shape_axis
+from matcam.material.ndf.free_lobe import KNOTS
 from tests.inverse import recorded as made
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -18,6 +21,34 @@ from tests.oracle.merl_lobe import conductor
 @pytest.fixture(scope="module")
 def operator():
     return lobe_operator(rigs.merl(), "centre", 30)[1]
+
+
+@pytest.mark.parametrize(
+    ("kind", "lobe"),
+    [
+        pytest.param(LobeKind("epd", "van-ginneken"), np.log([0.01, 0.7]), marks=pytest.mark.slow),
+        (LobeKind("ggx", "smith", bends=KNOTS), [np.log(0.01), *np.linspace(-0.5, 0.7, KNOTS) ** 2]),
+    ],
+)
+def test_slopes_are_differences_of_the_record(kind, lobe):
+    """Of the record that the operator makes of the lobe itself, by the lobe's coordinates and the rig's.
+
+    Lambda's table moves with the roughness, and is right to 1e-6.
+    """
+    axes = (free_axis("optics.sigma_px", rigs.merl()), shape_axis())
+    _, operator = lobe_operator(rigs.merl(), "centre", 30, axes)
+    q = np.array([*lobe, 0.1, -0.2])
+    record = jax.jit(lambda q: operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :]))
+    value, slopes = record_and_slopes(operator, kind, q)
+    np.testing.assert_allclose(value, record(q), rtol=1e-12, atol=1e-15 * np.abs(value).max())
+    step = 1e-3
+    for place, slope in enumerate(slopes):
+        near, far = (
+            (record(q + n * step * np.eye(q.size)[place]) - record(q - n * step * np.eye(q.size)[place]))
+            / (2 * n * step)
+            for n in (1, 2)
+        )
+        np.testing.assert_allclose(slope, (4 * near - far) / 3, rtol=1e-5, atol=1e-6 * np.abs(value).max())
 
 
 @pytest.mark.slow

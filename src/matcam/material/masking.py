@@ -81,14 +81,26 @@ def interpolated_lambda(
 
     256 nodes give 1 / (1 + Lambda) to 1e-6.
     """
-    scale = jax.lax.stop_gradient(scale)  # nor do the table's places change the function
-    spacing = np.arcsinh(_REACH / _KNEE) / (nodes - 1)
-    nus = np.maximum(_KNEE * np.sinh(spacing * np.arange(nodes)), 1e-11)
-    # nu (1 + Lambda) has a finite limit at the horizon, and is nu itself far from it
-    table = jnp.log(nus * (1 + function(scale * nus)))
-    nu = jnp.minimum(cot / scale, _REACH)
-    place = jnp.arcsinh(nu / _KNEE) / spacing
+    return lambda_from_table(lambda_table(function, scale, nodes), scale, cot)
+
+
+def lambda_table(function: Callable[[jax.Array], jax.Array], scale: jax.Array, nodes: int) -> jax.Array:
+    """Return the table of `function` that `lambda_from_table` reads, (nodes,)."""
+    nus = np.maximum(_KNEE * np.sinh(_spacing(nodes) * np.arange(nodes)), 1e-11)
+    # the table's places do not change the function. nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
+    return jnp.log(nus * (1 + function(jax.lax.stop_gradient(scale) * nus)))
+
+
+def lambda_from_table(table: jax.Array, scale: jax.Array, cot: jax.Array) -> jax.Array:
+    """Return Lambda at cot theta > 0 from a table as of `lambda_table`, of the same scale."""
+    nu = jnp.minimum(cot / jax.lax.stop_gradient(scale), _REACH)
+    place = jnp.arcsinh(nu / _KNEE) / _spacing(table.size)
     return jnp.maximum(jnp.exp(_cubic(table, place)) / nu - 1, 0.0)
+
+
+def _spacing(nodes: int) -> float:
+    """Return the table's step in asinh(cot / (scale _KNEE))."""
+    return float(np.arcsinh(_REACH / _KNEE) / (nodes - 1))
 
 
 def _cubic(table: jax.Array, place: jax.Array) -> jax.Array:

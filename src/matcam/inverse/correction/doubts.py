@@ -185,9 +185,13 @@ def shape_records(
 ) -> tuple[jax.Array, jax.Array]:
     """Return the record of a lobe and what each B_k adds to it: (slices, cells) and (k, slices, cells)."""
     ndf = kind.ndf(q)
-    slope2 = jnp.tan(jnp.minimum(operator.theta, 1.57)) ** 2
-    factors = jnp.stack(bend_basis(slope2))
-    return operator.record(ndf, kind.masking, shifts), operator.records(ndf, kind.masking, shifts, factors)
+
+    def one(slice_: LobeOperator) -> jax.Array:
+        shapes = jnp.stack([jnp.ones_like(slice_.slope2), *bend_basis(slice_.slope2)])
+        return slice_.records(ndf, kind.masking, shifts, shapes)[:, 0]
+
+    both = jnp.moveaxis(operator.slice_by_slice(one), 0, 1)
+    return both[0], both[1:]
 
 
 def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorrection:

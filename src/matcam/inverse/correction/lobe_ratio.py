@@ -26,6 +26,7 @@ from matcam.inverse.correction.response_lattice import (
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
 from matcam.inverse.operator.lobe_operator import sphere_radius
 from matcam.inverse.operator.rig_axes import axis_selection
 from matcam.rigs import Rig
@@ -97,8 +98,13 @@ def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax
 @kept_program
 def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
     """Return derivatives by the lobe's and all of the rig's coordinates, (coordinates, slices, cells)."""
-    both = jax.jacfwd(_log_ratio, argnums=(2, 3))(where, kind, q, shifts)
-    return jnp.moveaxis(jnp.concatenate(both, axis=-1), -1, 0)
+    recorded, by_recorded = slopes_by_slice(where.recorded, kind, jnp.concatenate([q, shifts]))
+    true, by_true = slopes_by_slice(where.true, kind, q)
+    by_true = jnp.pad(by_true, ((0, shifts.size), (0, 0), (0, 0)))
+    known = [where.cells.valid & (lobe > VANISHED) for lobe in (true, recorded)]
+    return jnp.where(known[0], by_true / jnp.where(known[0], true, 1.0), 0.0) - jnp.where(
+        known[1], by_recorded / jnp.where(known[1], recorded, 1.0), 0.0
+    )
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:

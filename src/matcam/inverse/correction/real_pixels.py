@@ -88,8 +88,7 @@ def _log_behind(splines: list[RectBivariateSpline], radius: float, theta_d: floa
 def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array, b: jax.Array) -> jax.Array:
     """Return the record of each way of a lobe times 1 + sum b_k B_k, (slices, cells, 2)."""
     ndf = kind.ndf(q)
-    slope2 = jnp.tan(jnp.minimum(operator.theta, 1.57)) ** 2
-    lift = 1 + sum(b_k * part for b_k, part in zip(b, bend_basis(slope2), strict=True))
+    lift = 1 + sum(b_k * part for b_k, part in zip(b, bend_basis(operator.slope2), strict=True))
     return operator.ways(ndf, kind.masking, shifts, lift)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
 from matcam.inverse.operator.lobe_operator import LobeOperator
 
 _WINDOW = 1e-3
@@ -43,12 +44,7 @@ def lobe_record(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> jax.Arr
 
 @kept_program
 def _record_and_slopes(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    def record(q: jax.Array) -> tuple[jax.Array, jax.Array]:
-        value = operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
-        return value, value
-
-    slope, value = jax.jacfwd(record, has_aux=True)(q)
-    return value, jnp.moveaxis(slope, -1, 0)
+    return slopes_by_slice(operator, kind, q)
 
 
 @kept_program

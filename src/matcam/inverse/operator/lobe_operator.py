@@ -12,6 +12,7 @@ errors.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -35,7 +36,7 @@ from matcam.inverse.operator.polar_rule import (
     transfer,
 )
 from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
-from matcam.material.masking import Masking, cot_of, g2, interpolated_lambda
+from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
@@ -56,7 +57,7 @@ class LobeOperator(eqx.Module):
     """Apply the rule of every chosen cell. Masking is taken at fewer samples than the lobe.
 
     Attributes:
-        theta: (cells of all slices, ways, nodes), rad.
+        slope2: (cells of all slices, ways, nodes), squared tangent of the angle from the half vector.
         weight: (cells, ways, nodes).
         along: for each axis, (points, cells, ways, nodes): by how much the weights differ at the axis's points.
         cos_i: (cells, ways, groups of nodes, samples, 2), cosine of the light.
@@ -67,7 +68,7 @@ class LobeOperator(eqx.Module):
         shape: (slices, cells of each).
     """
 
-    theta: jax.Array
+    slope2: jax.Array
     weight: jax.Array
     along: tuple[jax.Array, ...]
     cos_i: jax.Array
@@ -87,14 +88,14 @@ class LobeOperator(eqx.Module):
     def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array, factor: jax.Array | float = 1.0) -> jax.Array:
         """Return the record of each way by itself, (slices, cells, ways); `record` is their mean.
 
-        factor: of D, (cells, ways, nodes), at `theta`.
+        factor: of D, (cells, ways, nodes), at `slope2`.
         """
         return 2 * jnp.sum(self._weighted(ndf, masking, shifts) * factor, axis=-1).reshape(*self.shape, -1)
 
     def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
-        """Return the same of D times each of some functions of theta; shape (functions, slices, cells).
+        """Return the same of D times each of some functions of the slope; shape (functions, slices, cells).
 
-        factors: (functions, cells, ways, nodes), at `theta`.
+        factors: (functions, cells, ways, nodes), at `slope2`.
         """
         return jnp.sum(self._weighted(ndf, masking, shifts) * factors, axis=(-2, -1)).reshape(-1, *self.shape)
 
@@ -103,12 +104,46 @@ class LobeOperator(eqx.Module):
         weight = self.weight
         for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
-        light = ndf.d(self.theta)
+        light = self.light(ndf)
         if masking is not None:
             lambda_i, lambda_o = (quick_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
-            joint = jnp.mean(g2(masking, lambda_i, lambda_o, self.azimuth), axis=-1) @ self.through_samples.T
-            light *= joint.reshape(light.shape)
+            light *= self.joint_masking(masking, lambda_i, lambda_o)
         return weight * light
+
+    def light(self, ndf: NDF) -> jax.Array:
+        """Return D at the nodes, 1/sr: P22 / cos^4."""
+        return ndf.slope_density(self.slope2) * (1 + self.slope2) ** 2
+
+    def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
+        """Return G at the nodes, from the Lambdas at its samples."""
+        joint = jnp.mean(g2(masking, lambda_i, lambda_o, self.azimuth), axis=-1) @ self.through_samples.T
+        return joint.reshape(self.slope2.shape)
+
+    def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
+        """Return what a function makes of each slice's operator, one slice after the other; shape (slices, ...).
+
+        What a function of all nodes holds would be hundreds of MB; of a slice it stays in the processor's cache.
+        """
+
+        def one(place: jax.Array) -> jax.Array:
+            return function(self._in_slice(place))
+
+        places = jnp.arange(self.shape[0])
+        # a GPU is wider than a slice
+        return jax.lax.map(one, places) if jax.default_backend() == "cpu" else jax.vmap(one)(places)
+
+    def _in_slice(self, place: jax.Array) -> LobeOperator:
+        """Return the operator of one slice alone."""
+        count = self.shape[1]
+
+        def own(array: jax.Array, axis: int = 0) -> jax.Array:
+            return jax.lax.dynamic_slice_in_dim(array, place * count, count, axis)
+
+        return LobeOperator(
+            slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
+            cos_i=own(self.cos_i), cos_o=own(self.cos_o), azimuth=own(self.azimuth),
+            through_samples=self.through_samples, axes=self.axes, shape=(1, count),
+        )  # fmt: skip
 
 
 class _Rules(NamedTuple):
@@ -130,7 +165,7 @@ class _Rules(NamedTuple):
         cos_i, cos_o = (jnp.asarray(np.maximum(c, _STEEPEST_COSINE)) for c in (mean + half, mean - half))
         slices, count = cells.valid.shape
         return LobeOperator(
-            theta=jnp.asarray(self.theta),
+            slope2=jnp.asarray(np.tan(self.theta) ** 2),
             weight=jnp.asarray(self.weight),
             along=tuple(jnp.asarray(a) for a in self.along),
             cos_i=cos_i,
@@ -144,13 +179,15 @@ class _Rules(NamedTuple):
 
 def quick_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
     """Return Lambda; where it is an integral, from a small table, which the operator's own accuracy allows."""
+    table = quick_table(ndf)
+    return ndf.smith_lambda(cos) if table is None else lambda_from_table(table, ndf.roughness, cot_of(cos))
+
+
+def quick_table(ndf: NDF) -> jax.Array | None:
+    """Return the small table of a Lambda that is an integral; None where it has a closed form."""
     if isinstance(ndf, GGX | Beckmann | ShadowedNDF):
-        return ndf.smith_lambda(cos)
-
-    def of_cot(cot: jax.Array) -> jax.Array:
-        return ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2))
-
-    return interpolated_lambda(of_cot, ndf.roughness, cot_of(cos), _LAMBDA_NODES)
+        return None
+    return lambda_table(lambda cot: ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2)), ndf.roughness, _LAMBDA_NODES)
 
 
 def lobe_operator(

@@ -1,0 +1,138 @@
+"""A lobe's record with its derivatives, by a chain rule that touches each node a few times instead of once a parameter.
+
+The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its masking G_n. Its derivative by a parameter q is
+
+    dR/dq = sum_n a_n dD_n/dq + sum_s e_s dLambda_s/dq,      e_s = sum_n w_n D_n dG_n/dLambda_s,
+
+and the e_s, one for each sample of the masking, do not depend on q. Of D only the family's own parameters, one or two, need
+the lobe's formula at every node. A bend multiplies D by exp(sum_k b_k B_k) / norm, so that its derivatives are sums of
+a_n D_n B_k and the derivative of one number. Lambda is differentiated in its table. A parameter of the rig changes the weights
+alone, by a polynomial of few points.
+
+Forward differentiation would make the derivatives of all nodes by all parameters, hundreds of MB, and read them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.operator.lobe_operator import LobeOperator, quick_lambda, quick_table
+from matcam.inverse.operator.rig_axes import Axis
+from matcam.material.masking import cot_of, lambda_from_table
+from matcam.material.ndf.free_lobe import BentNDF, bend_basis
+from matcam.numerics.approximation import lagrange_basis
+
+
+def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return a lobe's record, (slices, cells), and its derivatives by q, (parameters, slices, cells).
+
+    q: coordinates of the lobe, then those along the operator's axes.
+    """
+    lobe = _Lobe.of(kind, q[: kind.size])
+    bases = [_basis(axis, shift) for axis, shift in zip(operator.axes, q[kind.size :], strict=True)]
+    rows = operator.slice_by_slice(lambda one: _slice(one, lobe, bases))
+    return rows[:, 0], jnp.moveaxis(rows[:, 1:], 0, 1)
+
+
+class _Lobe(NamedTuple):
+    """Hold what all slices share of a lobe.
+
+    Attributes:
+        kind: what its coordinates mean.
+        q: (lobe coordinates,).
+        by_norm: derivative of a bent lobe's ln norm by q; None: the lobe is not bent.
+        masked_by: what Lambda is made of: the table, or the coordinates themselves.
+        masked_slopes: its derivatives by q, (lobe coordinates, values).
+        lambda_at: Lambda by these and by the cosine of directions.
+    """
+
+    kind: LobeKind
+    q: jax.Array
+    by_norm: jax.Array | None
+    masked_by: jax.Array
+    masked_slopes: jax.Array
+    lambda_at: Callable[[jax.Array, jax.Array], jax.Array]
+
+    @classmethod
+    def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
+        """Return what all slices share."""
+
+        def log_norm(q: jax.Array) -> jax.Array:
+            bent = kind._replace(shadows=0).ndf(q)
+            assert isinstance(bent, BentNDF)
+            return jnp.log(bent.norm)
+
+        by_norm = jax.jacfwd(log_norm)(q) if kind.bends else None
+        ndf = kind.ndf(q)
+        table = None if kind.masking is None else quick_table(ndf)
+        if table is None:
+            return cls(kind, q, by_norm, q, jnp.eye(q.size), lambda own, cos: quick_lambda(kind.ndf(own), cos))
+        slopes = jnp.moveaxis(jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q), -1, 0)
+        return cls(
+            kind, q, by_norm, table, slopes, lambda table, cos: lambda_from_table(table, ndf.roughness, cot_of(cos))
+        )
+
+
+def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
+    """Return the record of one slice and below it its derivatives, (1 + parameters, cells)."""
+    kind, q = lobe.kind, lobe.q
+    weight = operator.weight
+    for (basis, _), differences in zip(bases, operator.along, strict=True):
+        weight = weight + jnp.tensordot(basis, differences, 1)
+    plain, own = kind._replace(bends=0, shadows=0), len(kind.family_names)
+    units = np.eye(own)
+    pairs = [jax.jvp(lambda own: operator.light(plain.ndf(own)), (q[:own],), (unit,)) for unit in units]
+    light, by_own = pairs[0][0], [slope for _, slope in pairs]
+    shapes = bend_basis(operator.slope2) if kind.bends else []
+    if shapes:
+        bent = kind._replace(shadows=0).ndf(q)
+        assert isinstance(bent, BentNDF)
+        bend = sum((own * shape for own, shape in zip(bent.bends, shapes, strict=True)), jnp.zeros(()))
+        lift = jnp.exp(bend) / bent.norm
+        light, by_own = light * lift, [slope * lift for slope in by_own]
+
+    seen, by_lambda = jnp.ones_like(weight), jnp.zeros(())
+    if kind.masking is not None:
+        cosines = operator.cos_i, operator.cos_o
+        lambdas = [lobe.lambda_at(lobe.masked_by, cos) for cos in cosines]
+        seen, pull = jax.vjp(lambda i, o: operator.joint_masking(kind.masking, i, o), *lambdas)
+        pulled = pull(weight * light)
+
+        def along(direction: jax.Array) -> jax.Array:
+            """Return the derivative of the record by way of its masking."""
+            total = jnp.zeros(())
+            for cos, share in zip(cosines, pulled, strict=True):
+                _, change = jax.jvp(lambda by, cos=cos: lobe.lambda_at(by, cos), (lobe.masked_by,), (direction,))
+                total = total + jnp.sum(share * change, axis=(1, 2, 3, 4))
+            return total
+
+        by_lambda = jax.vmap(along)(lobe.masked_slopes)
+
+    visible = seen * light
+    record = _over_nodes(weight * visible)
+    columns = [_over_nodes(weight * seen * slope) for slope in by_own]
+    columns += [_over_nodes(weight * visible * shape) for shape in shapes]
+    columns += [jnp.zeros_like(record)] * (kind.size - len(columns))
+    by_lobe = jnp.stack(columns) + by_lambda
+    if lobe.by_norm is not None:
+        by_lobe -= lobe.by_norm[:, None] * record
+    by_rig = [
+        slopes @ jnp.sum(visible * differences, axis=(-2, -1))
+        for (_, slopes), differences in zip(bases, operator.along, strict=True)
+    ]
+    return jnp.stack([record, *by_lobe, *by_rig])
+
+
+def _over_nodes(values: jax.Array) -> jax.Array:
+    return jnp.sum(values, axis=(-2, -1))
+
+
+def _basis(axis: Axis, shift: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return Lagrange's polynomials through an axis's points at a shift, and their derivatives."""
+    points = np.array(axis.points)
+    return jax.jvp(lambda at: jnp.stack(lagrange_basis(points, at)), (shift,), (jnp.ones_like(shift),))
