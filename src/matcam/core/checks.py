@@ -12,7 +12,7 @@ import numpy.typing as npt
 from jax.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp, placed
 
 
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
@@ -22,12 +22,12 @@ def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     array = _as_float64(name, value)
     if not np.all(np.isfinite(array)):
         raise ArgumentError(f"{name} must be finite, got {_first_bad(array, np.isfinite(array))}")
-    return jnp.asarray(array)
+    return placed(array)
 
 
 def numbers(name: str, value: ArrayLike) -> jax.Array:
     """Return `value` as a float64 array that may hold NaN where a value is missing; ArgumentError where it is not numeric."""
-    return jnp.asarray(_as_float64(name, value) if is_concrete(value) else value, dtype=jnp.float64)
+    return placed(_as_float64(name, value)) if is_concrete(value) else jnp.asarray(value, dtype=jnp.float64)
 
 
 def within(
@@ -53,7 +53,7 @@ def within(
     if not np.all(fits):
         interval = f"{'(' if open_low else '['}{low:g}, {high:g}{')' if open_high else ']'}"
         raise ArgumentError(f"{name} must lie in {interval}{unit and ' ' + unit}, got {_first_bad(array, fits)}")
-    return jnp.asarray(array)
+    return placed(array)
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:

@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.jax import AnyArray, jax, jnp, placed
 
 GRID_SHAPE = (90, 90, 180)
 """Cells of a MERL table along (theta_h, theta_d, phi_d)."""
@@ -128,7 +128,8 @@ def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) ->
     x_i, x_o = offset + along, offset - along
     sine, cosine = x_i * -across - across * x_o, x_i * x_o - across * across
     # along the normal there is no azimuth: any will do, but its derivative must be a number
-    return jnp.asarray(xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine))))
+    result = xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
+    return placed(result) if xp is np else result
 
 
 def half_and_difference(

@@ -27,6 +27,7 @@ __all__ = [
     "is_concrete",
     "jax",
     "jnp",
+    "placed",
     "plainly_compiled",
     "program_folder",
     "use_compilation_cache",
@@ -43,6 +44,15 @@ _SEALED = "compiled"
 def is_concrete(value: object) -> bool:
     """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
     return not isinstance(value, jax.core.Tracer)
+
+
+def placed(array: npt.ArrayLike) -> jax.Array:
+    """Return numbers as an array of JAX, without a program: `jnp.asarray` compiles one for every shape.
+
+    The numbers must not be changed afterwards: JAX may use them where they are.
+    """
+    with jax.ensure_compile_time_eval():  # inside a transformation, too, they are numbers
+        return jax.device_put(np.asarray(array))
 
 
 @cache

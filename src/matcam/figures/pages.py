@@ -118,6 +118,7 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
             axes.plot(theta_h[good], after[good], ".", color=GREEN, ms=5, label="supported")
             axes.set_xscale("log")
             axes.set_yscale("log")
+            axes.minorticks_off()  # a hundred artists for each of the four, two thirds of a page's time
             top = np.nanmax(after[seen])
             axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
             axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")

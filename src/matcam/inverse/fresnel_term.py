@@ -12,7 +12,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
@@ -139,7 +139,7 @@ def fresnel(
     remarks = (*explained.remarks, *_gain_remarks(gain))
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
-    hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, jnp.asarray(theta_d), masking))
+    hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
     peaks = peak_response(_fitted_rig(rig, found), lobe, np.append(theta_d, 0.0), exact=True, masking=masking)
     *response, centre = np.ones(theta_d.size + 1) if held_back else np.asarray(peaks)
     per_peak = 4 * np.cos(theta_d) ** 2 / (highest * hidden)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_data import cell_variance, estimate_noise, huber_weights, standardised_residual, whitening
@@ -240,7 +240,7 @@ def no_correction(found: MaterialFit, scale: float) -> ShapeCorrection:
 def _columns(linear: LinearisedFit) -> np.ndarray:
     """Return the derivatives of the model by lobe, rig, b and the units' parameters."""
     at, solution = linear.coordinates, linear.solution
-    _, added = shape_records(solution.problem.operator, at.kind, jnp.asarray(at.lobe), jnp.asarray(at.rig))
+    _, added = shape_records(solution.problem.operator, at.kind, placed(at.lobe), placed(at.rig))
     by_shape = np.nan_to_num(solution.model.strength)[None, :, :, None] * np.asarray(added)[:, None]
     return np.concatenate([linear.by_coordinates, by_shape, linear.by_units])
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import Sampling
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
@@ -108,7 +108,7 @@ def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: ja
 
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    return np.asarray(_log_ratio(where, at.kind, jnp.asarray(at.lobe), jnp.asarray(shifts)))
+    return np.asarray(_log_ratio(where, at.kind, placed(at.lobe), placed(shifts)))
 
 
 class _Shares(NamedTuple):
@@ -124,7 +124,7 @@ class _Shares(NamedTuple):
 
 def _shares(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> _Shares:
     pairs = [
-        shape_records(operator, at.kind, jnp.asarray(at.lobe), jnp.asarray(rig))
+        shape_records(operator, at.kind, placed(at.lobe), placed(rig))
         for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))
     ]
     lobes = [np.where(where.cells.valid, np.maximum(np.asarray(lobe), VANISHED), 1.0) for lobe, _ in pairs]
@@ -142,7 +142,7 @@ def _variance(where: ResponseLattice, at: FitCoordinates, shape: ShapeCorrection
     """Return the variance of the ratio, by the covariance of lobe, rig and shape."""
     both = _shares(where, at, shifts)
     by_recorded, by_true = (share / lift for share, lift in zip(both.shares, both.lifts(shape), strict=True))
-    slopes = np.asarray(_log_slopes(where, at.kind, jnp.asarray(at.lobe), jnp.asarray(shifts)))
+    slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
     own = len(at.lobe)
     by_rig = np.tensordot(axis_selection(at.axes, where.recorded.axes), slopes[own:], 1)
     columns = np.concatenate([slopes[:own], by_rig, by_true - by_recorded])

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, RectBivariateSpline
 
 from matcam.core.grid import GRID_SHAPE, merl_grid
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
 from matcam.forward.pixel_grid import PixelGrid, PlacePixels, looked_up, phase_of_slices, pixel_angles
 from matcam.inverse.correction.doubts import ShapeCorrection
@@ -95,7 +95,7 @@ def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Arra
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray, shape: ShapeCorrection) -> np.ndarray:
     """Return the logarithm of the record of each way on a lattice, (slices, rings, azimuths from 0 to 180 degrees)."""
     rings, slices, azimuths = where.spacing
-    both = np.asarray(_ways(where.recorded, at.kind, jnp.asarray(at.lobe), jnp.asarray(shifts), jnp.asarray(shape.b)))
+    both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts), placed(shape.b)))
     log = np.log(np.maximum(np.where(where.cells.valid[..., None], both, np.nan), VANISHED))
     log = log.reshape(len(slices), len(rings), len(azimuths), 2)
     # the first way lies at 180 degrees less phi_d, the second, mirrored, at phi_d

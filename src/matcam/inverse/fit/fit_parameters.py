@@ -7,11 +7,12 @@ eta - 1. `Layout` says where each lobe, each parameter of the rig and each Fresn
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
@@ -59,9 +60,7 @@ class LobeKind(NamedTuple):
     @property
     def family_names(self) -> tuple[str, ...]:
         """Name the family's own parameters as its constructor does; those of a stretched lobe by the tangents x and y."""
-        if self.stretched:
-            return "alpha_x", "alpha_y"
-        return tuple(field.name for field in dataclasses.fields(FAMILIES[self.family]))
+        return ("alpha_x", "alpha_y") if self.stretched else _fields_of(self.family)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,7 +71,7 @@ class LobeKind(NamedTuple):
     @property
     def size(self) -> int:
         """Count the parameters."""
-        return len(self.names)
+        return len(self.family_names) + self.bends + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
         """Return the NDF at coordinates: logarithms of the family's parameters, then the splines' own."""
@@ -95,6 +94,11 @@ class LobeKind(NamedTuple):
             low, high = _POWER_BOUNDS[self.family]
             bounds.append((float(np.log(low)), float(np.log(high))))
         return bounds + [_SPLINE_BOUNDS] * (self.bends + self.shadows)
+
+
+@cache
+def _fields_of(family: str) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(FAMILIES[family]))
 
 
 class Layout(NamedTuple):
@@ -200,7 +204,7 @@ def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) ->
 
     The angle is found by bisection, its standard deviation by its implicit derivative.
     """
-    beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, jnp.asarray(q)))
+    beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
     if beyond > 0:
         return float("nan"), float("nan")
     by_q = -by_lobe / by_angle

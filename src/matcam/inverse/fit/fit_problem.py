@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
@@ -157,7 +157,7 @@ class FitProblem:
                 lobes.append(both.record)
                 by_lobe.append(both.slopes)
             else:
-                lobes.append(np.asarray(lobe_record(self.operator, layout.kind, jnp.asarray(q))))
+                lobes.append(np.asarray(lobe_record(self.operator, layout.kind, placed(q))))
         lobe = np.stack([lobes[index] for index in layout.lobe_of])
         body = self.diffuse(p)[:, None, None] / np.pi
         std = np.zeros((units, slices))
@@ -170,7 +170,7 @@ class FitProblem:
             std = np.where(power > 0, 1 / np.sqrt(safe), np.inf)
         else:
             rows = np.stack([p[layout.unit(u)][: layout.fresnel_size] for u in range(units)])
-            pair = _reflectance(layout.fresnel, jnp.asarray(rows), jnp.asarray(self.theta_d))
+            pair = _reflectance(layout.fresnel, placed(rows), placed(self.theta_d))
             strength, by_fresnel = (np.asarray(a) for a in pair)
         value = strength[..., None] * lobe + body
         derivative = np.zeros((layout.size if slopes else 0, units, slices, cells))

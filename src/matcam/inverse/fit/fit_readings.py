@@ -8,7 +8,7 @@ import numpy as np
 
 from matcam.camera.camera import Camera
 from matcam.camera.profile import Uncertainty
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
@@ -295,7 +295,7 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
         term = Schlick(np.array([r[0] for r in rows]))
     else:
         term = Dielectric(1 + np.exp([r[0] for r in rows]))
-    ndf = layout.kind.ndf(jnp.asarray(solution.p[layout.lobe(layout.lobe_of[units[0]])]))
+    ndf = layout.kind.ndf(placed(solution.p[layout.lobe(layout.lobe_of[units[0]])]))
     return Microfacet(ndf, term, diffuse, layout.kind.masking)
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
@@ -61,7 +61,7 @@ def record_and_slopes(
     """
     if batch is not None:
         return batch.record_and_slopes(operator, kind, q)
-    value, slope = _record_and_slopes(operator, kind, jnp.asarray(q))
+    value, slope = _record_and_slopes(operator, kind, placed(q))
     return RecordAndSlopes(np.asarray(value), np.asarray(slope))
 
 
@@ -132,7 +132,7 @@ class RecordBatch:
         # always as many rows, so that one program serves; those that fill it up are thrown away
         rows = np.stack([question.q for question in together] + [first.q] * (self.seats - len(together)))
         try:
-            pair = _several(first.operator, first.kind, jnp.asarray(rows))
+            pair = _several(first.operator, first.kind, placed(rows))
             values, slopes = (np.asarray(a) for a in pair)
         except Exception as error:
             for question in together:

@@ -11,7 +11,7 @@ import xarray as xr
 from matcam.camera.camera import Camera
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import jnp
+from matcam.core.jax import jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
 from matcam.inverse.fit.fit_parameters import half_maximum_angle, reflectance_at
@@ -95,7 +95,7 @@ class MaterialFit:
     def ndf(self) -> NDF:
         """Return the lobe of the first table."""
         coordinates = self.coordinates
-        return coordinates.kind.ndf(jnp.asarray(coordinates.lobe))
+        return coordinates.kind.ndf(placed(coordinates.lobe))
 
     @property
     def theta_d(self) -> np.ndarray:

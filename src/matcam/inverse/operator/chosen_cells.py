@@ -165,31 +165,37 @@ def _slice_cells(
 
     A cell is refused if one of its pixels belongs to another cell.
     """
-    occupied: set[float] = set()
     shift = np.zeros(2) if grid is None else np.asarray(grid.phase)
+    rings = [_ring_azimuths(ring, radius * theta_h[ring], theta_d, phi_d.size) for ring in _RINGS]
+    i, k = np.repeat(_RINGS, [one.size for one in rings]), np.concatenate(rings)
+    x, y, cos_i, cos_o = cell_places(radius, theta_h[i], np.full(k.size, theta_d), phi_d[k])
+    seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
+    if grid is not None:  # the pixels themselves must be there, too
+        _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid.rule, shift)
+        seen &= (np.minimum(cos_i, cos_o) > NEAR_COSINE).all(axis=-1)
+    numbers = _pixel_numbers(x, y, shift).tolist()
+    occupied: set[float] = set()
     chosen: list[tuple[int, int]] = []
-    for ring in _RINGS:
-        # the ring's half circumference in px, foreshortened in one direction
-        length = np.pi * radius * theta_h[ring] * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
-        near = ring < NEAR_RINGS
-        count = int(np.clip(np.ceil(2 * length), 1, 24)) if near else _MOST_IN_RING
-        wanted = 5 if near else _MOST_IN_RING if ring < 26 else 3
-        share = (np.arange(count) + (0.5 if ring % 2 else 0.2)) / count
-        k = np.unique((share * phi_d.size).astype(int))
-        i = np.full(k.size, ring)
-        x, y, cos_i, cos_o = cell_places(radius, theta_h[i], np.full(k.size, theta_d), phi_d[k])
-        seen = (np.minimum(cos_i, cos_o) > (NEAR_COSINE if near else FAR_COSINE)).all(axis=-1)
-        if grid is not None:  # the pixels themselves must be there, too
-            _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid.rule, shift)
-            seen &= (np.minimum(cos_i, cos_o) > NEAR_COSINE).all(axis=-1)
-        numbers = _pixel_numbers(x, y, shift)
+    first = 0
+    for ring, azimuths in zip(_RINGS, rings, strict=True):
+        wanted = 5 if ring < NEAR_RINGS else _MOST_IN_RING if ring < 26 else 3
         # in an order that spreads over the ring even where not all cells fit
-        for n in np.argsort((np.arange(k.size) * 0.618) % 1):
-            pixels = set(numbers[n].tolist())
+        for n in first + np.argsort((np.arange(azimuths.size) * 0.618) % 1):
+            pixels = set(numbers[n])
             if wanted and seen[n] and not pixels & occupied and len(chosen) < _CELLS:
                 occupied |= pixels
-                chosen.append((int(i[n]), int(k[n])))
+                chosen.append((int(ring), int(k[n])))
                 wanted -= 1
+        first += azimuths.size
     valid = np.arange(_CELLS) < len(chosen)
     padded = np.array(chosen + [(0, 0)] * (_CELLS - len(chosen)))
     return padded[:, 0], padded[:, 1], valid
+
+
+def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:
+    """Return the indices of phi_d, of `count`, that are looked at in a ring of `radius` px."""
+    # its half circumference in px, foreshortened in one direction
+    length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
+    places = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING
+    share = (np.arange(places) + (0.5 if ring % 2 else 0.2)) / places
+    return np.unique((share * count).astype(int))

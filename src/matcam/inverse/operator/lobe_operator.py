@@ -20,7 +20,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.forward.pixel_grid import PixelGrid, grid_of
@@ -162,16 +162,16 @@ class _Rules(NamedTuple):
         mean = np.cos(theta) * np.cos(theta_d)
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
-        cos_i, cos_o = (jnp.asarray(np.maximum(c, _STEEPEST_COSINE)) for c in (mean + half, mean - half))
+        cos_i, cos_o = (placed(np.maximum(c, _STEEPEST_COSINE)) for c in (mean + half, mean - half))
         slices, count = cells.valid.shape
         return LobeOperator(
-            slope2=jnp.asarray(np.tan(self.theta) ** 2),
-            weight=jnp.asarray(self.weight),
-            along=tuple(jnp.asarray(a) for a in self.along),
+            slope2=placed(np.tan(self.theta) ** 2),
+            weight=placed(self.weight),
+            along=tuple(placed(a) for a in self.along),
             cos_i=cos_i,
             cos_o=cos_o,
             azimuth=azimuth,
-            through_samples=jnp.asarray(through),
+            through_samples=placed(through),
             axes=axes,
             shape=(slices, count),
         )

@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import NDF, SlopeNDF
 from matcam.numerics.approximation import combined, cubic_basis
@@ -45,12 +46,7 @@ class BentNDF(SlopeNDF):
 
     def __init__(self, base: NDF, bends: jax.Array):
         self.base, self.bends = base, bends
-        # the integral of P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)
-        scale = jnp.minimum(base.roughness, 0.3) / 4
-        t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
-        slope = scale * jnp.sinh(t)
-        area = 2 * jnp.pi * slope * scale * jnp.cosh(t) * jnp.arcsinh(2e3 / scale) / 2 * _NODES[1]
-        self.norm = jnp.sum(area * base.slope_density(slope**2) * jnp.exp(_bend(bends, slope**2)))
+        self.norm = _norm(base, bends)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return base times bend over their integral."""
@@ -67,6 +63,16 @@ class BentNDF(SlopeNDF):
 
     def __repr__(self) -> str:
         return f"BentNDF({self.base!r}, {jnp.asarray(self.bends).tolist()!r})"
+
+
+@kept_program
+def _norm(base: NDF, bends: jax.Array) -> jax.Array:
+    """Return the integral of the bent P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)."""
+    scale = jnp.minimum(base.roughness, 0.3) / 4
+    t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
+    slope = scale * jnp.sinh(t)
+    area = 2 * jnp.pi * slope * scale * jnp.cosh(t) * jnp.arcsinh(2e3 / scale) / 2 * _NODES[1]
+    return jnp.sum(area * base.slope_density(slope**2) * jnp.exp(_bend(bends, slope**2)))
 
 
 def bend_basis(slope2: jax.Array) -> list[jax.Array]:
