@@ -187,7 +187,7 @@ def shape_records(
     ndf = kind.ndf(q)
 
     def one(slice_: LobeOperator) -> jax.Array:
-        shapes = jnp.stack([jnp.ones_like(slice_.slope2), *bend_basis(slice_.slope2)])
+        shapes = jnp.concatenate([jnp.ones_like(slice_.slope2)[None], bend_basis(slice_.slope2)])
         return slice_.records(ndf, kind.masking, shifts, shapes)[:, 0]
 
     both = jnp.moveaxis(operator.slice_by_slice(one), 0, 1)

@@ -25,7 +25,7 @@ from matcam.inverse.operator.lobe_operator import LobeOperator, quick_lambda, qu
 from matcam.inverse.operator.rig_axes import Axis
 from matcam.material.masking import cot_of, lambda_from_table
 from matcam.material.ndf.free_lobe import BentNDF, bend_basis
-from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.approximation import combined, lagrange_basis
 
 
 def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -88,12 +88,12 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
     units = np.eye(own)
     pairs = [jax.jvp(lambda own: operator.light(plain.ndf(own)), (q[:own],), (unit,)) for unit in units]
     light, by_own = pairs[0][0], [slope for _, slope in pairs]
-    shapes = bend_basis(operator.slope2) if kind.bends else []
-    if shapes:
+    shapes = jnp.zeros((0, *operator.slope2.shape))
+    if kind.bends:
+        shapes = bend_basis(operator.slope2)
         bent = kind._replace(shadows=0).ndf(q)
         assert isinstance(bent, BentNDF)
-        bend = sum((own * shape for own, shape in zip(bent.bends, shapes, strict=True)), jnp.zeros(()))
-        lift = jnp.exp(bend) / bent.norm
+        lift = jnp.exp(combined(bent.bends, shapes)) / bent.norm
         light, by_own = light * lift, [slope * lift for slope in by_own]
 
     seen, by_lambda = jnp.ones_like(weight), jnp.zeros(())
@@ -115,10 +115,9 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
 
     visible = seen * light
     record = _over_nodes(weight * visible)
-    columns = [_over_nodes(weight * seen * slope) for slope in by_own]
-    columns += [_over_nodes(weight * visible * shape) for shape in shapes]
-    columns += [jnp.zeros_like(record)] * (kind.size - len(columns))
-    by_lobe = jnp.stack(columns) + by_lambda
+    by_family = jnp.stack([_over_nodes(weight * seen * slope) for slope in by_own])
+    by_bend = jnp.einsum("kcwn,cwn->kc", shapes, weight * visible)
+    by_lobe = jnp.pad(jnp.concatenate([by_family, by_bend]), ((0, kind.shadows), (0, 0))) + by_lambda
     if lobe.by_norm is not None:
         by_lobe -= lobe.by_norm[:, None] * record
     by_rig = [

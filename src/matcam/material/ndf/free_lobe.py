@@ -75,8 +75,8 @@ def _norm(base: NDF, bends: jax.Array) -> jax.Array:
     return jnp.sum(area * base.slope_density(slope**2) * jnp.exp(_bend(bends, slope**2)))
 
 
-def bend_basis(slope2: jax.Array) -> list[jax.Array]:
-    """Return the KNOTS functions B_k at squared slopes: cubic B-splines, mirrored at 0."""
+def bend_basis(slope2: jax.Array) -> jax.Array:
+    """Return the functions B_k at squared slopes, (KNOTS, ...): cubic B-splines, mirrored at 0."""
     small = slope2 < 1e-24  # the root's derivative at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
     place = jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
