@@ -100,7 +100,7 @@ def test_the_table_is_what_its_builder_makes():
 
 def test_the_file_is_small_and_states_its_error():
     path = resources.files("matcam").joinpath(FILE)
-    assert len(path.read_bytes()) < 1_000_000
+    assert len(path.read_bytes()) < 200_000
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         assert f"{STATED:g}".replace("e-0", "e-") in str(stored["error"])
 

@@ -17,7 +17,7 @@ from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
-from matcam.material.ndf.free_lobe import KNOTS, BentNDF, ShadowedNDF
+from matcam.material.ndf.free_lobe import BentNDF, ShadowedNDF
 from matcam.material.ndf.ggx import AnisotropicGGX
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
 
@@ -77,7 +77,7 @@ class LobeKind(NamedTuple):
         """Return the NDF at coordinates: logarithms of the family's parameters, then the splines' own."""
         own = len(self.family_names)
         ndf = FAMILIES[self.family](*(jnp.exp(one) for one in q[:own]))
-        bends, shadows = q[own : own + KNOTS], q[own + KNOTS : self.size]
+        bends, shadows = q[own : own + self.bends], q[own + self.bends : self.size]
         if self.bends:
             ndf = BentNDF(ndf, bends)
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
