@@ -77,10 +77,8 @@ def test_the_camera_shows_in_a_blurred_table_and_not_in_another(blurred, stand_i
     assert inspect_table(read_merl(stand_in("chrome")))["camera"]["visible"] is False
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["vch_golden_yellow", *(pytest.param(m, marks=pytest.mark.slow) for m in ("cc_ibiza_sunset", "satin_rosaline"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["vch_golden_yellow", "cc_ibiza_sunset", "satin_rosaline"])
 def test_a_goniophotometer_shows_no_camera(real_data, name):
     found = inspect_contents(read_contents(real_data / "rgl" / f"{name}_rgb.bsdf"))
     assert found["camera"]["visible"] is False
