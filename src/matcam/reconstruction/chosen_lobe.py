@@ -132,7 +132,24 @@ def chosen_fit(
         chosen = {"start": few.fit, "bend": _BEND if few.fit.kind.bends else 0.0}
     best = fitted(first, scene, **chosen)
     tried = {first: best.solution.unexplained}
-    lost = best.unexplained_pictures
+
+    def rivalled(best: SphereFit) -> SphereFit:
+        """Return the likeliest of a fit that noise alone does not explain and those of the other candidates."""
+        for name in CANDIDATES:
+            if family != AUTO or name == best.kind.family or _explained(best):
+                continue
+            width = float(np.exp(best.solution.p[0]))
+            other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]), rounds=1)
+            tried[name] = other.solution.unexplained
+            if _likelier(other, best):
+                best = fitted(name, scene, start=other)
+                tried[name] = best.solution.unexplained
+        return best
+
+    if few is None:
+        # before anything is blamed: a wrong lobe makes pictures unexplained, and what is stated look wrong
+        best = rivalled(best)
+    first, lost = best.kind.family, best.unexplained_pictures
     whole = pictures, scene, lamps
     if lost and len(pictures) - len(lost) >= _FEWEST:
         keep = [k for k in range(len(pictures)) if k not in lost]
@@ -169,14 +186,9 @@ def chosen_fit(
         else:
             best, remarks = again, [one for one in remarks if one.code != "picture-left-out"]
     tried[first] = best.solution.unexplained
-    if family == AUTO and not _explained(best):
-        for name in CANDIDATES[1:]:
-            width = float(np.exp(best.solution.p[0]))
-            other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]), rounds=1)
-            tried[name] = other.solution.unexplained
-            if _likelier(other, best):
-                best = fitted(name, scene, start=other)
-                tried[name] = best.solution.unexplained
+    if len(pictures) < len(whole[0]) or widened:
+        # under other priors, or without what no lobe explained, another one may be likelier
+        best = rivalled(best)
     if family == AUTO and not _explained(best):
         bent = fitted(best.kind.family, scene, start=best, bend=_BEND)
         tried[f"{best.kind.family}, bent"] = bent.solution.unexplained
