@@ -2,8 +2,9 @@
 
     PYTHONPATH=.:src python -m tests.reconstruction.captures 40 [FIRST]    one JSON line for each capture, then a summary
 
-18 lamps from 5 to 82 degrees, 5 exposures, a mosaic with photon and read noise, lamps at 25 and the camera at 40 radii, spheres of
-300 to 400 px, a lamp table wrong by 0.3 degrees, shifts of 0.2 px, gains of 0.5 %, a lens of 0.5 px known to 3 %. A minute each.
+18 lamps from 5 to 82 degrees, 5 exposures, a mosaic with photon and read noise, lamps at 25 and the camera at 40 radii, spheres
+of 300 to 400 px, a lamp table wrong by 0.3 degrees, shifts of 0.2 px, gains of 0.5 %, a lens of 0.5 px known to 3 %. About a
+minute each.
 """
 
 import json
