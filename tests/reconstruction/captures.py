@@ -81,10 +81,10 @@ def _entries(table, surface):
         value, std, known = (
             part.values[:, j, ::20, green] for part in (table.brdf, table.brdf_std, table.supported.astype(bool))
         )
-        known &= np.isfinite(true)
+        known &= np.isfinite(true) & (true > 0)
         if not known.any():
             continue
-        scale = np.median((value / true)[known]) if scale is None else scale
+        scale = np.median(value[known] / true[known]) if scale is None else scale
         supported += int(known.sum())
         false += int((np.abs(value - scale * true) > 3 * std)[known].sum())
         if known[0, 0]:
