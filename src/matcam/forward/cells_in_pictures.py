@@ -10,7 +10,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.plan import RecordPlaces
-from matcam.forward.pixel_grid import phase_of_slices, slice_pixels
+from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.lamp.lamps import closeness
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
 from matcam.sample.shape import Curved
@@ -164,8 +164,7 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
     phases = phase_of_slices(phase)
     for j in range(n_d):
         one = slice_pixels(chosen.cell_value, phases[j], radius, theta_d[j], chosen.crop, chosen.azimuth)
-        turn = chosen.azimuth
-        x, y = one.x * np.cos(turn) - one.y * np.sin(turn), one.x * np.sin(turn) + one.y * np.cos(turn)
+        x, y = turned(one.x, one.y, chosen.azimuth)
         counts[j] = np.diff(one.share.indptr)
         cell = j * n_h * n_p + np.repeat(np.arange(n_h * n_p), np.diff(one.share.indptr))
         picture = np.full(x.size, j, dtype=np.int32)
@@ -173,8 +172,8 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
         before += x.size
     x, y, picture, cos_i, cell, pixel, share = (np.concatenate(c) for c in zip(*columns, strict=True))
     mirrored = chosen.azimuth == 0
-    turned = None if mirrored else np.full(x.size, chosen.azimuth)
-    places = RecordPlaces(x, y, 2 * theta_d[picture], picture, turned)
+    turns = None if mirrored else np.full(x.size, chosen.azimuth)
+    places = RecordPlaces(x, y, 2 * theta_d[picture], picture, turns)
     pixels = counts.reshape(n_d, n_h, n_p).transpose(1, 0, 2)
     return RealCells(places, cos_i, cell, pixel, share, pixels, mirrored)
 

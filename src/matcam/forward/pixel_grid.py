@@ -162,7 +162,7 @@ def slice_pixels(
     x = radius * (np.cos(th) * np.sin(theta_d) + np.sin(th) * np.cos(psi) * np.cos(theta_d))
     y = radius * np.sin(th) * np.sin(psi)
     above = np.cos(th) * np.cos(theta_d) > np.sin(th) * np.sin(theta_d) * np.abs(np.cos(psi))
-    found = looked_up("bilinear" if rule == "bilinear" else "nearest", phase, *_turned(x, y, azimuth))
+    found = looked_up("bilinear" if rule == "bilinear" else "nearest", phase, *turned(x, y, azimuth))
     cell = np.broadcast_to(np.arange(n_h * n_p).reshape(n_h, n_p, 1, 1), found.x.shape)
     used = (found.weight > _SMALLEST) & above[..., None]
     cells, columns, rows, weight = (a[used] for a in (cell, found.x, found.y, found.weight))
@@ -178,7 +178,7 @@ def slice_pixels(
         cells, columns, rows, weight = (a[shown] for a in (cells, columns, rows, weight))
     number = np.rint(columns - phase[0]).astype(np.int64) * _STRIDE + np.rint(rows - phase[1]).astype(np.int64)
     _, first, index = np.unique(number, return_index=True, return_inverse=True)
-    x, y = _turned(columns[first], rows[first], -azimuth)
+    x, y = turned(columns[first], rows[first], -azimuth)
     at = pixel_angles(radius, theta_d, x, y)
     seen = (at.cos_i > 0) & (at.cos_o > 0)
     place = np.cumsum(seen) - 1
@@ -198,14 +198,15 @@ def _pixels_inside(
     size = int(np.ceil(radius)) + 1
     line = np.arange(-size, size + 1.0)
     columns, rows = (a.ravel() for a in np.meshgrid(line + phase[0], line + phase[1], indexing="ij"))
-    at = pixel_angles(radius, theta_d, *_turned(columns, rows, -azimuth))
+    at = pixel_angles(radius, theta_d, *turned(columns, rows, -azimuth))
     seen = (at.cos_i > 0) & (at.cos_o > 0)
     i = np.minimum((n_h * np.sqrt(at.theta_h[seen] / (np.pi / 2))).astype(int), n_h - 1)
     k = np.minimum((np.mod(np.pi - at.psi[seen], np.pi) / np.pi * n_p).astype(int), n_p - 1)
     return i * n_p + k, columns[seen], rows[seen]
 
 
-def _turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+def turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return places of a picture that is turned about the sphere's centre by an angle, rad."""
     if angle == 0:
         return x, y
     return x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)

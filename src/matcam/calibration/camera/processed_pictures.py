@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from matcam.calibration.photograph.flat_noise import FlatNoise, flat_noise
+from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
@@ -19,9 +19,6 @@ from matcam.core.remark import Remark
 _LARGEST = 1500  # px: so much of a picture is enough
 _SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06  # px, px, of the range: smoothed light that varies by less over a window is even
 _LEAST_NOISE = 2e-4  # of the range
-# px / blur, px^2 / blur^2, and of the blur: as of one edge (edge/processing.py)
-_DENOISED, _DEMOSAICED, _BENT = 0.2, 0.15, 0.03
-_MOST = 0.4
 _PIXEL = 1 / 12  # px^2
 
 
@@ -44,11 +41,10 @@ class Processed(NamedTuple):
         if self.noise is None:
             return 0.0
         blur = np.hypot(sigma, np.sqrt(_PIXEL))
-        if self.noise.denoised or self.noise.compressed:
-            return float(min(_DENOISED / blur, _MOST))
-        if self.noise.smoothed:
-            return float(min(_DEMOSAICED / blur**2, _MOST))
-        return _BENT if self.noise.bent else 0.0
+        far = self.noise.denoised or self.noise.compressed
+        if far or self.noise.smoothed:
+            return smoothing_doubt(float(blur), denoised=far)
+        return BENT_DOUBT if self.noise.bent else 0.0
 
 
 def processed(plane: LinearImage, *, accept: bool) -> Processed:

@@ -17,16 +17,12 @@ from scipy.special import ndtr
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
 from matcam.calibration.edge.rows import CLEAR, VEIL, EdgeRegions, clearance
-from matcam.calibration.photograph.flat_noise import FlatNoise, flat_noise
+from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
 from matcam.core.jax import FloatArray, jax
 from matcam.core.remark import Remark
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
-# px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
-_DENOISED, _DEMOSAICED = 0.2, 0.15
-_MOST = 0.4  # of MTF50
-_BENT = 0.03  # of MTF50, at least, of a tone curve
 _GAMMA = 2.2
 _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
 _OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
@@ -152,7 +148,7 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
             f"{seen} and there are borders every 8 px: JPEG; whether it was denoised or sharpened before does not show"
         )
         return [(Remark("compressed", text), 0.0)]
-    share = min(_DENOISED / blur if noise.denoised else _DEMOSAICED / blur**2, _MOST)
+    share = smoothing_doubt(blur, denoised=noise.denoised)
     name = "a denoised" if noise.denoised else "a demosaiced or denoised"
     seen += ", over several px" if noise.denoised else ""
     text = f"{seen}: {name} picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
@@ -163,7 +159,7 @@ def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark, floa
     """Return what noise says that is larger in the dark."""
     if not noise.bent:
         return []
-    share = max(_BENT, abs(_effect_of_gamma(stack, i)))
+    share = max(BENT_DOUBT, abs(_effect_of_gamma(stack, i)))
     text = f"dark pixels err {noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
     return [(Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"), share)]
 

@@ -14,16 +14,29 @@ import numpy as np
 from matcam.core.jax import FloatArray
 
 BLOCK = 8  # px: what JPEG compresses at a time
-_ROUNDS, _LARGEST = (
-    5,
-    9.0,
-)  # of the mean square, above which a difference counts as so much: an edge of dirt is no noise
+# of the mean square, above which a difference counts as so much: an edge of dirt is no noise
+_ROUNDS, _LARGEST = 5, 9.0
 _LOSS = 4.0  # a variance of n differences is known to the root of this over n: they share pixels
 _FEWEST = 100  # differences
 _ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 apart; standard deviations
 _WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG reach less far
 _BENT, _SURE_BENT = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
 _GRID = 1.4  # squared difference across a block's border over that within
+# px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
+_DENOISED, _DEMOSAICED = 0.2, 0.15
+_MOST = 0.4  # of MTF50
+BENT_DOUBT = 0.03
+"""Relative standard deviation of a blur behind a tone curve that was not undone, at least."""
+
+
+def smoothing_doubt(blur: float, *, denoised: bool) -> float:
+    """Return the relative standard deviation of a blur that software has smoothed.
+
+    Args:
+        blur: of lens and pixel, px. The wider it is, the less smoothing over so many px changes it.
+        denoised: whether it reached further than demosaicing.
+    """
+    return float(min(_DENOISED / blur if denoised else _DEMOSAICED / blur**2, _MOST))
 
 
 class FlatNoise(NamedTuple):

@@ -10,6 +10,7 @@ a few dozen values, without any rest.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -148,10 +149,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
 
 
 def _with_cells(rig: Rig, rule: CellValue, phase: PixelPhase | None) -> Rig:
-    return Rig(
-        rig.camera, rig.sample, rig.lamp, jitter=rig.jitter, aperture=rig.aperture, focus=rig.focus, crop=rig.crop,
-        cell_value=rule, pixel_phase=phase,
-    )  # fmt: skip
+    return replace(rig, cell_value=rule, pixel_phase=phase)
 
 
 def _repeats_remark(repeated: float, radius: float) -> Remark:
