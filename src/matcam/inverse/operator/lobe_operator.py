@@ -204,8 +204,9 @@ def lobe_operator(
     if rig is None:
         return perfect_operator(sampling, every, _PERFECT_RADIUS, workspace)
     workspace = workspace or default_workspace()
+    known = rig_key(rig)  # refuses what cannot be fitted, before anything else is asked of it
     pixels = grid_of(rig)
-    key = (rig_key(rig), sampling, every, axes, pixels)
+    key = (known, sampling, every, axes, pixels)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
         cells = chosen_cells(sphere_radius(rig), sampling, every, pixels)
