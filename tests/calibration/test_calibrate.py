@@ -106,9 +106,12 @@ def test_other_models():
     assert abs(fit.values[0] - 0.5) < 4 * fit.std[0]
     # the fit takes edges for endless: a halo of 12 px sees the corners of squares of 74 px
     assert fit.values[1:] == pytest.approx([0.1, 12.0], rel=0.1)
+    assert fit.misfit < 3 * fit.misfit_std
     gaussian = calibrate([counts]).channels["grey"]
     assert not gaussian.consistent
-    assert gaussian.misfit > 5 * fit.misfit
+    # light that bends over a square takes a part of so wide a halo: three times the misfit, not thirty, as in even light
+    assert gaussian.misfit > 2 * fit.misfit
+    assert gaussian.misfit > 5 * gaussian.misfit_std
 
 
 def samples_of(sigma, half_width, seed, count=12, std=0.003, **more):
@@ -213,6 +216,12 @@ def remarks(picture, **options):
     return " ".join(texts(calibrate([picture], **options).remarks))
 
 
+def refusal(picture):
+    with pytest.raises(FitError) as refused:
+        calibrate([picture])
+    return str(refused.value)
+
+
 @pytest.mark.slow
 def test_what_a_photographer_should_know():
     even = chart(0.5)
@@ -227,11 +236,15 @@ def test_what_a_photographer_should_know():
     )
     assert "contrast is only 7%" in remarks(chart(0.5, snr=300, dark=0.87))
     codes = np.clip(even / 3000 * 255, 0, 255)
-    codes[:, :250] = np.clip(even[:, :250] / 4300 * 255, 0, 255)
+    codes[:, :300] = np.clip(even[:, :300] / 4300 * 255, 0, 255)
     assert "edges are saturated, and left out" in remarks(codes.astype(np.uint8), tone="linear")
-    half = even.copy()
-    half[:200] += 1.0 * (even - gaussian_filter(even, 1.0))[:200]
-    assert "overshoot as sharpened ones do" in remarks(half)
+    # a few edges are left out; of a picture in which most are sharpened, the others are no sample of the lens
+    for rows, said in ((70, remarks), (200, refusal)):
+        part = even.copy()
+        part[:rows] += 1.0 * (even - gaussian_filter(even, 1.0))[:rows]
+        assert ("overshoot as sharpened ones do" if said is remarks else "are sharpened, crushed or saturated") in said(
+            part
+        )
 
 
 def test_what_was_assumed_of_the_tone_curve(tmp_path):

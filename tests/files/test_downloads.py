@@ -79,7 +79,7 @@ def server(tmp_path, monkeypatch):
     monkeypatch.setattr(Server, "requests", [])
     handler = lambda *args: Server(*args, directory=str(root))  # noqa: E731
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
-        threading.Thread(target=running.serve_forever, daemon=True).start()
+        threading.Thread(target=running.serve_forever, args=(0.01,), daemon=True).start()
         yield f"http://127.0.0.1:{running.server_address[1]}"
         running.shutdown()
 

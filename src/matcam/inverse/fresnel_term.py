@@ -23,6 +23,7 @@ from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
+from matcam.inverse.picture_gain import picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.optical_constants import metal as metal_index
@@ -41,10 +42,6 @@ _NEGLIGIBLE = 1e-3
 """Probability of no camera below which it is not fitted in all slices."""
 _SHARP_LENS = 0.05
 """px."""
-_FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
-_STEEP = np.radians(70.0)
-"""theta_d up to which F is smooth enough for its roughness to be the pictures'."""
-_GAIN_ROUNDS, _CLEAR_GAIN = 5, 2.5
 _REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
 """Indices of dielectrics that a result is compared with."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
@@ -134,7 +131,7 @@ def fresnel(
     ]
     lobe, theta_d = found.ndf, found.theta_d
     term = _average(terms, others, weight, held_back=held_back)
-    gain = term.picture_gain(theta_d)
+    gain = picture_gain(theta_d, term.normalised, term.relative)
     term = term.with_gain(gain)
     remarks = (*explained.remarks, *_gain_remarks(gain))
     if explained.no_blur:
@@ -305,32 +302,6 @@ class _FresnelTerm:
         """Return the standard deviation of the normalised term, from the relative covariance (channels, slices, slices)."""
         variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
         return self.normalised * np.sqrt(np.clip(variance, 0, None))
-
-    def picture_gain(self, theta_d: np.ndarray) -> float:
-        """Return the standard deviation of a picture's gain: by how much ln F is rougher than its noise.
-
-        Fourth differences over neighbouring slices take a smooth F away. What is not clearly more than noise is none.
-        """
-        squares, noise = [], []
-        quiet = theta_d < _STEEP
-        for curve, covariance in zip(self.normalised, self.relative, strict=True):
-            for first in range(int(quiet.sum()) - len(_FOURTH) + 1):
-                at = slice(first, first + len(_FOURTH))
-                if np.all(np.isfinite(curve[at]) & (curve[at] > 0)):
-                    squares.append(float(_FOURTH @ np.log(curve[at])) ** 2)
-                    noise.append(float(_FOURTH @ covariance[at, at] @ _FOURTH))
-        if len(squares) < len(_FOURTH):
-            return 0.0
-        power = float(_FOURTH @ _FOURTH)
-        excess, own = (np.array(squares) - noise) / power, np.array(noise) / power
-        variance = 0.0
-        for _ in range(_GAIN_ROUNDS):
-            weight = 1 / np.maximum(own + variance, 1e-300) ** 2
-            variance = max(float(weight @ excess / weight.sum()), 0.0)
-        # neighbouring differences share slices, so that they count for half
-        error = 2 * np.sqrt(float(weight @ (own + variance) ** 2 / weight.sum()) / len(squares))
-        pure_noise = 2 * np.sqrt(float(weight @ own**2 / weight.sum()) / len(squares))
-        return float(np.sqrt(variance)) if variance > _CLEAR_GAIN * pure_noise and variance > error / 2 else 0.0
 
     def with_gain(self, gain: float) -> _FresnelTerm:
         """Add the gain of each picture to the noise."""
