@@ -36,11 +36,12 @@ test-versions:
 		$(MAKE) pytest-test VENV=build/python$$version PYTHON=python$$version || exit 1; done
 
 TESTS =
+# A file's tests stay in one process: what the first has traced serves the others
 pytest-test: $(VENV)/.installed-test
-	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not slow" $(TESTS)
+	$(RUN) pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow" $(TESTS)
 
 pytest-test-all: $(VENV)/.installed-test
-	$(RUN) pytest -n 2 --dist loadgroup --no-loadscope-reorder
+	$(RUN) pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(VENV)/.installed-test
 	$(RUN) ruff format --check .

@@ -34,13 +34,6 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("matcam")
 
 
-def pytest_collection_modifyitems(items):
-    """Keep a file's tests in one process: what the first has traced serves the others."""
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
-
-
 def pytest_sessionfinish():
     if _OWNER:
         shutil.rmtree(os.environ[_CACHE], ignore_errors=True)

@@ -17,7 +17,6 @@ from tests.oracle import slanted_edge, slanted_squares
 F = np.linspace(0.02, 0.5, 25)
 
 # one worker, because all of these are measured by one compiled program
-pytestmark = pytest.mark.xdist_group("edges")
 
 
 def chart(sigma, half_width=0.5, seed=1, snr=60, **more):

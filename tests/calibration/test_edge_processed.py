@@ -10,7 +10,6 @@ from tests.oracle import processed_pictures as software
 from tests.oracle import real_edges as oracle
 
 # one worker, because all of these are measured by one compiled program
-pytestmark = pytest.mark.xdist_group("real-edges")
 
 WHITE = 1.25  # of the bright level: the end of the range
 PROCESSED = {

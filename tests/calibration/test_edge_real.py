@@ -12,7 +12,6 @@ ELECTRONS = 1e4
 PER_ROW = 3
 
 # one worker, because all of these are measured by one compiled program
-pytestmark = pytest.mark.xdist_group("real-edges")
 
 
 def even(**options):

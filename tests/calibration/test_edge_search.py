@@ -13,7 +13,6 @@ from matcam.files.photographs import read_photograph
 from tests.oracle import slanted_edge, slanted_squares
 
 # one worker, because all strips are measured by one compiled program
-pytestmark = pytest.mark.xdist_group("edges")
 
 
 def measured(picture, cfa=None, channel=None):

@@ -13,8 +13,6 @@ from matcam.cli import main
 from tests.files.test_open_photograph import write_dng
 from tests.oracle import slanted_squares
 
-pytestmark = pytest.mark.xdist_group("edges")  # one worker: one compiled program measures them
-
 
 @pytest.fixture
 def calibrate(capsys, monkeypatch, tmp_path):
