@@ -1,13 +1,14 @@
 """A file appears whole under its final name, or not at all."""
 
 import os
+import signal
 import subprocess
 import sys
 
 import pytest
 
 from matcam.core.errors import OutputError
-from matcam.core.io import all_or_nothing, check_output, one_by_one, replacing, where_written
+from matcam.core.io import all_or_nothing, check_output, one_by_one, replacing, uninterrupted, where_written
 
 
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -118,3 +119,23 @@ def test_a_name_that_is_no_text(tmp_path, name):
     with pytest.raises(OutputError, match="has a name that is not plain text") as caught:
         check_output(tmp_path / name)
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_signals_wait_for_what_must_not_be_interrupted(name):
+    def end(number, frame):
+        raise KeyboardInterrupt
+
+    number, done = getattr(signal, name), []
+    before = signal.signal(number, end)
+    try:
+        with pytest.raises(KeyboardInterrupt), uninterrupted():
+            signal.raise_signal(number)
+            done.append("all of it")
+        assert done == ["all of it"]
+        assert signal.getsignal(number) is end
+        with pytest.raises(ValueError, match="of its own"), uninterrupted():
+            raise ValueError("an error of its own")
+        assert signal.getsignal(number) is end
+    finally:
+        signal.signal(number, before)

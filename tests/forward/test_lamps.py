@@ -112,7 +112,7 @@ def cell_truth(angles, azimuth, surface, rig, disc=(1, 1)):
         x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
         irradiance = normal @ light / np.sum((lamp - normal / rig.lamp_distance) ** 2)
         lamp_angle = np.arccos(np.clip(lamp @ axis, -1, 1))
-        ways.append(lamp_record.record(x, y, lamp_angle, azimuth, surface, rig, disc) / irradiance)
+        ways.append(lamp_record.record(x, y, lamp_angle, azimuth, surface, rig, disc, orders=(12, 16)) / irradiance)
     return np.mean(ways)
 
 

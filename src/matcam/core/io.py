@@ -12,8 +12,10 @@ import json
 import math
 import os
 import re
+import signal
 import stat
 import tempfile
+import threading
 from collections.abc import Collection, Iterable, Iterator
 from contextvars import ContextVar
 from importlib import metadata
@@ -118,6 +120,29 @@ def one_by_one() -> Iterator[None]:
         yield
     finally:
         _staged.reset(token)
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let Ctrl-C and the system's wish to end this process wait until a library has done something short.
+
+    For libraries that an exception at the wrong moment leaves with a lock that nobody opens again.
+    """
+    waiting: list[tuple[int, Any]] = []
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    mine = {number: handler for number, handler in handlers.items() if callable(handler)}
+    if threading.current_thread() is not threading.main_thread():  # signals interrupt the main one only
+        mine = {}
+    try:
+        for number in mine:
+            signal.signal(number, lambda number, frame: waiting.append((number, frame)))
+        yield
+    finally:
+        for number, handler in mine.items():
+            signal.signal(number, handler)
+        for number, frame in waiting[:1]:
+            mine[signal.Signals(number)](number, frame)
 
 
 def where_written(path: Path) -> Path:

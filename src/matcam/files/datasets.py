@@ -17,7 +17,7 @@ from typing import Any
 import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.io import reading, replacing
+from matcam.core.io import reading, replacing, uninterrupted
 from matcam.files.apart import read_apart
 from matcam.files.decoders import DESCRIPTION, one_line
 
@@ -46,7 +46,8 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False) -> 
     """
     with replacing(path, force=force) as temporary:
         try:
-            data.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
+            with uninterrupted():  # xarray's lock stays shut where it is interrupted, and closing the file waits for it
+                data.to_netcdf(temporary, engine="netcdf4", format="NETCDF4")
         except RuntimeError as error:  # what the library makes of a full disk
             raise OutputError(f"output {path} cannot be written: {one_line(error)} (disk full?)") from error
 

@@ -408,7 +408,7 @@ def stack_result(
         core_mtf50=numbers(fits.core_mtf50.value),
         core_mtf50_std=numbers(fits.core_mtf50.std),
         glare_fraction=numbers(glare),
-        glare_fraction_std=numbers(np.sqrt(free.covariance[..., GLARE, GLARE])),
+        glare_fraction_std=numbers(np.sqrt(np.maximum(free.covariance[..., GLARE, GLARE], 0.0))),
         glare_radius=numbers(np.where(glare != 0, free.shape.radius, np.nan)),
         angle=numbers(np.arctan2(ny, nx)),
         angle_std=numbers(np.asarray(fits.slope_std) / (1 + slope**2)),

@@ -29,7 +29,7 @@ from matcam.calibration.edge.geometry import (
     legendre,
     light_terms,
 )
-from matcam.calibration.edge.start import to_coefficients
+from matcam.calibration.edge.start import to_coefficients, to_strengths
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.numerics.linalg import scaled_inverse
 
@@ -158,14 +158,16 @@ class CurveStep(NamedTuple):
 
 _CLEAR = 4.0  # standard deviations, beyond which an edge is called rough
 _STIFF = 0.3  # px: standard deviation of what is believed of a change of a curve's higher orders
+_BOWS = 3  # orders of a straight edge with a bow; those above are an S, dirt or a torn border
+_BENT = 16.3  # 2 ln likelihood that the orders above must bring together: once in 1,000 by chance
 
 
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
     """Return the curve after a step of Fisher scoring, from single pixels.
 
     A pixel's model is its cell's, moved along the slope: within a cell the distances differ by a sixteenth of a px, and
-    what the second order leaves is even in the distance, which tells nothing of position. The orders beyond the bow cost
-    next to nothing: an error of the course of 0.01 px is a blur of 0.0001 px^2.
+    what the second order leaves is even in the distance, which tells nothing of position. The orders beyond the bow are free
+    where the rows show them: fitted to the noise of few rows, they make an edge sharper or more blurred than it is.
     """
     aligned, curve, state = phased.rows, phased.curve, at.state
     near = aligned.near
@@ -188,17 +190,37 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     score = (weight * by_row * residual).sum(1)
     powers = legendre(aligned.y / length, CURVE)
     normal = (powers * information) @ powers.T
-    stiff = jnp.where(jnp.arange(CURVE) < 3, 0.0, _STIFF**-2)
+    stiff = jnp.where(jnp.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
     normal = normal + jnp.diag(stiff + 1e-9 * jnp.trace(normal) + 1e-300)
-    covariance = jnp.linalg.inv(normal)
-    change = jnp.clip(covariance @ (powers @ score), -1.0, 1.0)
+    covariance, change, orders = _of_seen_orders(normal, powers @ score, to_strengths(curve, length))
+    change = jnp.clip(change, -1.0, 1.0)
     rms = jnp.sqrt((residual**2).sum() / jnp.maximum(aligned.valid[:, near].sum(), 1.0))
     by = jax.vmap(to_coefficients, in_axes=(0, None))(jnp.eye(CURVE), length)
     # each row's own place, about the new curve
     shift = score / jnp.where(information > 0, information, 1.0) - powers.T @ change
-    count = jnp.maximum((information > 0).sum() - CURVE, 1.0)
+    count = jnp.maximum((information > 0).sum() - orders, 1.0)
     weight = information / jnp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
     expected = (information > 0).sum() / jnp.maximum(information.sum(), 1e-300)
     extra = (weight * shift**2).sum() - expected
     rough = jnp.where(extra > _CLEAR * expected * jnp.sqrt(2 / count), jnp.sqrt(jnp.maximum(extra, 0.0)), 0.0)
     return CurveStep(curve + to_coefficients(change, length), by.T @ covariance @ by, rms, rough)
+
+
+def _of_seen_orders(
+    normal: jax.Array, score: jax.Array, strengths: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return the covariance of a curve's strengths, their change, and how many are free.
+
+    Those beyond the bow are not free, and become 0, where noise makes as much of them.
+
+    normal: (CURVE, CURVE) information. score: (CURVE,) of the present `strengths`.
+    """
+    free = jnp.linalg.inv(normal)
+    change = free @ score
+    beyond = (strengths + change)[_BOWS:]
+    seen = beyond @ jnp.linalg.solve(free[_BOWS:, _BOWS:], beyond) > _BENT
+    # towards a course that has none of them
+    without = jnp.where(jnp.arange(CURVE) < _BOWS, 0.0, -strengths)
+    bow = jnp.zeros_like(normal).at[:_BOWS, :_BOWS].set(jnp.linalg.inv(normal[:_BOWS, :_BOWS]))
+    bowed = without + bow @ (score - normal @ without)
+    return jnp.where(seen, free, bow), jnp.where(seen, change, bowed), jnp.where(seen, CURVE, _BOWS)

@@ -167,6 +167,12 @@ def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
     return jnp.pad(strengths, (0, CURVE - strengths.size)) @ _TO_POWERS / length ** jnp.arange(CURVE)
 
 
+def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
+    """Return the strengths (CURVE,) of Legendre's polynomials: what `to_coefficients` takes."""
+    return (curve * length ** jnp.arange(CURVE)) @ _FROM_POWERS
+
+
 _TO_POWERS = np.array(
     [np.pad(np.polynomial.legendre.leg2poly([0.0] * k + [1.0]), (0, CURVE - 1 - k)) for k in range(CURVE)]
 )
+_FROM_POWERS = np.linalg.inv(_TO_POWERS)
