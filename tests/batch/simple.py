@@ -12,6 +12,7 @@ from matcam.batch.executors.local import ProcessExecutor
 from matcam.batch.job import attempt
 from matcam.batch.recipe import CorrectedTable
 from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.core.io import replacing
 
 GAIN = 1.25
 
@@ -52,7 +53,8 @@ def brighter(table, rig, options):
     }  # fmt: skip
 
     def write_page(path, name, force):
-        path.write_text(f"<title>{name}</title>")
+        with replacing(path, force=force) as temporary:
+            temporary.write_text(f"<title>{name}</title>")
 
     return CorrectedTable(data, document, write_page)
 
