@@ -15,6 +15,10 @@ demo: $(VENV)/.installed
 # Two test processes on two cores: a matrix product that starts two threads of its own in each waits for itself
 test test-all test-oldest test-versions: export OPENBLAS_NUM_THREADS = 1
 
+# Tables are as large as what the C library returns to the system at once: asking for it again costs a tenth of the time
+test test-all test-oldest test-versions: export MALLOC_MMAP_THRESHOLD_ = 1000000000
+test test-all test-oldest test-versions: export MALLOC_TRIM_THRESHOLD_ = 4000000000
+
 # Most tests compile a program and run it once: most do without XLA's optimisation (tests/conftest.py).
 # `test-all` runs the programs as users do
 test test-oldest test-versions: export MATCAM_TESTS_COMPILE_QUICKLY = 1

@@ -94,7 +94,9 @@ def test_kernel_has_unit_energy(camera):
     assert float(camera.mtf(0.0)) == pytest.approx(1, abs=1e-14)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.35, np.pi / 4])
+@pytest.mark.parametrize(
+    "angle", [0.35, pytest.param(0.0, marks=pytest.mark.slow), pytest.param(np.pi / 4, marks=pytest.mark.slow)]
+)
 def test_line_is_the_projection_of_the_point(camera, angle):
     """Integrating the PSF along a line must give the LSF: two code paths for one kernel."""
     t = np.arange(-30, 30, 0.08)

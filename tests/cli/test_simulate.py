@@ -55,6 +55,7 @@ def test_a_table_in_the_format_of_merl(simulate, tmp_path):
     assert float(table.min()) > 0
 
 
+@pytest.mark.slow
 def test_a_flat_samples_table_is_the_materials_own(simulate, tmp_path):
     """As NetCDF, which is read back as a material."""
     simulate("--sample", "flat", "--roughness", 0.2, "-o", "a.nc")

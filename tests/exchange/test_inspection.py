@@ -126,7 +126,7 @@ def test_report_of_a_camera(tmp_path):
     assert np.exp(-2 * (np.pi * 0.5 * f) ** 2) * np.sinc(f) == pytest.approx(0.5, abs=1e-3)
 
 
-@pytest.mark.parametrize("rule", ["nearest", "bilinear"])
+@pytest.mark.parametrize("rule", [pytest.param("nearest", marks=pytest.mark.slow), "bilinear"])
 def test_how_cells_were_read_from_pixels(rule, tmp_path, capsys):
     """A table in which every cell is the mean of two places in one picture that is smooth, by the rule."""
     from matcam.core.grid import GRID_SHAPE, merl_grid

@@ -71,6 +71,7 @@ def test_a_camera_far_away_is_a_distant_one(plain):
     np.testing.assert_allclose(far, plain, rtol=1e-4, atol=1e-5 * plain.max())
 
 
+@pytest.mark.slow
 def test_light_is_conserved(plain):
     """The pixels' sum is the integral of the light over the sphere, by quadrature about the half vector."""
     half, a = LAMP / 2, SURFACE.alpha

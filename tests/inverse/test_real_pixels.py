@@ -19,7 +19,9 @@ PHASES = {"nearest": (0.13, -0.31), "bilinear": (-0.4, 0.22)}
 RULES = tuple(PHASES)
 
 
-@pytest.mark.parametrize(("rule", "phase"), [*PHASES.items(), ("nearest", (0.13, 0.31))])
+@pytest.mark.parametrize(
+    ("rule", "phase"), [*PHASES.items(), pytest.param("nearest", (0.13, 0.31), marks=pytest.mark.slow)]
+)
 def test_the_phase_is_found(rule, phase):
     """To 0.002 px, in noise, by values alone; a sphere of another size is refused by name."""
     table = real_shot(rule, phase, 30).table(oracle.GGX(0.005), seed=1)
