@@ -16,8 +16,6 @@ from tests.oracle import slanted_edge, slanted_squares
 
 F = np.linspace(0.02, 0.5, 25)
 
-# one worker, because all of these are measured by one compiled program
-
 
 def chart(sigma, half_width=0.5, seed=1, snr=60, **more):
     """16 edges."""
@@ -237,13 +235,15 @@ def test_what_a_photographer_should_know():
     codes = np.clip(even / 3000 * 255, 0, 255)
     codes[:, :300] = np.clip(even[:, :300] / 4300 * 255, 0, 255)
     assert "edges are saturated, and left out" in remarks(codes.astype(np.uint8), tone="linear")
-    # a few edges are left out; of a picture in which most are sharpened, the others are no sample of the lens
-    for rows, said in ((70, remarks), (200, refusal)):
+
+    def sharpened(rows):
         part = even.copy()
         part[:rows] += 1.0 * (even - gaussian_filter(even, 1.0))[:rows]
-        assert ("overshoot as sharpened ones do" if said is remarks else "are sharpened, crushed or saturated") in said(
-            part
-        )
+        return part
+
+    assert "overshoot as sharpened ones do" in remarks(sharpened(70))
+    # where most are sharpened, the others are no sample of the lens
+    assert "are sharpened, crushed or saturated" in refusal(sharpened(200))
 
 
 def test_what_was_assumed_of_the_tone_curve(tmp_path):

@@ -128,21 +128,22 @@ def uninterrupted() -> Iterator[None]:
 
     For libraries that an exception at the wrong moment leaves with a lock that nobody opens again.
     """
+    if threading.current_thread() is not threading.main_thread():  # signals interrupt the main one only
+        yield
+        return
     waiting: list[tuple[int, Any]] = []
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    handlers = {number: signal.getsignal(number) for number in numbers}
-    mine = {number: handler for number, handler in handlers.items() if callable(handler)}
-    if threading.current_thread() is not threading.main_thread():  # signals interrupt the main one only
-        mine = {}
+    handlers = {number: handler for number in numbers if callable(handler := signal.getsignal(number))}
     try:
-        for number in mine:
-            signal.signal(number, lambda number, frame: waiting.append((number, frame)))
+        for number in handlers:
+            signal.signal(number, lambda *heard: waiting.append(heard))
         yield
     finally:
-        for number, handler in mine.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
-        for number, frame in waiting[:1]:
-            mine[signal.Signals(number)](number, frame)
+        if waiting:
+            number, frame = waiting[0]
+            handlers[number](number, frame)
 
 
 def where_written(path: Path) -> Path:

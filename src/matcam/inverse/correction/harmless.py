@@ -43,7 +43,8 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     """Return the mean of a ratio and of none at all, shrunk to 1. no_camera: probability that none is needed."""
     mean = (1 - no_camera) * ratio.log
     variance = (1 - no_camera) * ratio.std**2 + no_camera * (1 - no_camera) * ratio.log**2
-    share = 1 - np.divide(variance, mean**2, out=np.ones_like(mean), where=variance < mean**2)
+    known = ~(variance >= mean**2)  # what is missing stays missing
+    share = 1 - np.divide(variance, mean**2, out=np.ones_like(mean), where=known)
     lost = np.expm1(mean * (1 - share))
     return LobeRatio(mean * share, np.sqrt(variance + lost**2))
 
