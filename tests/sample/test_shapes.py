@@ -198,3 +198,12 @@ def test_distance_is_checked(distance):
 def test_shapes_read_as_they_are_made():
     for shape in (Sphere(256.0), Sphere(256.0, 30.0), Cylinder(10.0), Cylinder(10.0, 2.5), Flat()):
         assert repr(eval(repr(shape))) == repr(shape)
+
+
+def test_the_polynomial_of_the_sphere_is_a_sine_that_never_exceeds_1():
+    angle = np.concatenate([np.linspace(-np.pi / 2, np.pi / 2, 100_001), np.pi / 2 - np.geomspace(1e-16, 1e-3, 10_000)])
+    sphere = Sphere(1.0)
+    normal = sphere.surface(angle, np.zeros(1)).normal
+    assert_allclose(normal[0], np.sin(angle), rtol=7e-16, atol=1e-300)
+    assert np.abs(normal[0]).max() <= 1
+    assert_allclose(normal[2], np.cos(angle), atol=4e-8)  # the root of two roundings
