@@ -13,9 +13,9 @@ from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.camera.lens_over_field import BlurPlaces, DotPlaces, lens_over_field
 from matcam.calibration.camera.processed_pictures import Processed, processed
-from matcam.calibration.chart.chart import Chart, Dots
+from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
 from matcam.calibration.chart.marks import balanced
-from matcam.calibration.chart.registration import Projection, register_chart
+from matcam.calibration.chart.registration import Projection, pixel_box, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
@@ -35,6 +35,7 @@ LensAt = Callable[[float | None], LensModel]
 """The family of lenses in a picture taken at an f-number, None if that is not known."""
 
 _GAPS = 1.2  # px: width of the means by which edges are looked for in a plane of a mosaic
+_MARGIN = 6  # px about a grating or star, where its blur is
 _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
@@ -153,17 +154,18 @@ class PicturePlan:
         for plane in planes:
             refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
-            software = processed(plane, accept=self.accept_sharpened)
+            if self.chart is not None and registration is None:
+                # colours only matter for blur: all of a mosaic's pixels know where the chart lies
+                seen = balanced(values) if mosaic else plane.values
+                registration = register_chart(seen, self.chart)
+                edges = described_edges(seen, self.chart, registration)
+            even = plane if registration is None else _without_waves(plane, self.chart, registration)
+            software = processed(even, accept=self.accept_sharpened)
             remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
             dots: tuple[DotPlaces, ...] = ()
             if self.chart is not None:
-                if registration is None:
-                    # colours only matter for blur: all of a mosaic's pixels know where the chart lies
-                    seen = balanced(values) if mosaic else plane.values
-                    registration = register_chart(seen, self.chart)
-                    edges = described_edges(seen, self.chart, registration)
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 samples = targets.samples
                 dots = dot_places(self.chart, targets)
@@ -179,6 +181,18 @@ class PicturePlan:
                     remarks += edge_remarks(result, plane.channel)
             findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))
         return findings, remarks
+
+
+def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:
+    """Return a plane without gratings and stars: their finest waves look like noise on an even part."""
+    values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
+    rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    for element in chart.elements if chart is not None else ():
+        if isinstance(element, Star | Grating):
+            round_it = element.corners if isinstance(element, Grating) else element.centre + element.outer * rim
+            x, y, width, height = pixel_box(registration(np.asarray(round_it)), plane.shape, _MARGIN)
+            values[y : y + max(height, 0), x : x + max(width, 0)] = np.nan
+    return replace(plane, values=values)
 
 
 def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
