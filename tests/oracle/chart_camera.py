@@ -203,7 +203,8 @@ class ChartCamera:
             ), None
 
         outer = (2 * mark["rings"] + 1) * r
-        self._add(picture, [(cx - outer, cy - outer), (cx + outer, cy + outer), (cx - outer, cy + outer)], layers, fine)
+        corners = np.array([cx, cy]) + outer * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        self._add(picture, corners, layers, fine)
 
     def _dots(self, picture, element):
         nodes, weights = np.polynomial.legendre.leggauss(8)

@@ -208,6 +208,7 @@ def calibrate(
         if fit.names[0].endswith("sigma_px"):
             fit = fit.with_wider_errors(doubt_of(evidence.software, float(fit.values[0])))
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
+        measured.remarks += fit.remarks
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))
 

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
-from matcam.calibration.camera.joint_fit import EdgeMeasurements, Unknowns, fit_jointly, in_profile_units
+from matcam.calibration.camera.joint_fit import (
+    EdgeMeasurements,
+    JointFit,
+    Measurements,
+    Unknowns,
+    fit_jointly,
+    in_profile_units,
+)
 from matcam.calibration.edge.free_curve import FREQUENCIES
 from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, lens_model
 from matcam.camera.camera import Camera
@@ -25,6 +32,7 @@ from matcam.camera.pixel import BoxPixel
 from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
+from matcam.core.remark import Remark
 
 _LARGEST_STD = 0.1  # relative, of lens and pixel where both are fitted
 _MISSED, _SIGNIFICANT = 0.005, 4.0  # of the MTF, standard deviations: beyond both the model does not explain the edges
@@ -120,6 +128,7 @@ class CameraFit:
         edges: results of every edge; None without edges.
         curve: the edges' mean MTF, free of a model, and this camera's.
         measurements: number of measurements by picture and kind.
+        remarks: on targets that were left out. Default: ().
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -140,6 +149,7 @@ class CameraFit:
     edges: EdgeTable | None
     curve: MeanCurve
     measurements: dict[str, int]
+    remarks: tuple[Remark, ...] = ()
 
     @property
     def std(self) -> np.ndarray:
@@ -244,7 +254,8 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     separable = isinstance(lens, Separable)
     start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
-    fitted = fit_jointly(measurements, Unknowns(start, lens.longest, precision), request.half_width or 0.5)
+    unknowns = Unknowns(start, lens.longest, precision)
+    fitted, strangers = _without_strangers(measurements, unknowns, request.half_width or 0.5)
     if problem := fitted.contradiction(measurements.groups):
         raise FitError(f"contradictory measurements, channel {channel}: {problem}")
     covariance = fitted.observed_covariance()
@@ -277,8 +288,35 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
         spread=0.0 if table is None else table.spread,
         edges=table,
         curve=curve,
-        measurements={name: measurements.groups.count(name) for name in dict.fromkeys(measurements.groups)},
+        measurements={
+            name: measurements.groups.count(name)
+            for name in dict.fromkeys(measurements.groups)
+            if name not in strangers
+        },
+        remarks=tuple(
+            Remark(
+                "target-disagrees",
+                f"{channel}: {name} sees a blur {off:+.0%} against that of the edges, and is left out",
+            )
+            for name, off in strangers.items()
+        ),
     )
+
+
+def _without_strangers(
+    measurements: Measurements, unknowns: Unknowns, half_width: float
+) -> tuple[JointFit, dict[str, float]]:
+    """Return the fit, without those targets of a chart that its edges contradict; and by how much each of them does.
+
+    half_width: px, of the pixel.
+    """
+    strangers: dict[str, float] = {}
+    while True:
+        fitted = fit_jointly(measurements.without(strangers), unknowns, half_width)
+        more = fitted.strangers(measurements.groups, measurements.replaceable - strangers.keys())
+        if not more:
+            return fitted, strangers
+        strangers |= more
 
 
 class _FittedLens:

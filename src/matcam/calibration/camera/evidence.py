@@ -13,13 +13,15 @@ from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
 from matcam.calibration.camera.lens_over_field import BlurPlaces, DotPlaces, lens_over_field
 from matcam.calibration.camera.processed_pictures import Processed, processed
-from matcam.calibration.chart.chart import Chart, Dots, Patch, Square
-from matcam.calibration.chart.registration import Projection, register_chart
+from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
+from matcam.calibration.chart.marks import balanced
+from matcam.calibration.chart.registration import Projection, pixel_box, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
+from matcam.calibration.search.described_edges import described_edges
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
@@ -33,6 +35,7 @@ LensAt = Callable[[float | None], LensModel]
 """The family of lenses in a picture taken at an f-number, None if that is not known."""
 
 _GAPS = 1.2  # px: width of the means by which edges are looked for in a plane of a mosaic
+_MARGIN = 6  # px about a grating or star, where its blur is
 _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
@@ -144,28 +147,30 @@ class PicturePlan:
         else:
             planes = planes_of(picture, self.channels, self.tone, f_number, name, self.cfa)
             values = picture.values
-        # around gratings and stars there are edges by the hundred; those of a described chart are its squares'
-        squares = self.chart is None or any(isinstance(e, Square | Patch) for e in self.chart.elements)
-        edges = find_edges(values, mosaic=mosaic) if squares else None
+        edges = find_edges(values, mosaic=mosaic) if self.chart is None else None
         registration: Projection | None = None
-        if self.chart is not None and mosaic:
-            # colours only matter for blur: all of a mosaic's pixels know where the chart lies
-            registration = register_chart(values, self.chart, mosaic=True)
         findings: list[Finding] = []
         remarks: list[Remark] = []
         for plane in planes:
             refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
-            software = processed(plane, accept=self.accept_sharpened)
+            if self.chart is not None and registration is None:
+                # colours only matter for blur: all of a mosaic's pixels know where the chart lies
+                seen = balanced(values) if mosaic else plane.values
+                registration = register_chart(seen, self.chart)
+                edges = described_edges(seen, self.chart, registration)
+            even = plane if registration is None else _without_waves(plane, self.chart, registration)
+            software = processed(even, accept=self.accept_sharpened)
             remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
             dots: tuple[DotPlaces, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
-                registration, samples = targets.registration, targets.samples
+                samples = targets.samples
                 dots = dot_places(self.chart, targets)
-                remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in targets.problems]
+                said = [targets.printed.remark] if targets.printed is not None else []
+                remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *said) if r]
             if edges is not None:
                 try:
                     result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
@@ -176,6 +181,18 @@ class PicturePlan:
                     remarks += edge_remarks(result, plane.channel)
             findings.append(Finding(plane.channel, name, f_number, result, samples, dots, plane.shape, software))
         return findings, remarks
+
+
+def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:
+    """Return a plane without gratings and stars: their finest waves look like noise on an even part."""
+    values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
+    rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    for element in chart.elements if chart is not None else ():
+        if isinstance(element, Star | Grating):
+            round_it = element.corners if isinstance(element, Grating) else element.centre + element.outer * rim
+            x, y, width, height = pixel_box(registration(np.asarray(round_it)), plane.shape, _MARGIN)
+            values[y : y + max(height, 0), x : x + max(width, 0)] = np.nan
+    return replace(plane, values=values)
 
 
 def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
@@ -190,6 +207,11 @@ def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
         seen = np.column_stack([grid.x, grid.y])
         places.append((page[expected.query(seen)[1]], seen, grid.sigma, grid.sigma_std))
     return (DotPlaces(*(np.concatenate(column) for column in zip(*places, strict=True))),)
+
+
+def _group(samples: MTFSamples) -> str:
+    """Return the name of a target and its kind."""
+    return f"{samples.source} ({samples.kind})" if samples.source else samples.kind
 
 
 class Evidence:
@@ -222,12 +244,19 @@ class Evidence:
     def measurements(self, lens_at: LensAt) -> Measurements:
         """Return everything as the joint fit takes it."""
         groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
-        groups += [f"{s.source} ({s.kind})" if s.source else s.kind for s in self._samples]
+        groups += [_group(samples) for samples in self._samples]
         return Measurements(
             edge_measurements([(edges, lens_at(f_number)) for edges, _, f_number in self._stacks]),
             value_measurements([(s, lens_at(s.f_number)) for s in self._samples]),
             tuple(groups),
+            self._replaceable(),
         )
+
+    def _replaceable(self) -> frozenset[str]:
+        """Return the groups of a picture's targets whose picture has edges, too: these are believed."""
+        seen = {source for edges, source, _ in self._stacks if edges.good.size}
+        own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
+        return frozenset(_group(s) for s in own)
 
     @property
     def software(self) -> list[Processed]:

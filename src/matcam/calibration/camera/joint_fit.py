@@ -8,7 +8,7 @@ variance of a pixel is its model's (docs/model.md 8).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ _AT_ONCE = 16  # edges side by side
 
 
 _CLEAR, _LARGE = 5.0, 0.1  # standard deviations; relative: blurs that differ by more contradict each other
+_STRANGE = 0.03  # relative: a target of a chart whose blur differs by more from that of the chart's edges is spoilt
 _DOUBT = 1e-3  # probability below which noise alone does not explain the scatter
 
 
@@ -83,11 +84,21 @@ class Measurements(NamedTuple):
         edges: None where there are none.
         values: None where there are none.
         groups: picture and kind of every measurement, edges first.
+        replaceable: groups that may be left out: targets of a described chart whose edges are measured, too.
     """
 
     edges: EdgeMeasurements | None
     values: ValueMeasurements | None
     groups: tuple[str, ...]
+    replaceable: frozenset[str] = frozenset()
+
+    def without(self, names: Collection[str]) -> Measurements:
+        """Return the measurements with groups of values that weigh nothing."""
+        if self.values is None or not names:
+            return self
+        out = np.array([group in names for group in self.groups[len(self.groups) - len(self.values.mtf) :]])
+        weight = np.where(out[:, None, None], 0.0, self.values.weight)
+        return self._replace(values=self.values._replace(weight=weight))
 
 
 class Unknowns(NamedTuple):
@@ -177,12 +188,8 @@ class JointFit(NamedTuple):
         if len(names) < 2:
             return ""
         members = [np.array([group == name for group in groups]) for name in names]
-        information = np.array([self.shares.information[own, 0, 0].sum() for own in members])
-        information = np.maximum(information, 1e-300)
-        shift = np.array([self.shares.score[own, 0].sum() for own in members]) / information
         # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
-        within = np.array([self._excess_within(own, s) for own, s in zip(members, shift, strict=True)])
-        error = np.sqrt(within / information)
+        shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
         found = np.array([_difference(shift, error, i) for i in range(len(names))])
         worst = int(np.argmax(np.abs(found[:, 0])))
         difference, clear = found[worst]
@@ -191,6 +198,30 @@ class JointFit(NamedTuple):
         rest = [name for i, name in enumerate(names) if i != worst]
         others = ", ".join(rest[:2]) + (f" and {len(rest) - 2} others" if len(rest) > 2 else "")
         return f"{names[worst]} sees a blur {difference:+.0%} against that of {others}"
+
+    def strangers(self, groups: Sequence[str], candidates: Collection[str]) -> dict[str, float]:
+        """Return which candidates see another blur than all other groups together, and how far off it is (relative).
+
+        groups: picture and kind of every measurement.
+        """
+        members = {name: np.array([group == name for group in groups]) for name in dict.fromkeys(groups)}
+        trusted = [name for name in members if name not in candidates]
+        if not trusted:
+            return {}
+        shift, error = (np.array(column) for column in zip(*map(self._of_group, members.values()), strict=True))
+        names = list(members)
+        known = np.array([name in trusted for name in names])
+        weight = error[known] ** -2 / (error[known] ** -2).sum()
+        middle, std = float(weight @ shift[known]), float((error[known] ** -2).sum() ** -0.5)
+        off = shift - middle
+        far = (np.abs(off) > _STRANGE) & (np.abs(off) > _CLEAR * np.hypot(error, std)) & ~known
+        return {names[i]: float(off[i]) for i in np.flatnonzero(far)}
+
+    def _of_group(self, members: np.ndarray) -> tuple[float, float]:
+        """Return by how much a group sees the blur otherwise, and its standard deviation by noise and its own scatter."""
+        information = max(float(self.shares.information[members, 0, 0].sum()), 1e-300)
+        shift = float(self.shares.score[members, 0].sum()) / information
+        return shift, float(np.sqrt(self._excess_within(members, shift) / information))
 
     def _excess_within(self, members: np.ndarray, shift: float) -> float:
         """Return chi2 per degree of freedom inside one group, at least 1."""

@@ -1,23 +1,23 @@
 """The registration of a photograph: where the page of a chart lies in it.
 
-Fiducials are found first: a dark disc in dark rings that share its centre is nothing else in a photograph. The one with two
-rings tells which way is up. A pinhole camera with a distorting lens is then fitted to their places. The fit only has to lead
+Fiducials are found first, and any four of them place the chart. A pinhole camera with a distorting lens, which sees a page that
+may be bent, is then fitted to their places, and to the sides of the squares that it finds with them. The fit only has to lead
 each target's own estimator to its place: estimators find their geometry to 0.01 px themselves.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
+from matcam.calibration.chart.marks import balanced, find_marks
+from matcam.calibration.chart.matching import match_marks
+from matcam.calibration.chart.sides import Sides, seen_sides
 from matcam.calibration.photograph.linear_image import LinearImage, local_mean
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
@@ -25,15 +25,14 @@ from matcam.core.jax import FloatArray
 Projection = Callable[[FloatArray], FloatArray]
 """A map from places on the page (n, 2), mm, to places in the picture (n, 2), px: a `Registration`, or anything like it."""
 
-_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
-_DARK = 0.6  # of the paper around
-_CONCENTRIC = 0.35  # radii of the disc
-_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
-_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
-_NEAR = 0.06  # of the chart's size in the picture: how far a mark may lie from where four others put it
-_SETTLED = 0.1  # of that: mean distance at which no better match is looked for
 _FEWEST_PLACES = 12
-_WORST = 3.0  # px: root mean square of what the fit may leave
+_WORST = 3.0  # px in a picture of 1000 px: root mean square of what the fit may leave
+_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
+_MARK_STD, _SIDE_STD = 0.2, 0.3  # px: as a pinhole's view of a bent page explains places of marks and of sides
+_MANY_SIDES = 100  # places of sides, beyond which more do not outweigh the fiducials
+_CURL = 0.02  # height of a page's border over the eye's: what pages that lie on a table do
+_FEWEST_SIDES = 0.3  # of all places of sides
+_ROUNDS = 2  # of looking for sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +47,9 @@ class Registration:
         shape: height and width of the picture, px.
         residual: root mean square distance that the fit leaves at the fiducials, px.
         found: number of fiducials found.
+        curl: how a page that is not plane stands off: heights by x^2, xy and y^2 over the eye's, and the eye's foot (x, y), all
+            in widths of the page from its middle (no unit). Default: plane.
+        page: width and height of the page, mm. Default: not needed for a plane page.
 
     Example:
         >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, squarely
@@ -61,6 +63,8 @@ class Registration:
     shape: tuple[int, int]
     residual: float
     found: int
+    curl: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    page: tuple[float, float] = (1.0, 1.0)
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Return the places of points on the page.
@@ -71,7 +75,8 @@ class Registration:
         Returns:
             (n, 2) places in the picture, px.
         """
-        return _project(np.append(self.homography.ravel()[:8], self.distortion), np.asarray(points, float), self.shape)
+        parameters = np.concatenate([self.homography.ravel()[:8], self.distortion, self.curl])
+        return _project(parameters, np.asarray(points, float), self.shape, self.page)
 
     def scale(self, point: tuple[float, float]) -> float:
         """Return the scale of the picture at a point of the page.
@@ -121,23 +126,30 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     if len(chart.fiducials) < 4:
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
     picture = LinearImage.of(image).values
-    picture = _balanced(picture) if mosaic else picture
-    marks = _find_marks(picture)
-    tops = [mark for mark in marks if mark.rings == 2]
-    if len(marks) < 4 or not tops:
+    picture = balanced(picture) if mosaic else picture
+    marks = find_marks(picture)
+    if len(marks) < 4:
         raise FitError(
-            f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found, "
-            f"{len(tops) or 'none'} of them with two rings; 4, and that one, are needed"
+            f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
+            "needed"
         )
-    best = max((_best_match(chart, marks, top, picture.shape) for top in tops), key=lambda match: match.rank)
-    # four marks fit any four places: a fifth must agree
-    if len(best.pairs) < min(5, len(chart.fiducials)):
+    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    match = match_marks(chart, marks, smooth)
+    if not match.sure:
         raise FitError(
             f"no chart of this description in the picture: {len(marks)} fiducials found, but not where it has them"
         )
-    places = np.array([chart.fiducials[i].centre for i, _ in best.pairs])
-    seen = np.array([marks[j][:2] for _, j in best.pairs])
-    return _registration_through(places, seen, picture.shape)
+    places = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
+    seen = np.array([marks[j][:2] for _, j in match.pairs])
+    shape = (picture.shape[0], picture.shape[1])
+    found = _registration_through(places, seen, shape, chart.page)
+    for _ in range(_ROUNDS):
+        sides = seen_sides(smooth, chart, found)
+        # where most squares are hidden, what is found instead is not theirs
+        if sides is None or sides.found.mean() < _FEWEST_SIDES:
+            break
+        found = _registration_through(places, seen, shape, chart.page, sides)
+    return found
 
 
 def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
@@ -197,63 +209,58 @@ def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[
     return int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1])
 
 
-class _Mark(NamedTuple):
-    """Hold the place of a fiducial, px, and its rings."""
+def _registration_through(
+    places: FloatArray, seen: FloatArray, shape: tuple[int, int], page: tuple[float, float], sides: Sides | None = None
+) -> Registration:
+    """Return the camera and the page's curl that put places, mm, where they were seen, px.
 
-    x: float
-    y: float
-    rings: int
-
-
-class _Match(NamedTuple):
-    """Pair fiducials of the chart with marks of the picture.
-
-    Attributes:
-        pairs: indices of fiducial and mark.
-        distance: total distance between marks and where the pinhole through four of them puts the fiducials, px.
+    sides: what else is known, across itself only. FitError if no camera does.
     """
-
-    pairs: list[tuple[int, int]]
-    distance: float
-
-    @property
-    def rank(self) -> tuple[int, float]:
-        """Return what is larger for the better match."""
-        return len(self.pairs), -self.distance
-
-
-def _registration_through(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> Registration:
-    """Return the camera that puts places, mm, where they were seen, px.
-
-    FitError if none does.
-    """
-    free = 10 if len(places) >= 7 else 9 if len(places) >= 6 else 8
-    start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], [0.0, 0.0])
-    size = np.maximum(np.abs(start), 1e-6)
-    size[8:] = 0.1
-
-    def full(p: FloatArray) -> FloatArray:
-        return np.append(p, np.zeros(10 - p.size)) * size
+    start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
+    # what is not known stays near 0: a lens's distortion, a page's curl, and whence it is seen
+    prior = np.concatenate([[0.1, 0.1], np.full(3, _CURL), [1.0, 1.0]])
+    size = np.append(np.maximum(np.abs(start[:8]), 1e-6), prior)
+    along = None
+    if sides is not None and sides.found.any():
+        known = sides.found
+        std = _SIDE_STD * np.sqrt(max(known.sum() / _MANY_SIDES, 1.0))
+        along = sides.page[known], sides.seen[known], sides.normal[known], std
 
     def residual(p: FloatArray) -> FloatArray:
-        return np.asarray((_project(full(p), places, shape) - seen).ravel())
+        whole = p * size
+        parts = [((_project(whole, places, shape, page) - seen) / _MARK_STD).ravel(), p[8:]]
+        if along is not None:
+            off = ((_project(whole, along[0], shape, page) - along[1]) * along[2]).sum(1)
+            parts.append(off / along[3])
+        return np.concatenate(parts)
 
-    fit = least_squares(residual, (start / size)[:free], x_scale="jac")
-    rms = float(np.sqrt((fit.fun**2).mean() * 2))
-    if rms > _WORST:
+    # one that is covered in part lies anywhere: far ones count less
+    fit = least_squares(residual, start / size, x_scale="jac", loss="soft_l1", f_scale=3.0)
+    whole = fit.x * size
+    left = np.hypot(*(_project(whole, places, shape, page) - seen).T)
+    rms = float(np.sqrt((left**2).mean()))
+    if rms > _WORST * max(1.0, max(shape) / 1000):
         raise FitError(f"the fiducials do not lie as on the chart: {rms:.1f} px off; is this the right description?")
-    parameters = full(fit.x)
     return Registration(
-        np.append(parameters[:8], 1.0).reshape(3, 3), (float(parameters[8]), float(parameters[9])),
-        (shape[0], shape[1]), rms, len(places),
+        np.append(whole[:8], 1.0).reshape(3, 3), (float(whole[8]), float(whole[9])), (shape[0], shape[1]), rms,
+        len(places), tuple(float(v) for v in whole[10:]), page,
     )  # fmt: skip
 
 
-def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+def _project(
+    parameters: FloatArray, points: FloatArray, shape: tuple[int, int], page: tuple[float, float] = (1.0, 1.0)
+) -> FloatArray:
     """Return px of points on the page, mm.
 
-    parameters: eight of the homography, two of the distortion.
+    parameters: eight of the homography, two of the distortion, and five of the curl, if there are any: three of a quadratic
+    height over the eye's, and the eye's foot, all in widths of the page from its middle.
     """
+    if len(parameters) > 10 and np.any(parameters[10:13]):
+        xx, xy, yy, foot_x, foot_y = parameters[10:15]
+        x, y = ((points - np.array(page) / 2) / page[0]).T
+        height = xx * x * x + xy * x * y + yy * y * y
+        # a raised point is seen where the ray through it meets the plane
+        points = points + page[0] * np.stack([height * (x - foot_x), height * (y - foot_y)], axis=-1)
     h = np.append(parameters[:8], 1.0).reshape(3, 3)
     u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
     u, v = u / w, v / w
@@ -265,97 +272,6 @@ def _project(parameters: FloatArray, points: FloatArray, shape: tuple[int, ...])
 def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """Return px counted from the picture's middle."""
     return points - (np.array(shape[1::-1]) - 1) / 2
-
-
-def _balanced(mosaic: FloatArray) -> FloatArray:
-    """Return a mosaic with its four planes at the same bright level."""
-    even = mosaic.copy()
-    for row, column in itertools.product((0, 1), repeat=2):
-        even[row::2, column::2] /= max(float(np.nanquantile(mosaic[row::2, column::2], 0.9)), 1e-300)
-    return even
-
-
-def _find_marks(picture: FloatArray) -> list[_Mark]:
-    """Find all concentric dark discs and rings of a picture."""
-    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
-    # the paper's level nearby: the brightest there is, of means that noise does not reach
-    cell = max(4, round(min(picture.shape) / 60))
-    coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
-    paper = ndimage.uniform_filter(ndimage.maximum_filter(coarse, 9), 5)
-    rows, columns = (np.minimum(np.arange(n) // cell, m - 1) for n, m in zip(picture.shape, paper.shape, strict=True))
-    label, count = ndimage.label(smooth < _DARK * paper[np.ix_(rows, columns)], np.ones((3, 3)))
-    if not count:
-        return []
-    every = np.arange(1, count + 1)
-    area = ndimage.sum_labels(np.ones(picture.shape), label, every)
-    y, x = np.array(ndimage.center_of_mass(np.ones(picture.shape), label, every)).T
-    found = []
-    for i in np.flatnonzero((area >= _SMALLEST) & (area < _LARGEST * picture.size)):
-        radius = np.sqrt(area[i] / np.pi)
-        near = np.hypot(x - x[i], y - y[i]) < max(_CONCENTRIC * radius, 0.7)
-        sizes = area / area[i]
-        first = near & (sizes > _RING[0]) & (sizes < _RING[1])
-        if not first.any() or (near & (sizes < 1)).any():
-            continue
-        ring = np.flatnonzero(first)[np.argmin(sizes[first])]
-        second = near & (sizes > max(_SECOND[0], 1.3 * sizes[ring])) & (sizes < _SECOND[1])
-        # the disc's own place is that of all its dark, ring included
-        parts = [i, ring]
-        weight = area[parts]
-        found.append(
-            _Mark(
-                float((x[parts] * weight).sum() / weight.sum()),
-                float((y[parts] * weight).sum() / weight.sum()),
-                1 + second.any(),
-            )
-        )
-    return found
-
-
-def _best_match(chart: Chart, marks: list[_Mark], top: _Mark, shape: tuple[int, ...]) -> _Match:
-    """Return the match of most marks, and of the closest.
-
-    top: the mark that is taken for the fiducial with two rings.
-    """
-    first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
-    places = np.array([fiducial.centre for fiducial in chart.fiducials])
-    seen = _from_middle(np.array([mark[:2] for mark in marks]), shape)
-    start = marks.index(top)
-    others = _in_turn(places, first)
-    settled = False
-    best = _Match([], np.inf)
-    # three others, met in the same turn on the page and in the picture, fix a pinhole's view
-    for three in itertools.combinations(_in_turn(seen, start), 3):
-        for where in itertools.combinations(others, 3):
-            chosen, at = [first, *where], [start, *three]
-            try:
-                view = _homography(places[chosen], seen[at])
-            except np.linalg.LinAlgError:
-                continue
-            u, v, w = view @ np.column_stack([places, np.ones(len(places))]).T
-            if not (w > 0).all():
-                continue
-            expected = np.stack([u / w, v / w], axis=-1)
-            off = np.hypot(*(expected[:, None] - seen[None]).transpose(2, 0, 1))
-            nearest = off.argmin(1)
-            reach = _NEAR * float(np.ptp(expected, axis=0).max())
-            pairs = [(i, int(j)) for i, j in enumerate(nearest) if off[i, j] < reach]
-            if len({j for _, j in pairs}) != len(pairs):
-                continue
-            match = _Match(pairs, float(sum(off[i, j] for i, j in pairs)))
-            if match.rank > best.rank:
-                best = match
-                settled = len(pairs) == len(places) and match.distance < _SETTLED * reach * len(places)
-        if settled:
-            break
-    return best
-
-
-def _in_turn(points: FloatArray, start: int) -> list[int]:
-    """Return the other points' indices in a turn from `start` on."""
-    turn = np.arctan2(*(points - points.mean(0)).T[::-1])
-    after = np.mod(turn - turn[start], 2 * np.pi)
-    return [int(i) for i in np.argsort(after) if i != start]
 
 
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:

@@ -67,7 +67,7 @@ def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T
-    clear, step = _clear(small, x, y, angle, length)
+    clear, step = clear_distance(small, x, y, angle, length)
     length = length - 2 * _CORNER
     order = np.argsort(-step * length, kind="stable")
     order = order[(clear > 0)[order]]
@@ -137,12 +137,13 @@ def _moments(
     return np.stack([mx, my, np.angle(np.exp(1j * normal)), length, thickness], 1), direction
 
 
-def _clear(
+def clear_distance(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how far both sides keep their levels, and the step.
 
-    The distance is in px, and 0 where a side is not even beside the edge.
+    The distance is in px, and 0 where a side is not even beside the edge. small: (height, width) with little noise. x, y: (n,)
+    px, of the edges' middles. angle: (n,) rad, of the normal towards the bright side. length: (n,) px.
     """
     if not x.size:
         return np.zeros(0), np.zeros(0)

@@ -178,8 +178,20 @@ def _expected_star(
     inner = projection(np.array(star.centre) + star.inner * rim) - low
     wave = StarPhase(star.cycles, float(np.hypot(*(outer - low - centre).T).min()))
     phases = np.tile(star.cycles * turn + star.phase, len(radii))
-    parameters = wave.parameters_through(points[:, 0], points[:, 1], phases, tuple(centre))
+    parameters = wave.parameters_through(points[:, 0], points[:, 1], phases, tuple(centre), _stretch(star, projection))
     return FoundStar(wave, parameters, float(np.hypot(*(inner - centre).T).max())), box
+
+
+def _stretch(star: Star, projection: Projection) -> tuple[float, float]:
+    """Return how a star's picture is stretched, as `StarPhase` counts it."""
+    step = star.outer / 2 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
+    left, right, upper, lower = projection(np.array(star.centre) + step)
+    to_page = np.linalg.pinv(np.stack([right - left, lower - upper], axis=-1))
+    _, size, v = np.linalg.svd(to_page)
+    # a turn after a symmetric map, whose trace does not matter
+    symmetric = v.T @ np.diag(size) @ v
+    symmetric *= 2 / np.trace(symmetric)
+    return float(symmetric[0, 0] - 1), float(symmetric[0, 1])
 
 
 def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[float, float]]:

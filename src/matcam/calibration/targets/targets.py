@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
+from matcam.calibration.chart.printed_levels import PrintedLevels, printed_levels
 from matcam.calibration.chart.registration import Projection, register_chart
 from matcam.calibration.photograph.linear_image import LinearImage, region_of
 from matcam.calibration.photograph.tone import Tone
@@ -29,6 +31,7 @@ class Targets:
         grids: blur over the field, of every grid of dots.
         problems: targets that could not be measured, and why, as remarks.
         registration: where the chart lies.
+        printed: levels that the chart was printed with, as its tone patches show. None: they are not to be seen.
 
     Example:
         >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
@@ -42,6 +45,7 @@ class Targets:
     grids: tuple[DotGrid, ...]
     problems: tuple[Remark, ...]
     registration: Projection
+    printed: PrintedLevels | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON object.
@@ -70,7 +74,9 @@ def measure_targets(
 ) -> Targets:
     """Find a chart, and measure its gratings, stars and dots.
 
-    Squares are left to `edge_mtf` and `calibrate`. A target that cannot be measured is listed, and the others are measured.
+    Squares are left to `edge_mtf` and `calibrate`. A target that cannot be measured is listed, and the others are measured. The
+    contrast of stars and gratings is that of the print, which the chart's tone patches show; where they are covered, it is that
+    of the description.
 
     Args:
         image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
@@ -116,7 +122,9 @@ def measure_targets(
     samples: list[MTFSamples] = []
     grids: list[DotGrid] = []
     problems: list[Remark] = []
-    for number, element in enumerate(chart.elements):
+    printed = printed_levels(picture.values, chart, registration)
+    for number, described in enumerate(chart.elements):
+        element = described if printed is None else printed.of(described)
         name = f"{source}{': ' if source else ''}{type(element).__name__.lower()} {number}"
         try:
             if isinstance(element, Grating):
@@ -133,5 +141,13 @@ def measure_targets(
         except FitError as error:
             problems.append(Remark("target-not-measured", f"{name}: {error}"))
         else:
-            samples += [replace(one, source=name, f_number=f_number) for one in found]
-    return Targets(tuple(samples), tuple(grids), tuple(problems), registration)
+            found = [replace(one, source=name, f_number=f_number) for one in found]
+            if printed is not None and not isinstance(element, Dots):
+                found = [_of_known_contrast(one, printed.contrast_std) for one in found]
+            samples += found
+    return Targets(tuple(samples), tuple(grids), tuple(problems), registration, printed)
+
+
+def _of_known_contrast(samples: MTFSamples, std: float) -> MTFSamples:
+    """Return samples that share the relative error of the print's contrast."""
+    return replace(samples, covariance=samples.covariance + std**2 * np.outer(samples.mtf, samples.mtf))

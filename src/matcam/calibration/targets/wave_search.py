@@ -67,11 +67,17 @@ class StarPhase(NamedTuple):
         return self.cycles * azimuth + turn + bent / square
 
     def parameters_through(
-        self, x: FloatArray, y: FloatArray, phase: FloatArray, centre: tuple[float, float]
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        phase: FloatArray,
+        centre: tuple[float, float],
+        shape: tuple[float, float] = (0.0, 0.0),
     ) -> FloatArray:
         """Return the parameters that give px their known phases.
 
-        phase: (n,) rad, mod 2 pi. centre: first guess, px.
+        phase: (n,) rad, mod 2 pi. centre: first guess, px. shape: first guess of the linear map: without it
+        a tilted star of many cycles leads astray.
         """
         size = self.scale
 
@@ -80,6 +86,7 @@ class StarPhase(NamedTuple):
 
         start = np.zeros(size.size)
         start[:2] = np.array(centre) / size[:2]
+        start[3:5] = np.array(shape) / size[3:5]
         start[2] = np.angle(np.exp(1j * (phase - self.at(start * size, x, y))).mean())
         return np.asarray(least_squares(residual, start, x_scale=1.0).x * size)
 

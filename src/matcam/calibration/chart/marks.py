@@ -1,0 +1,82 @@
+"""The fiducials of a chart in a picture: dark discs in dark rings that share their centre, as nothing else in a photograph."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from matcam.calibration.photograph.linear_image import local_mean
+from matcam.core.jax import FloatArray
+
+_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
+_DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them
+_CONCENTRIC = 0.35  # radii of the disc
+_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
+_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
+
+
+class Mark(NamedTuple):
+    """Hold the place of a fiducial, px, its rings, and its disc's radius, px."""
+
+    x: float
+    y: float
+    rings: int
+    radius: float
+
+
+def balanced(mosaic: FloatArray) -> FloatArray:
+    """Return a mosaic with its four planes at the same bright level."""
+    even = mosaic.copy()
+    for row, column in itertools.product((0, 1), repeat=2):
+        even[row::2, column::2] /= max(float(np.nanquantile(mosaic[row::2, column::2], 0.9)), 1e-300)
+    return even
+
+
+def find_marks(picture: FloatArray) -> list[Mark]:
+    """Find all concentric dark discs and rings of a picture (height, width), NaN where there are no data."""
+    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    # the paper's level nearby: the brightest there is, of means that noise does not reach
+    cell = max(4, round(min(picture.shape) / 60))
+    coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
+    paper = ndimage.uniform_filter(ndimage.maximum_filter(coarse, 9), 5)
+    rows, columns = (np.minimum(np.arange(n) // cell, m - 1) for n, m in zip(picture.shape, paper.shape, strict=True))
+    share = smooth / np.maximum(paper[np.ix_(rows, columns)], 1e-300)
+    found: list[Mark] = []
+    for dark in _DARK:
+        for mark in _marks_below(share, dark):
+            if all(np.hypot(mark.x - one.x, mark.y - one.y) > 2 * max(mark.radius, one.radius) for one in found):
+                found.append(mark)
+    return found
+
+
+def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
+    """Find the discs and rings that are darker than a share of the paper."""
+    label, count = ndimage.label(share < dark, np.ones((3, 3)))
+    if not count:
+        return []
+    every = np.arange(1, count + 1)
+    area = ndimage.sum_labels(np.ones(share.shape), label, every)
+    y, x = np.array(ndimage.center_of_mass(np.ones(share.shape), label, every)).T
+    small = np.flatnonzero((area >= _SMALLEST) & (area < _LARGEST * share.size))
+    radii = np.sqrt(area[small] / np.pi)
+    around = cKDTree(np.stack([x, y], axis=-1)).query_ball_point(
+        np.stack([x[small], y[small]], axis=-1), np.maximum(_CONCENTRIC * radii, 0.7)
+    )
+    found = []
+    for i, radius, beside in zip(small, radii, around, strict=True):
+        near = np.array(beside)
+        sizes = area[near] / area[i]
+        first = (sizes > _RING[0]) & (sizes < _RING[1])
+        if not first.any() or (sizes < 1).any():
+            continue
+        ring = near[first][np.argmin(sizes[first])]
+        second = (sizes > max(_SECOND[0], 1.3 * area[ring] / area[i])) & (sizes < _SECOND[1])
+        # the disc's own place is that of all its dark, ring included
+        parts = [i, ring]
+        weight = area[parts] / area[parts].sum()
+        found.append(Mark(float(x[parts] @ weight), float(y[parts] @ weight), 1 + int(second.any()), float(radius)))
+    return found

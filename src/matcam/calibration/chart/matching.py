@@ -1,0 +1,222 @@
+"""Which of a chart's fiducials is which mark of a picture.
+
+Four marks fix a pinhole's view, and a fifth must agree. All fours of marks are tried against all fours of fiducials that
+follow one another in the same turn, through lenses of several barrel distortions. The mark with two rings, where it is to be
+seen, says where to begin; without it every beginning is tried. Where only four marks are to be seen, any four fit: what is
+printed between them decides.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from matcam.calibration.chart.chart import Chart, Patch, Square
+from matcam.calibration.chart.marks import Mark
+from matcam.core.jax import FloatArray
+
+_BARREL = (0.0, 0.06, 0.13, -0.03)  # of the undistorted radius: r (1 + d r^2), r in half diagonals
+_NEAR = 0.03  # of the chart's size in the picture: how far a mark may lie from where four others put it
+_CLOSE = 0.005  # of the chart's size: mean distance at which no other lens is tried
+_MOST_MARKS = (24, 9)  # of alike discs, that are tried with a known beginning, and without
+_CANDIDATES = 40  # of equal rank, that are compared with the picture
+_ALIKE = 2.5  # sizes of discs in one picture
+_CLEAR = 0.5  # of the expected steps between dark and bright, where four marks are all there is
+_LEVEL = 0.5  # squares and patches darker than this are looked for
+_MOST_PLACES = 150
+
+
+class Match(NamedTuple):
+    """Pair fiducials of the chart with marks of the picture.
+
+    Attributes:
+        pairs: indices of fiducial and mark.
+        sure: whether more than four marks agree, or the picture shows what is printed between four.
+    """
+
+    pairs: list[tuple[int, int]]
+    sure: bool
+
+
+class _Views(NamedTuple):
+    """Hold pinholes' views of the page, and which marks they explain.
+
+    Attributes:
+        matrix: (n, 3, 3) from mm to undistorted px from the picture's middle.
+        barrel: of the lens.
+        nearest: (n, fiducials) nearest mark, -1 where none is near.
+        count: (n,) marks that are explained.
+        off: (n,) mean distance of these, relative to the chart's size.
+    """
+
+    matrix: FloatArray
+    barrel: float
+    nearest: np.ndarray
+    count: np.ndarray
+    off: FloatArray
+
+    def agree(self, marks: int) -> bool:
+        """Return whether a view explains so many marks closely."""
+        return bool((self.off[self.count >= marks] < _CLOSE).any())
+
+
+def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
+    """Return the match of most marks, and of these the one that the picture bears out.
+
+    smooth: (height, width) picture without gaps or noise.
+    """
+    alike_marks = _most_alike(marks)
+    places = np.array([fiducial.centre for fiducial in chart.fiducials])
+    middle = (np.array(smooth.shape[::-1]) - 1) / 2
+    unit = float(np.hypot(*smooth.shape)) / 2
+    tops = [i for i, j in enumerate(alike_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
+    first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
+    best: list[tuple[int, float, FloatArray, float, np.ndarray]] = []
+    # with the mark that says where to begin, where there is one; else, or where that explains little, without
+    marks_used: list[int] = []
+    for begin, most in zip(([first] if tops else [], list(range(len(places)))), _MOST_MARKS, strict=True):
+        if not begin:
+            continue
+        marks_used = alike_marks[:most]
+        seen = np.array([marks[j][:2] for j in marks_used])
+        quads = _quads(places, begin)
+        found: list[_Views] = []
+        for barrel in _BARREL:
+            off = (seen - middle) / unit
+            flat = (seen - middle) * (1 + barrel * (off**2).sum(1, keepdims=True))
+            starts = tops if begin == [first] else list(range(len(seen)))
+            found.append(_views(places, quads, flat, starts, barrel, pinned=begin == [first]))
+            if found[-1].agree(max(5, min(len(seen), len(places)) - 1)):
+                break
+        best = _best(found)
+        if best and best[0][0] >= min(5, len(places)) and best[0][0] >= min(len(seen), len(places)) - 2:
+            break
+    if not best:
+        return Match([], False)
+    top = best[0][0]
+    alike = best if top < 5 else best[:_CANDIDATES]
+    scores = [_shown(chart, one[2], one[3], smooth, middle, unit) for one in alike]
+    # the picture decides among four; among more it only breaks ties between close ones
+    order = np.array([one[1] for one in alike]) - (np.array(scores) if top < 5 else 0.01 * np.array(scores))
+    chosen = int(np.argmin(order))
+    pairs = [(i, marks_used[int(j)]) for i, j in enumerate(alike[chosen][4]) if j >= 0]
+    # marks that are not explained, while fiducials are missing, may be those of another chart
+    astray = top < len(places) and len(marks) > top + 1
+    return Match(pairs, scores[chosen] > _CLEAR if top < 5 or astray else True)
+
+
+def _most_alike(marks: list[Mark]) -> list[int]:
+    """Return the indices of marks that may be of one chart: of like sizes, the most usual first."""
+    radii = np.array([mark.radius for mark in marks])
+    near = np.array([(np.maximum(radii / r, r / radii) < _ALIKE).sum() for r in radii])
+    middle = radii[near == near.max()]
+    off = np.abs(np.log(radii / np.median(middle))) - 0.5 * np.array([mark.rings == 2 for mark in marks])
+    return [int(i) for i in np.argsort(off, kind="stable")]
+
+
+def _quads(places: FloatArray, begin: list[int]) -> np.ndarray:
+    """Return fours of points that follow one another in a turn (n, 4), the first of them one of `begin`."""
+    rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(places, start), 3)]
+    return np.array(rows, dtype=int).reshape(-1, 4)
+
+
+def _views(
+    places: FloatArray, quads: np.ndarray, seen: FloatArray, starts: list[int], barrel: float, *, pinned: bool
+) -> _Views:
+    """Return the views that fours of marks and of fiducials fix.
+
+    pinned: the first of a four is known; else each four needs to be tried from one of its beginnings only.
+    """
+    fours = _quads(seen, starts)
+    if not pinned:
+        # the fours of marks stand still, those of the page turn
+        fours = fours[fours[:, 0] == fours.min(1)]
+    to_page, to_picture = _bases(places[quads]), _bases(seen[fours])
+    to_page, to_picture = (maps[np.isfinite(maps).all((1, 2))] for maps in (to_page, to_picture))
+    matrix = (to_picture[:, None] @ np.linalg.inv(to_page)).reshape(-1, 3, 3)
+    matrix = matrix / matrix[:, 2:, 2:]
+    x, y, w = np.einsum("nij,jk->ink", matrix, np.column_stack([places, np.ones(len(places))]).T)
+    front = (w > 0).all(1)
+    expected = np.stack([x, y], axis=-1)[front] / w[front][..., None]
+    matrix = matrix[front]
+    off = np.hypot(*(expected[:, :, None] - seen).transpose(3, 0, 1, 2))
+    size = np.ptp(expected, axis=1).max(1)
+    nearest, least = off.argmin(2), off.min(2) / np.maximum(size, 1e-9)[:, None]
+    nearest = np.where(least < _NEAR, nearest, -1)
+    # a mark is one fiducial only
+    ordered = np.sort(nearest, axis=1)
+    twice = ((np.diff(ordered, axis=1) == 0) & (ordered[:, 1:] >= 0)).any(1)
+    count = np.where(twice, 0, (nearest >= 0).sum(1))
+    mean = np.where(nearest >= 0, least, 0.0).sum(1) / np.maximum(count, 1)
+    return _Views(matrix, barrel, nearest, count, mean)
+
+
+def _best(found: list[_Views]) -> list[tuple[int, float, FloatArray, float, np.ndarray]]:
+    """Return count, mean distance, view, barrel and marks of the views that explain most, the closest first."""
+    top = max((int(views.count.max(initial=0)) for views in found), default=0)
+    if top < 4:
+        return []
+    rows = []
+    for views in found:
+        which = np.flatnonzero(views.count == top)
+        which = which[np.argsort(views.off[which], kind="stable")][:1000]
+        rows += [(top, float(views.off[i]), views.matrix[i], views.barrel, views.nearest[i]) for i in which]
+    # the same marks in the same places are one match
+    unique: dict[tuple[int, ...], tuple[int, float, FloatArray, float, np.ndarray]] = {}
+    for row in sorted(rows, key=lambda row: row[1]):
+        unique.setdefault(tuple(row[4].tolist()), row)
+    return list(unique.values())
+
+
+def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
+    """Return how far the picture shows what is printed: 1 where every dark element stands on bright paper, 0 by chance."""
+    dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
+    dark = dark[:: max(1, len(dark) // _MOST_PLACES)]
+    if not dark:
+        return 0.0
+    corners = np.array([element.corners for element in dark])
+    centre = corners.mean(1)
+    sides = (corners + np.roll(corners, -1, axis=1)) / 2
+    paper = centre[:, None] + 1.3 * (sides - centre[:, None])
+    steps = []
+    for points in (centre[:, None], paper):
+        u, v, w = view @ np.column_stack([points.reshape(-1, 2), np.ones(points[..., 0].size)]).T
+        flat = np.stack([u / w, v / w], axis=-1)
+        square = ((flat / unit) ** 2).sum(1)
+        at = flat / (1 + barrel * square / (1 + 2 * barrel * square))[:, None] + middle
+        inside = ((at >= 0) & (at <= np.array(smooth.shape[::-1]) - 1)).all(1)
+        level = ndimage.map_coordinates(smooth, at[:, ::-1].T, order=1, mode="nearest")
+        steps.append(np.where(inside, level, np.nan).reshape(points.shape[:2]))
+    # all round a square there is paper; patches stand side by side, and two of theirs see it
+    ordered = np.sort(np.where(np.isfinite(steps[1]), steps[1], -np.inf), axis=1)
+    bright = np.where([isinstance(element, Square) for element in dark], ordered[:, 0], ordered[:, 2])
+    there = np.isfinite(steps[0][:, 0]) & (bright > 0)
+    if there.sum() <= len(dark) // 2:
+        return 0.0
+    expected = np.array([element.level for element in dark])[there]
+    return float(np.clip((1 - steps[0][there, 0] / bright[there]) / (1 - expected), -1, 1).mean())
+
+
+def _in_turn(points: FloatArray, start: int) -> list[int]:
+    """Return the other points' indices in a turn from `start` on."""
+    turn = np.arctan2(*(points - points.mean(0)).T[::-1])
+    after = np.mod(turn - turn[start], 2 * np.pi)
+    return [int(i) for i in np.argsort(after) if i != start]
+
+
+def _bases(points: FloatArray) -> FloatArray:
+    """Return the maps (n, 3, 3) from the projective basis to four points each (n, 4, 2); NaN where three lie in line."""
+    whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2).transpose(0, 2, 1)
+    first = whole[:, :, :3]
+    size = np.ptp(points, axis=1).prod(1)
+    good = np.abs(np.linalg.det(first)) > 1e-3 * np.maximum(size, 1e-300)
+    maps = np.full(first.shape, np.nan)
+    if good.any():
+        weight = np.linalg.solve(first[good], whole[good, :, 3:])[..., 0]
+        whole_good = first[good] * weight[:, None, :]
+        clear = (np.abs(weight) > 1e-3).all(1)
+        maps[np.flatnonzero(good)[clear]] = whole_good[clear]
+    return maps

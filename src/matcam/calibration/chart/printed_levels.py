@@ -1,0 +1,151 @@
+"""What a printer made of a chart's levels, read off the chart's own patches.
+
+A patch over the paper beside it is a level as it was printed: light and vignetting drop out. Printers make greys too dark or
+too bright, and smoothly so: ln(printed) over ln(described) is nearly straight, and is interpolated. Contrasts of stars and
+gratings follow from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from matcam.calibration.chart.chart import Chart, Dots, Element, Grating, Patch, Star
+from matcam.calibration.chart.registration import Projection
+from matcam.core.jax import FloatArray
+from matcam.core.remark import Remark
+
+_FEWEST = 4  # patches
+_INSIDE = 0.3  # of a patch's sides, which borders and blur may see
+_BESIDE = (1.2, 1.35)  # of half a patch's size: paper, where the brighter of two pairs of sides is
+_GRID = 16  # places along each side
+_KNOWN = 24  # pixels of a patch, and of the paper beside it
+_UNEVEN = 0.05  # of a patch's level: between its quarters, beyond noise
+_OFF = 0.12  # of ln(printed) from the straight line through most patches
+_CONTRAST_STD = 0.004  # relative: light that changes between patch and paper
+_MIDDLE, _REMARKABLE = 0.3, 0.05  # level; change of its logarithm
+_TURN = 2 * np.pi * np.arange(256) / 256
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedLevels:
+    """Hold the levels of patches as they were printed.
+
+    Attributes:
+        described: (n,) levels of the chart's description, rising.
+        printed: (n,) levels in the photograph, over the paper's.
+        std: (n,) relative standard deviations of `printed`.
+    """
+
+    described: FloatArray
+    printed: FloatArray
+    std: FloatArray
+
+    def __call__(self, level: FloatArray | float) -> FloatArray:
+        """Return what described levels became (no unit)."""
+        at, known = np.log(np.append(self.described, 1.0)), np.log(np.append(self.printed, 1.0))
+        wanted = np.log(np.maximum(np.asarray(level, float), 1e-4))
+        curve = PchipInterpolator(at, known, extrapolate=False)
+        slope = (known[1] - known[0]) / (at[1] - at[0])
+        inside = curve(np.clip(wanted, at[0], at[-1]))
+        return np.minimum(np.exp(inside + slope * np.minimum(wanted - at[0], 0.0)), 1.0)
+
+    @property
+    def remark(self) -> Remark | None:
+        """Return that the print is not what the chart describes; None where it is."""
+        was, became = _MIDDLE, float(self(_MIDDLE))
+        if abs(np.log(became / was)) < _REMARKABLE:
+            return None
+        text = (
+            f"the print is not as described: level {was:g} became {became:.2f}; contrasts follow from the tone patches"
+        )
+        return Remark("printed-levels", text)
+
+    @property
+    def contrast_std(self) -> float:
+        """Return the relative standard deviation of a printed contrast."""
+        return float(np.hypot(_CONTRAST_STD, np.median(self.std)))
+
+    def of(self, element: Element) -> Element:
+        """Return a target with the levels that it was printed with.
+
+        Those of a sine are its first harmonic's, which is what is measured; its dark may then lie below 0.
+        """
+        if isinstance(element, Grating) and element.profile != "sine":
+            return replace(element, dark=float(self(element.dark)), bright=float(self(element.bright)))
+        if isinstance(element, Star | Grating):
+            mean, amplitude = (element.bright + element.dark) / 2, (element.bright - element.dark) / 2
+            wave = self(mean + amplitude * np.cos(_TURN))
+            middle, first = float(wave.mean()), 2 * float((wave * np.cos(_TURN)).mean())
+            return replace(element, dark=middle - first, bright=middle + first)
+        return replace(element, level=float(self(element.level))) if isinstance(element, Dots) else element
+
+
+def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
+    """Read the levels of a chart's patches; None where too few are to be seen.
+
+    values: (height, width) linear, NaN where there are no data. projection: from the page, mm, to the picture, px.
+    """
+    rows = []
+    for patch in chart.elements:
+        if isinstance(patch, Patch):
+            found = _over_paper(values, patch, projection)
+            if found is not None:
+                rows.append((patch.level, *found))
+    if len(rows) < _FEWEST:
+        return None
+    level, printed, std = np.array(sorted(rows)).T
+    # a print is smooth: what lies far from the line through most patches was covered, or not lit as its paper
+    x, y = np.log(level), np.log(printed)
+    slopes = [y[i] / x[i] for i in range(len(x)) if level[i] < 1]
+    slope = float(np.median(slopes))
+    bend = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
+    good = bend & (np.append(True, np.diff(printed) > 0))
+    if good.sum() < _FEWEST:
+        return None
+    return PrintedLevels(level[good], printed[good], std[good])
+
+
+def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
+    """Return a patch's level over the paper's, and its relative standard deviation; None where it is not even."""
+    corners = np.array(patch.corners)
+    centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
+    line = np.linspace(-1, 1, _GRID)
+
+    def level(u: FloatArray, v: FloatArray) -> tuple[float, float] | None:
+        place = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=-1)
+        at = np.rint(projection(centre + place[:, :1] * across + place[:, 1:] * along)).astype(int)
+        at = np.unique(at, axis=0)
+        at = at[((at >= 0) & (at < values.shape[::-1])).all(1)]
+        seen = values[at[:, 1], at[:, 0]]
+        seen = seen[np.isfinite(seen)]
+        if seen.size < _KNOWN:
+            return None
+        return float(seen.mean()), float(seen.std() / np.sqrt(seen.size))
+
+    inner = (1 - _INSIDE) * line
+    own = level(inner, inner)
+    parts = [level(u, v) for u in (inner[: _GRID // 2], inner[_GRID // 2 :]) for v in (inner,)]
+    if own is None or not own[0] > 0:
+        return None
+    uneven = [abs(part[0] - own[0]) - 3 * part[1] for part in parts if part is not None]
+    if max(uneven, default=0.0) > _UNEVEN * own[0]:
+        return None
+    # what lies beyond a shorter side is as far away as beyond a longer one
+    ratio = float(np.hypot(*across) / np.hypot(*along))
+    reach = np.linspace(*_BESIDE, _GRID // 2)
+    beside_u = 1 + (reach - 1) * min(1.0, 1 / ratio)
+    beside_v = 1 + (reach - 1) * min(1.0, ratio)
+    pairs = [
+        (level(beside_u, inner), level(-beside_u, inner)), (level(inner, beside_v), level(inner, -beside_v)),
+    ]  # fmt: skip
+    means = [(a[0] + b[0]) / 2 for a, b in pairs if a is not None and b is not None]
+    apart = [abs(a[0] - b[0]) / (a[0] + b[0]) for a, b in pairs if a is not None and b is not None]
+    if not means or not max(means) > 0:
+        return None
+    best = int(np.argmax(means))
+    if apart[best] > _UNEVEN:
+        return None
+    return own[0] / means[best], float(np.hypot(own[1] / own[0], 0.1 * apart[best]))

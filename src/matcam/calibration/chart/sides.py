@@ -1,0 +1,92 @@
+"""Where the sides of a chart's squares lie in a picture, a few px from where a first registration puts them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from matcam.calibration.chart.chart import Chart, Square
+from matcam.core.jax import FloatArray
+
+_ALONG = np.linspace(-0.32, 0.32, 9)  # of a side, from its middle: places where it is looked for
+_REACH, _FARTHEST = 0.22, 30  # of the shorter side in the picture; px
+_STEP = 0.5  # px between samples
+_LEAST = 0.35  # of the described step over the paper: what must be left of it, in any print and light
+_CORE = 3.0  # px about the steepest place that tell where it is
+
+
+class Sides(NamedTuple):
+    """Hold n sides of squares as they are seen, each at m places.
+
+    Attributes:
+        square: (n,) index of the element.
+        page: (n, m, 2) places on the page, mm.
+        seen: (n, m, 2) where the step across the side was found, px; NaN where it was not.
+        normal: (n, m, 2) unit vectors outwards, towards the bright side.
+        length: (n,) px.
+        depth: (n,) px from a side to the opposite one.
+    """
+
+    square: np.ndarray
+    page: FloatArray
+    seen: FloatArray
+    normal: FloatArray
+    length: FloatArray
+    depth: FloatArray
+
+    @property
+    def found(self) -> np.ndarray:
+        """Return at which places a side was found (n, m)."""
+        return np.isfinite(self.seen).all(2)
+
+
+def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:
+    """Find the sides of all squares; None for a chart without squares.
+
+    smooth: (height, width) picture without gaps or noise. projection: from the page, mm, to the picture, px.
+    """
+    which = [i for i, element in enumerate(chart.elements) if isinstance(element, Square)]
+    if not which:
+        return None
+    squares = [element for element in chart.elements if isinstance(element, Square)]
+    corners = np.array([square.corners for square in squares])
+    ends = np.roll(corners, -1, axis=1)
+    page = corners[:, :, None] + (ends - corners)[:, :, None] * (0.5 + _ALONG[:, None])
+    page = page.reshape(-1, _ALONG.size, 2)
+    middle = np.repeat(corners.mean(1), 4, axis=0)
+    at = projection(page.reshape(-1, 2)).reshape(page.shape)
+    along = np.gradient(at, axis=1)
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    normal /= np.maximum(np.hypot(*normal.transpose(2, 0, 1)), 1e-12)[..., None]
+    centre = projection(middle)
+    inwards = ((centre[:, None] - at) * normal).sum(2)
+    normal *= -np.sign(inwards)[..., None]
+    length = np.hypot(*(at[:, -1] - at[:, 0]).T) / np.ptp(_ALONG)
+    depth = 2 * np.abs(inwards).min(1)
+    reach = min(float(np.median(np.minimum(depth, length))) * _REACH, _FARTHEST)
+    steps = np.arange(-np.ceil(reach / _STEP), np.ceil(reach / _STEP) + 1) * _STEP
+    places = at[:, :, None] + normal[:, :, None] * steps[:, None]
+    profile = ndimage.map_coordinates(
+        smooth, places[..., ::-1].transpose(3, 0, 1, 2), order=1, mode="constant", cval=np.nan
+    )
+    level = np.repeat([square.level for square in squares], 4)
+    off = _steepest(profile, steps, level)
+    return Sides(np.repeat(which, 4), page, at + off[..., None] * normal, normal, length, depth)
+
+
+def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> FloatArray:
+    """Return where profiles (n, m, k) rise most, px; NaN where no rise is as high as a side's."""
+    slope = np.diff(profile, axis=2)
+    between = (steps[1:] + steps[:-1]) / 2
+    best = np.nan_to_num(slope, nan=-np.inf).argmax(2)
+    near = np.abs(between - between[best][..., None]) <= _CORE
+    weight = np.where(near, np.maximum(slope, 0.0), 0.0)
+    total = weight.sum(2)
+    place = (weight * between).sum(2) / np.maximum(total, 1e-300)
+    paper = profile[..., -3:].mean(2)
+    good = (total > _LEAST * (1 - level)[:, None] * paper) & np.isfinite(profile).all(2)
+    inside = (best > 1) & (best < slope.shape[2] - 2)
+    return np.where(good & inside, place, np.nan)

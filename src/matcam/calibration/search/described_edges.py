@@ -1,0 +1,54 @@
+"""The edges of a chart that was found: the sides of its squares, and nothing else.
+
+Around gratings, stars, dots and tables there are edges by the hundred. A described side is looked for where the registration
+puts it, and measured only where both its sides are even: what covers it in part takes it away.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.calibration.chart.chart import Chart
+from matcam.calibration.chart.registration import Projection
+from matcam.calibration.chart.sides import seen_sides
+from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.search.edge_search import EdgePlaces, clear_distance
+from matcam.core.jax import FloatArray
+
+_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
+_CORNER = 3.5  # px, which both ends of a side lose
+_FEWEST = 5  # places along a side at which it must be seen
+_STRAIGHT = 0.7  # px: how far these may lie off a straight line
+
+
+def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePlaces | None:
+    """Return the sides of a chart's squares that can be measured; None for a chart without squares.
+
+    values: (height, width) any monotone codes, mosaics balanced; NaN where there are no data. projection: from the page, mm, to
+    the picture, px.
+    """
+    smooth = local_mean(values, _SMOOTH if np.isfinite(values).all() else _SMOOTH_GAPS)
+    sides = seen_sides(smooth, chart, projection)
+    if sides is None:
+        return None
+    found = sides.found
+    some = found.sum(1) >= _FEWEST
+    seen, known = np.where(found[..., None], sides.seen, 0.0)[some], found[some][..., None]
+    count = known.sum(1)
+    middle = seen.sum(1) / count
+    off = np.where(known, seen - middle[:, None], 0.0)
+    # the direction of most scatter is the side's
+    xx, yy, xy = (off[..., 0] ** 2).sum(1), (off[..., 1] ** 2).sum(1), (off[..., 0] * off[..., 1]).sum(1)
+    turn = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
+    outwards = np.where(known, sides.normal[some], 0.0).sum(1)
+    turn = np.where(np.cos(turn) * outwards[:, 0] + np.sin(turn) * outwards[:, 1] < 0, turn + np.pi, turn)
+    across = off[..., 0] * np.cos(turn)[:, None] + off[..., 1] * np.sin(turn)[:, None]
+    good = np.sqrt((across**2).sum(1) / count[:, 0]) < _STRAIGHT
+    # places that were not found leave the middle where the described one is
+    length = np.where(good, sides.length[some], 0.0)
+    x, y, angle = middle[good, 0], middle[good, 1], np.angle(np.exp(1j * turn[good]))
+    clear, step = clear_distance(smooth, x, y, angle, length[good])
+    length = length[good] - 2 * _CORNER
+    order = np.argsort(-step * length, kind="stable")
+    order = order[(clear > 0)[order]]
+    return EdgePlaces(*(column[order] for column in (x, y, angle, length, clear.astype(float))))

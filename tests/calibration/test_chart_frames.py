@@ -1,0 +1,111 @@
+"""Charts as people photograph them: aslant, bent, badly printed, badly lit, covered in part."""
+
+import json
+
+import numpy as np
+import pytest
+
+from matcam.calibration.camera.calibration import calibrate
+from matcam.calibration.chart.chart import Star
+from matcam.calibration.chart.chart_file import read_chart, write_chart
+from matcam.calibration.chart.chart_layout import design_chart
+from matcam.calibration.chart.printed_levels import printed_levels
+from matcam.calibration.chart.registration import register_chart
+from matcam.core.errors import FitError
+from tests.oracle.chart_frames import random_frame
+
+SMALLEST = 540  # px: a page of fewer has no room for squares of 80 px, and is not drawn
+
+
+def drawn(folder, pixels, seed, **forced):
+    """The chart that `matcam chart` draws by default for a page of so many px, and a random frame of it."""
+    path = folder / "chart.json"
+    write_chart(path, design_chart(pixels_across=pixels), force=True)
+    chart = read_chart(path)
+    return chart, random_frame(json.loads(path.read_text()), chart.page, pixels, seed, **forced)
+
+
+def off(found, camera, chart):
+    """Largest error of a registration, px."""
+    points = np.random.default_rng(0).uniform(0.05, 0.95, (300, 2)) * chart.page
+    return np.hypot(*(found(points) - np.stack(camera.sensor_of(*points.T), -1)).T).max()
+
+
+def covered(frame, chart, kept):
+    """The frame's counts, with grey over all fiducials but some."""
+    counts = frame.counts.copy()
+    y, x = np.indices(counts.shape)
+    for i, mark in enumerate(chart.fiducials):
+        if i not in kept:
+            at_x, at_y = frame.camera.sensor_of(*np.array(mark.centre, float))
+            side = np.hypot(
+                *np.subtract(frame.camera.sensor_of(mark.centre[0] + mark.radius, mark.centre[1]), (at_x, at_y))
+            )
+            counts[np.hypot(x - at_x, y - at_y) < 7 * side] = 0.6 * np.median(counts)
+    return counts
+
+
+@pytest.mark.parametrize("kept", [(1, 2, 3, 4, 5, 6, 7), (3, 4, 6, 7), (1, 3, 5, 7)])
+def test_any_four_fiducials_place_the_chart(tmp_path, kept):
+    chart, frame = drawn(tmp_path, 620, 0, hand=False)
+    found = register_chart(covered(frame, chart, kept), chart)
+    assert found.found == len(kept)
+    assert off(found, frame.camera, chart) < 0.6
+
+
+def test_three_fiducials_do_not(tmp_path):
+    chart, frame = drawn(tmp_path, 620, 0, hand=False)
+    with pytest.raises(FitError, match="3 of its 8 fiducials found; 4 are needed"):
+        register_chart(covered(frame, chart, (1, 3, 5)), chart)
+
+
+def test_the_print_is_read_off_its_patches(tmp_path):
+    chart, frame = drawn(tmp_path, 620, 1, hand=False)
+    gamma = frame.camera.gamma
+    assert gamma > 1.5
+    found = printed_levels(frame.counts, chart, register_chart(frame.counts, chart))
+    assert np.abs(found.printed - found.described**gamma).max() < 0.004
+    star = next(e for e in chart.elements if isinstance(e, Star))
+    wave = np.cos(2 * np.pi * np.arange(4096) / 4096)
+    level = ((star.bright + star.dark) / 2 + (star.bright - star.dark) / 2 * wave) ** gamma
+    assert found.of(star).contrast == pytest.approx(
+        2 * (level * wave).mean() / level.mean(), rel=2 * found.contrast_std
+    )
+    assert "0.3 became" in found.remark.text
+
+
+def outcome(chart, frame):
+    """'good', 'wrong', 'unexplained' or 'refused', and by how much the blur is off, in words."""
+    try:
+        fit = next(iter(calibrate([frame.counts], chart=chart, tone="linear").channels.values()))
+    except FitError as error:
+        return "refused", str(error)
+    sigma, std, truth = float(fit.values[0]), float(fit.std[0]), frame.camera.sigma
+    text = f"{sigma / truth - 1:+.2%} ({std / truth:.2%})"
+    if abs(sigma - truth) > max(0.01 * truth, 2 * std):
+        return "wrong", text
+    return ("good" if fit.consistent else "unexplained"), text
+
+
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
+def test_frames(tmp_path, seed):
+    """One of a gamma of 1.5, barrel, a shadow and a thumb; one tilted by 33 degrees."""
+    pixels = {4: 545, 5: 700}[seed]
+    chart, frame = drawn(tmp_path, pixels, seed)
+    kind, text = outcome(chart, frame)
+    assert kind == "good", text
+
+
+@pytest.mark.slow
+def test_frames_at_length(tmp_path):
+    """200 frames, a page of 540 to 2000 px across."""
+    count = {"good": 0, "wrong": 0, "unexplained": 0, "refused": 0}
+    for seed in range(1000, 1200):
+        pixels = int(np.exp(np.random.default_rng(seed).uniform(np.log(SMALLEST), np.log(2000))))
+        kind, text = outcome(*drawn(tmp_path, pixels, seed))
+        count[kind] += 1
+        if kind != "good":
+            print(seed, pixels, kind, text)
+    print(count)
+    assert count["good"] >= 198
+    assert count["wrong"] + count["unexplained"] < 2
