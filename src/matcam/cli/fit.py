@@ -130,7 +130,7 @@ def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[st
 def print_fit(summary: dict[str, Any], name: str) -> None:
     """A fit's `to_dict()` as a table, and what is to be said of it."""
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
-    show.table(["parameter", "value", "std"], rows, f"{name}: {summary['ndf']}")
+    show.table(["parameter", "value", "std"], rows, f"{name}: {'bent ' if summary['bent'] else ''}{summary['ndf']}")
     show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(

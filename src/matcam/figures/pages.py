@@ -26,6 +26,11 @@ from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
+_READ_AS = {
+    "hwhm_rad": "half width at half maximum, rad",
+    "tail_exponent": "tail exponent",
+    "haze_share": "haze share",
+}
 
 
 def write_correction_page(
@@ -50,10 +55,10 @@ def write_correction_page(
         "name": name,
         "verdict": done.verdict,
         "remarks": texts(done.remarks),
-        "family": found.family,
+        "family": found.lobe_name,
         "parameters": [
-            *((key, value, found.std[key]) for key, value in found.params.items()),
-            ("half width at half maximum, rad", found.hwhm, found.hwhm_std),
+            *((_READ_AS.get(key, key), value, found.std[key]) for key, value in found.params.items()),
+            *([] if "hwhm_rad" in found.params else [(_READ_AS["hwhm_rad"], found.hwhm, found.hwhm_std)]),
         ],
         "figures": [(title, inline_png(figure)) for title, figure in figures],
     }
@@ -249,10 +254,16 @@ def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
     return _number(value, text)
 
 
+def _lobe(record: dict[str, Any]) -> _Cell:
+    """Return the lobe's family, and whether it is bent."""
+    words = f"bent {record['fit']['ndf']}" if record["fit"].get("bent") else str(record["fit"]["ndf"])
+    return _Cell(words, words)
+
+
 def _roughness(record: dict[str, Any]) -> _Cell:
-    """Return the first parameter of the fit, which is its lobe's."""
+    """Return the first parameter of the fit, which is its lobe's; a bent lobe has a half width alone."""
     params, std = record["fit"]["params"], record["fit"]["std"]
-    name = next(iter(params), None)
+    name = None if record["fit"].get("bent") else next(iter(params), None)
     return _Cell("", "-") if name is None else _with_std(params[name], std.get(name))
 
 
@@ -274,7 +285,7 @@ def _peak_loss(degrees: str) -> Callable[[dict[str, Any]], _Cell]:
 _COLUMNS = (
     _Column(("material",), "text", _material),
     _Column(("verdict",), "text", _verdict),
-    _Column(("lobe",), "text", lambda r: _Cell(str(r["fit"]["ndf"]), str(r["fit"]["ndf"]))),
+    _Column(("lobe",), "text", _lobe),
     _Column(("roughness", "(slope)"), "number", _roughness),
     _Column(
         ("half width at half", "maximum (degrees)"),

@@ -87,7 +87,7 @@ def fresnel(
         - `absolute`, `absolute_std`: the same, not normalised; NaN where the lobe is too narrow for its strength to be known.
         - `response`: recorded / true peak. `masking`: G in the mirror direction.
         - `supported_angle`: last theta_d, rad, up to which corrected_std stays under 5 % of corrected.
-        - `width`, `width_std`: width of the lobe, as its NDF defines it; of a bent lobe, that of its family.
+        - `width`, `width_std`: width of the lobe, as its NDF defines it; of a bent lobe its half width, rad.
         - `hwhm`, `hwhm_std`: half width of the lobe at half its maximum, rad, whatever its shape.
 
         `corrected` and `corrected_peak` have mean 1 over the range. `raw` is corrected_peak times the relative loss.
@@ -163,7 +163,7 @@ def fresnel(
             "response": ("theta_d", response, {"long_name": "recorded / true peak"}),
             "masking": ("theta_d", hidden, {"long_name": "G in the mirror direction"}),
             "supported_angle": ("channel", _supported_angle(term, theta_d), {"units": "rad"}),
-            "width": ((), found.params[width], {"long_name": f"width of the {found.family} lobe ({width})"}),
+            "width": ((), found.params[width], {"long_name": f"width of the {found.lobe_name} lobe ({width})"}),
             "width_std": ((), found.std[width] if found.resolved else np.inf, {"long_name": "its standard deviation"}),
             "hwhm": ((), found.hwhm, {"units": "rad", "long_name": "half width of the lobe at half its maximum"}),
             "hwhm_std": ((), found.hwhm_std, {"units": "rad", "long_name": "its standard deviation"}),

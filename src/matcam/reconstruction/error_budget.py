@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.inverse.fit.lobe_readings import lobe_readings
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.rig.field_change import FIELD
@@ -49,10 +50,34 @@ class Ratio(NamedTuple):
     std: float
 
 
-def shared_names(fit: SphereFit) -> tuple[str, ...]:
-    """Name the parameters that all pictures share, in their order."""
+class _Shared(NamedTuple):
+    """Hold the parameters that all pictures share, as users read them: a bent lobe has no coefficients, but a half width.
+
+    Attributes:
+        names: in the order of `slopes`.
+        slopes: (names, coordinates of the fit), derivatives.
+    """
+
+    names: tuple[str, ...]
+    slopes: np.ndarray
+
+    def covariance(self, whole: np.ndarray) -> np.ndarray:
+        """Return the covariance of what is read. whole: of the fit's coordinates."""
+        size = self.slopes.shape[1]
+        return self.slopes @ whole[:size, :size] @ self.slopes.T
+
+
+def _shared(fit: SphereFit) -> _Shared:
     diffuse = [f"diffuse {channel}" for channel in fit.channels]
-    return (*fit.kind.names, "lens", "radius", "camera distance", "lamp distance", *diffuse, *FIELD)
+    others = ("lens", "radius", "camera distance", "lamp distance", *diffuse, *FIELD)
+    own = fit.kind.size
+    lobe = lobe_readings(fit.kind, fit.solution.p[:own]) if fit.kind.bends else None
+    names, rows = (fit.kind.names, np.eye(own)) if lobe is None else (lobe.names, lobe.slopes.copy())
+    if lobe is not None:
+        rows[0] /= lobe.values[0]  # its logarithm, as of a family's roughness
+    slopes = np.zeros((len(names) + len(others), own + len(others)))
+    slopes[: len(names), :own], slopes[len(names) :, own:] = rows, np.eye(len(others))
+    return _Shared((*names, *others), slopes)
 
 
 def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray, theta_d: float) -> Ratio:
@@ -115,20 +140,22 @@ def error_budget(
 
     Returns:
         Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees, relative),
-        "level" (that mean, relative; only where F is absolute), "roughness" (of the logarithm of the lobe's first parameter),
-        "radius_px", "lens" (relative). "total" has all sources, "reference" is the unit's part.
+        "level" (that mean, relative; only where F is absolute), "roughness" (of the logarithm of the lobe's first parameter,
+        or of a bent lobe's half width), "radius_px", "lens" (relative). "total" has all sources; "reference" is the unit's.
     """
     absolute = bool(np.isfinite(unit_std))
-    solution = fit.solution
+    solution, shared = fit.solution, _shared(fit)
+    size = shared.slopes.shape[1]
 
     def stds(covariance: np.ndarray) -> dict[str, float]:
         ratio = reflectance_ratio(fit, curve, channel_covariance(fit, channel, covariance), theta_d)
         scene = np.sqrt(np.maximum(np.diag(covariance)[fit.layout.scene], 0))
+        width = float(shared.slopes[0] @ covariance[:size, :size] @ shared.slopes[0])
         level = {"level": mean_level_std(fit, curve, channel_covariance(fit, channel, covariance))} if absolute else {}
         return {
             "ratio": ratio.std / abs(ratio.value),
             **level,
-            "roughness": float(np.sqrt(max(covariance[0, 0], 0))),
+            "roughness": float(np.sqrt(max(width, 0))),
             "radius_px": float(scene[SCENE.index("radius")]),
             "lens": float(scene[SCENE.index("lens")]),
         }
@@ -155,20 +182,21 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     For each of these, what is stated of it is taken away: where its correlation with another then exceeds 0.95 and its own
     error grows more than threefold, the pictures do not determine it.
     """
-    solution, names = fit.solution, shared_names(fit)
-    before = np.diag(solution.covariance)
+    solution, shared = fit.solution, _shared(fit)
+    names = shared.names
+    before = np.diag(shared.covariance(solution.covariance))
     found: list[Inseparable] = []
     for source, name in (("lens", "lens"), ("camera distance",) * 2, ("lamp distance",) * 2, ("outline", "radius")):
         information = solution.problem.information_of(source)
         if not information.any():
             continue
         place = names.index(name)
-        after = solution.covariance_with(-(1 - 1e-6) * information)
+        after = shared.covariance(solution.covariance_with(-(1 - 1e-6) * information))
         grown = after[place, place] / max(before[place], 1e-300)
         if not np.isfinite(grown) or grown < _WEAK**2:
             continue
-        std = np.sqrt(np.maximum(np.diag(after)[: len(names)], 1e-300))
-        correlation = after[place, : len(names)] / (std[place] * std)
+        std = np.sqrt(np.maximum(np.diag(after), 1e-300))
+        correlation = after[place] / (std[place] * std)
         for other, value in enumerate(correlation.tolist()):
             if other != place and abs(value) > _APART and before[other] > 0:
                 found.append(Inseparable((name, names[other]), float(np.clip(value, -1, 1))))

@@ -12,8 +12,9 @@ import xarray as xr
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.profile import field_document
 from matcam.core.remark import Remark
-from matcam.inverse.fit.fit_parameters import LobeKind, half_maximum_angle, readable_value
+from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
 from matcam.inverse.fit.fit_setup import AUTO
+from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.material.masking import Masking
 from matcam.reconstruction.chosen_lobe import FitOfPictures, chosen_fit
 from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
@@ -88,7 +89,7 @@ class Reconstruction:
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each parameter, by name.
 
-        Lobe, lens, n and k, diffuse part. A bent lobe has a half width alone.
+        Lobe, lens, n and k, diffuse part. A bent lobe has a half width, a tail exponent and a haze share alone.
         """
         fit, p = self.fit, self.fit.solution.p
         std = np.sqrt(np.maximum(np.diag(fit.solution.covariance), 0))
@@ -97,7 +98,7 @@ class Reconstruction:
             if not fit.kind.bends:  # of a bent lobe they say nothing
                 value, slope = readable_value(name, float(p[index]))
                 found[name] = value, slope * float(std[index])
-        found |= _half_widths(fit)
+        found |= _bent_lobe(fit) if fit.kind.bends else _half_widths(fit)
         width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
         scale = float(np.exp(p[fit.layout.scene][0]))
         scale_std = scale * float(std[fit.layout.scene][0])
@@ -352,6 +353,14 @@ def reconstructed(
         tried=chosen.tried,
         remarks=tuple(every),
     )
+
+
+def _bent_lobe(fit: SphereFit) -> dict[str, tuple[float, float]]:
+    """Return what a bent lobe has instead of a family's parameters, each with its standard deviation."""
+    lobe = slice(0, fit.kind.size)
+    read = lobe_readings(fit.kind, fit.solution.p[lobe])
+    std = np.sqrt(np.einsum("np,pq,nq->n", read.slopes, fit.solution.covariance[lobe, lobe], read.slopes))
+    return dict(zip(read.names, zip(read.values.tolist(), std.tolist(), strict=True), strict=True))
 
 
 def _half_widths(fit: SphereFit) -> dict[str, tuple[float, float]]:

@@ -18,7 +18,7 @@ from matcam.app.exploring.fitted_pictures import FittedPicture, fitted_pictures,
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import check_within, read_json
 
-_WIDTHS = ("alpha", "beta", "width")
+_WIDTHS = ("alpha", "beta", "width", "hwhm_rad")
 _LARGEST_RECORD = 4 << 20
 """Largest record of a material that is read, bytes."""
 

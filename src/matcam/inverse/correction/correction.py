@@ -65,13 +65,15 @@ class Correction:
         doubts: the same fit with a parameter of the rig free, one for each parameter.
         shape: what was changed of the family's lobe.
         remarks: what a reader should know of the correction.
+        without_camera: fit of the same lobe as a perfect camera would have recorded it.
+        no_camera: probability (no unit) that no camera, rather than this one, made the table.
         withheld: whether the table stays as it is, because rig and data contradict each other. Default: False.
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
-        ['table', 'fit', 'doubts', 'shape', 'remarks', 'withheld']
+        ['table', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld']
     """
 
     table: xr.Dataset
@@ -79,6 +81,8 @@ class Correction:
     doubts: tuple[Doubt, ...]
     shape: ShapeCorrection
     remarks: tuple[Remark, ...]
+    without_camera: MaterialFit
+    no_camera: float
     withheld: bool = False
 
     @classmethod
@@ -141,11 +145,11 @@ class Correction:
         if said:
             remarks = (*remarks, _WITHHELD)
         table.attrs.update(
-            ndf=best.family, masking=masking or "none", glare=glare, sampling=sampling_of(brdf),
-            source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
+            ndf=best.family, bent=int(best.is_bent), masking=masking or "none", glare=glare,
+            sampling=sampling_of(brdf), source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
-        return cls(table, best, found.doubts, found.shape, remarks, said)
+        return cls(table, best, found.doubts, found.shape, remarks, found.blind, found.no_camera, said)
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
         """Return the share of the highlight's peak that the camera lost.
@@ -211,7 +215,8 @@ class Correction:
         return {
             "fit": self.fit.to_dict(),
             "doubts": {doubt.axis.name: doubt.to_dict() for doubt in self.doubts},
-            "shape": {"scale": self.shape.scale, "b": self.shape.b},
+            "shape": {"scale": self.shape.scale},
+            "no_camera": {"probability": self.no_camera, "noise": self.without_camera.noise._asdict()},
             "supported_share": self.supported_share,
             "peak_gain_75": float(1 / self._peak_response(np.radians(75.0))),
             "correction_std_75": float(self.table["correction_std"].values[self._peak(np.radians(75.0))].max()),

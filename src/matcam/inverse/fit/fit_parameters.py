@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp, placed
-from matcam.core.programs import kept_program
+from matcam.core.jax import jax, jnp
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
@@ -26,10 +25,6 @@ FresnelModel = str
 
 NARROWEST_PX = 0.02
 """Lobes narrower than this on the sensor are the same point to any camera."""
-
-_NARROWEST_ANGLE, _WIDEST_ANGLE = 1e-9, 1.5
-"""rad; where half a lobe's maximum is looked for."""
-_HALVINGS = 60
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
@@ -64,7 +59,7 @@ class LobeKind(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name all parameters: the family's, those of the bend, those of a free masking."""
+        """Name all coordinates: the family's, those of the bend, those of a free masking. Users read `lobe_readings`."""
         bends = (f"bend{k}" for k in range(self.bends))
         return (*self.family_names, *bends, *(f"shadow{k}" for k in range(self.shadows)))
 
@@ -176,7 +171,7 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
     """Return the parameter that users read, and its derivative by the coordinate."""
-    if name in ("f0", "diffuse") or name.startswith(("bend", "shadow")):
+    if name in ("f0", "diffuse"):
         return coordinate, 1.0
     value = float(np.exp(coordinate))
     return (1 + value, value) if name == "eta" else (value, value)
@@ -197,35 +192,3 @@ def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight:
     curves = [np.asarray(reflectance_at(model, jnp.asarray(p)).at(jnp.asarray(theta))) for p in points]
     misfit = [(weight * (f - curve) ** 2).sum() for curve in curves]
     return np.array(points[int(np.argmin(misfit))])
-
-
-def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return the half width at half maximum of D, rad, and its standard deviation.
-
-    The angle is found by bisection, its standard deviation by its implicit derivative.
-    """
-    beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
-    if beyond > 0:
-        return float("nan"), float("nan")
-    by_q = -by_lobe / by_angle
-    angle = float(np.exp(low))
-    return angle, angle * float(np.sqrt(by_q @ covariance @ by_q))
-
-
-@kept_program
-def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return where D is half its maximum: ln(2 D / D(0)) at the widest angle, ln(angle), and the former's slopes there."""
-
-    def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:
-        ndf = kind.ndf(q)
-        return jnp.log(2 * ndf.d(jnp.exp(log_angle)) / ndf.d(1e-9))
-
-    def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = ends
-        middle = (low + high) / 2
-        above = excess(middle, q) > 0
-        return jnp.where(above, middle, low), jnp.where(above, high, middle)
-
-    widest = jnp.log(_WIDEST_ANGLE)
-    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.log(_NARROWEST_ANGLE), widest))
-    return excess(widest, q), low, *jax.grad(excess, argnums=(0, 1))(low, q)

@@ -12,6 +12,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
+from matcam.inverse.fit.lobe_readings import lobe_readings
 from matcam.inverse.fit.search import Solution
 from matcam.inverse.operator.rig_axes import ASSUMED, SHAPE, WIDTHS, Axis, known_lens
 from matcam.material.microfacet import Microfacet
@@ -237,7 +238,7 @@ class NamedParameters(NamedTuple):
     """Hold a fit's parameters as users read them.
 
     Attributes:
-        names: "alpha", "n[G]", "optics.sigma_px", ...
+        names: "alpha", "n[G]", "optics.sigma_px", ...; of a bent lobe what `lobe_readings` says instead of its coefficients.
         values: in the parameters' own units.
         covariance: of the values.
     """
@@ -253,24 +254,33 @@ def named_parameters(solution: Solution) -> NamedParameters:
     several = data.tables > 1
     unit_names = [f"{label}@{t}" if several else label for label, t in zip(data.labels, data.table_of, strict=True)]
     names: list[str] = []
+    values: list[float] = []
+    slopes: list[np.ndarray] = []
     for lobe in range(layout.lobes):
         suffix = ""
         if layout.lobes > 1:
             unit = layout.lobe_of.index(lobe)
             suffix = f"[{data.table_of[unit]}]" if layout.lobes == data.tables else f"[{unit_names[unit]}]"
-        names += [f"{name}{suffix}" for name in layout.kind.names]
-    plain = [name.split("[")[0] for name in names]
-    names += [axis.name for axis in problem.prior.axes]
-    plain += ["rig"] * layout.axes
-    for unit_name in unit_names:
-        names += [f"{name}[{unit_name}]" for name in layout.unit_names]
-        plain += layout.unit_names
-    pairs = np.array([readable_value(name, q) for name, q in zip(plain, solution.p, strict=True)])
-    values, slopes = pairs.T if pairs.size else (np.zeros(0), np.zeros(0))
+        read = lobe_readings(layout.kind, solution.p[layout.lobe(lobe)])
+        names += [f"{name}{suffix}" for name in read.names]
+        values += read.values.tolist()
+        for slope in read.slopes:
+            slopes.append(np.zeros(layout.size))
+            slopes[-1][layout.lobe(lobe)] = slope
+    one_each = np.eye(layout.size)
     for place, axis in enumerate(problem.prior.axes, layout.rig.start):
         std = float(np.sqrt(solution.covariance[place, place]))
-        values[place], slopes[place] = axis.value(solution.p[place]), axis.slope(solution.p[place], std)
-    return NamedParameters(names, values, solution.covariance * np.outer(slopes, slopes))
+        names.append(axis.name)
+        values.append(axis.value(solution.p[place]))
+        slopes.append(one_each[place] * axis.slope(solution.p[place], std))
+    for unit, unit_name in enumerate(unit_names):
+        for place, name in enumerate(layout.unit_names, layout.unit(unit).start):
+            value, slope = readable_value(name, float(solution.p[place]))
+            names.append(f"{name}[{unit_name}]")
+            values.append(value)
+            slopes.append(one_each[place] * slope)
+    by_p = np.array(slopes).reshape(-1, layout.size)
+    return NamedParameters(names, np.array(values), by_p @ solution.covariance @ by_p.T)
 
 
 def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:

@@ -14,7 +14,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
-from matcam.inverse.fit.fit_parameters import half_maximum_angle, reflectance_at
+from matcam.inverse.fit.fit_parameters import reflectance_at
 from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
     LinearisedFit,
@@ -31,6 +31,7 @@ from matcam.inverse.fit.fit_readings import (
     strength_curves,
     strengths_with_covariance,
 )
+from matcam.inverse.fit.lobe_readings import half_maximum_angle
 from matcam.inverse.fit.search import Solution
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import NDF
@@ -42,7 +43,8 @@ class MaterialFit:
 
     Attributes:
         family: family of the lobe ("ggx", "epd", "sgd", "beckmann" or "gaussian").
-        params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit.
+        params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit. A bent
+            lobe has "hwhm_rad", "tail_exponent" and "haze_share" instead of its family's.
         std: standard deviation of each parameter, by the same names and in the same units.
         covariance: covariance of all parameters (parameters, parameters), in the order of `params`.
         hwhm: half width at half maximum of D, rad. It stays well determined where a width and a power trade for each other.
@@ -120,6 +122,11 @@ class MaterialFit:
     def is_bent(self) -> bool:
         """Say whether the lobe may leave its family (`bend`)."""
         return bool(self.coordinates.kind.bends)
+
+    @property
+    def lobe_name(self) -> str:
+        """Name the lobe's family, and say whether it is bent."""
+        return f"bent {self.family}" if self.is_bent else self.family
 
     @property
     def coordinates(self) -> FitCoordinates:
@@ -240,6 +247,7 @@ class MaterialFit:
         scale = np.sqrt(np.diag(self.covariance))
         return {
             "ndf": self.family,
+            "bent": self.is_bent,
             "params": self.params,
             "std": self.std,
             "correlation": (self.covariance / np.outer(scale, scale)).tolist(),

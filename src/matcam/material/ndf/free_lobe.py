@@ -92,6 +92,11 @@ def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
     return combined(bends, bend_basis(slope2))
 
 
+def shadow_basis(cos: ArrayLike) -> jax.Array:
+    """Return the functions B_k of a free masking at cosines to the normal, (SHADOWS, ...)."""
+    return cubic_basis((1 - jnp.clip(cos, 0.0, 1.0)) * (SHADOWS - 1), SHADOWS)
+
+
 class ShadowedNDF(NDF):
     """Give a lobe a free masking, for "smith-separable": ln G1 = -sum_k shadows_k B_k(1 - cos theta).
 
@@ -126,8 +131,7 @@ class ShadowedNDF(NDF):
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return 1 / G1 - 1."""
-        place = (1 - jnp.clip(cos, 0.0, 1.0)) * (SHADOWS - 1)
-        return jnp.expm1(combined(self.shadows, cubic_basis(place, SHADOWS)))
+        return jnp.expm1(combined(self.shadows, shadow_basis(cos)))
 
     @property
     def roughness(self) -> jax.Array:

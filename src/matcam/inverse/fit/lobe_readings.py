@@ -1,0 +1,123 @@
+"""What users read of a fitted lobe: its family's parameters, or what any lobe has.
+
+A bent lobe has no family's parameters, and the coefficients of its splines tell nobody anything. What it has is a half width,
+a tail that falls with some power of the angle, and a share of facets far from the peak, which shows as haze.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp, placed
+from matcam.core.programs import kept_program
+from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
+from matcam.material.ndf.free_lobe import shadow_basis
+
+_NARROWEST_ANGLE, _WIDEST_ANGLE = 1e-9, 1.5
+"""rad; where half a lobe's maximum is looked for."""
+_HALVINGS = 60
+_TAIL = (3.0, 10.0)
+"""Half widths between which a lobe's tail is judged."""
+_TAIL_ENDS = np.pi / 4
+"""rad; the tail is judged up to here, as beyond most cells see the lobe at grazing angles only."""
+_TAIL_BEGINS = np.pi / 6
+"""rad; a lobe whose tail would begin beyond has none."""
+_FARTHEST = 2e3
+"""Slope beyond which there are no facets."""
+_NODES = np.polynomial.legendre.leggauss(60)
+_GRAZING = np.radians(75.0)
+
+
+class LobeReadings(NamedTuple):
+    """Hold what users read of a lobe.
+
+    Attributes:
+        names: of a family's lobe its own parameters; else "hwhm_rad", "tail_exponent" and "haze_share", the last two where
+            the lobe is narrow enough to have them, and "masking_75" where masking is free.
+        values: in the parameters' own units.
+        slopes: (names, lobe coordinates), their derivatives.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    slopes: np.ndarray
+
+
+def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
+    """Return what users read of a lobe at coordinates."""
+    if not (kind.bends or kind.shadows):
+        pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
+        return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
+    angle, by_q = half_maximum(kind, q)
+    names, values, slopes = ["hwhm_rad"], [angle], [by_q]
+    if _TAIL[0] * angle < _TAIL_BEGINS:
+        both, by_lobe, by_angle = (np.asarray(one) for one in _tail(kind, placed(q), jnp.asarray(angle)))
+        names += ["tail_exponent", "haze_share"]
+        values += both.tolist()
+        slopes += list(by_lobe + by_angle[:, None] * by_q)
+    if kind.shadows:
+        change = np.asarray(shadow_basis(np.cos(_GRAZING))) - np.asarray(shadow_basis(1.0))
+        own = slice(kind.size - kind.shadows, kind.size)
+        names.append("masking_75")
+        values.append(float(np.exp(-change @ q[own])))
+        slope = np.zeros(kind.size)
+        slope[own] = -values[-1] * change
+        slopes.append(slope)
+    return LobeReadings(tuple(names), np.array(values), np.array(slopes))
+
+
+def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Return the half width at half maximum of D, rad, and its standard deviation."""
+    angle, by_q = half_maximum(kind, q)
+    return angle, float(np.sqrt(by_q @ covariance @ by_q))
+
+
+def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the half width at half maximum of D, rad, and its derivatives by the lobe's coordinates.
+
+    The angle is found by bisection, its derivatives are implicit ones. Both are NaN where D never falls so far.
+    """
+    beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
+    if beyond > 0:
+        return float("nan"), np.full(len(q), np.nan)
+    angle = float(np.exp(low))
+    return angle, -angle * by_lobe / by_angle
+
+
+@kept_program
+def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Return where D is half its maximum: ln(2 D / D(0)) at the widest angle, ln(angle), and the former's slopes there."""
+
+    def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:
+        ndf = kind.ndf(q)
+        return jnp.log(2 * ndf.d(jnp.exp(log_angle)) / ndf.d(1e-9))
+
+    def halve(_: int, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = ends
+        middle = (low + high) / 2
+        above = excess(middle, q) > 0
+        return jnp.where(above, middle, low), jnp.where(above, high, middle)
+
+    widest = jnp.log(_WIDEST_ANGLE)
+    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.log(_NARROWEST_ANGLE), widest))
+    return excess(widest, q), low, *jax.grad(excess, argnums=(0, 1))(low, q)
+
+
+@kept_program
+def _tail(kind: LobeKind, q: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (tail exponent, haze share), and their derivatives by coordinates and by the half width."""
+
+    def both(q: jax.Array, angle: jax.Array) -> jax.Array:
+        ends = jnp.stack([_TAIL[0] * angle, jnp.minimum(_TAIL[1] * angle, _TAIL_ENDS)])
+        # the integral of P22 beyond, in the logarithm of the slope
+        first = jnp.log(jnp.tan(jnp.minimum(_TAIL[1] * angle, _WIDEST_ANGLE)))
+        length = jnp.log(_FARTHEST) - first
+        slope = jnp.concatenate([jnp.tan(ends), jnp.exp(first + length * (_NODES[0] + 1) / 2)])
+        p22 = kind.ndf(q).slope_density(slope**2)  # once for all: the program compiles in half the time
+        near, far = jnp.log(p22[:2]) - 4 * jnp.log(jnp.cos(ends))
+        share = jnp.sum(np.pi * length * _NODES[1] * slope[2:] ** 2 * p22[2:])
+        return jnp.stack([(near - far) / jnp.log(ends[1] / ends[0]), share])
+
+    return both(q, angle), *jax.jacfwd(both, argnums=(0, 1))(q, angle)
