@@ -91,6 +91,30 @@ def test_correct_refuses(merl_file, tmp_path):
     assert there.read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--lamp-distance", 0.5), "--lamp-distance must lie in (1, inf) radii of the sample (the lamp is outside it)"),
+        (("--lamp-distance", 20, "--sample-mm", 25), "--lamp-distance must lie in (1, inf) radii"),
+        (("--sample-mm", 25), "--sample-mm needs --lamp-distance"),
+        (("--distance", 1), "--distance must lie in (1, inf] radii"),
+    ],
+)
+@pytest.mark.parametrize("command", ["limits", "fit", "fresnel", "correct"])
+def test_near_rigs_that_cannot_be_are_refused(command, options, words, merl_file, tmp_path):
+    arguments = (
+        [] if command == "limits" else [merl_file, "-o", tmp_path / ("a.png" if command == "fresnel" else "a.binary")]
+    )
+    said = str(run(command, *arguments, *options).exception)
+    assert words in said
+    assert "\n" not in said
+
+
+def test_near_cells_of_real_pixels_are_refused(merl_file):
+    said = str(run("fit", merl_file, "--lamp-distance", 20, "--cell", "nearest", "--phase", 0.1, 0.2).exception)
+    assert "before near ones each cell has a picture of its own" in said
+
+
 def test_limits_speaks(monkeypatch):
     done = run("limits", 0.002, "--json")
     assert done.exit_code == 0, done.output

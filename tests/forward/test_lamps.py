@@ -90,32 +90,6 @@ def test_pixels_under_a_disc(lamp_angle, azimuth, disc, rule, geometry):
     check_picture(0.1, lamp_angle, azimuth, 6, rule=rule, disc=disc, **geometry)
 
 
-def far(normal, towards, nearness):
-    """Unit vector from the sample's centre to what is seen from the surface in a direction."""
-    cos = normal @ towards
-    return nearness * normal + (np.sqrt(1 - nearness**2 * (1 - cos**2)) - nearness * cos) * towards
-
-
-def cell_truth(angles, azimuth, surface, rig, disc=(1, 1)):
-    """Mean of both ways over the irradiance, NaN below the horizon: vectors about the half vector, turned to the sensor."""
-    ways = []
-    for phi in (angles[2], angles[2] + np.pi):
-        normal = np.array([-np.sin(angles[0]) * np.cos(phi), np.sin(angles[0]) * np.sin(phi), np.cos(angles[0])])
-        light, view = (np.array([side * np.sin(angles[1]), 0, np.cos(angles[1])]) for side in (1, -1))
-        if min(normal @ light, normal @ view) <= 0:
-            return np.nan
-        axis, lamp = far(normal, view, 1 / rig.distance), far(normal, light, 1 / rig.lamp_distance)
-        first = lamp - (lamp @ axis) * axis
-        first /= np.linalg.norm(first)
-        scale = rig.radius * np.sqrt(1 - 1 / rig.distance**2) / (1 - normal @ axis / rig.distance)
-        x, y = scale * normal @ first, scale * normal @ np.cross(axis, first)
-        x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
-        irradiance = normal @ light / np.sum((lamp - normal / rig.lamp_distance) ** 2)
-        lamp_angle = np.arccos(np.clip(lamp @ axis, -1, 1))
-        ways.append(lamp_record.record(x, y, lamp_angle, azimuth, surface, rig, disc, orders=(12, 16)) / irradiance)
-    return np.mean(ways)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("azimuth", "geometry"), [(0.6, {}), (0.0, {"lamp": 4.0}), (2.0, {"camera": 6.0, "lamp": 9.0})]
@@ -128,7 +102,7 @@ def test_cells_under_lamps_anywhere(azimuth, geometry):
     while len(missed) < 70:
         cell = (int(random.integers(0, (20, 90)[len(missed) % 2])), *map(int, random.integers(0, (90, 180))))
         angles = GRID.theta_h[cell[0]], GRID.theta_d[cell[1]], GRID.phi_d[cell[2]]
-        truth = cell_truth(angles, azimuth, lamp_record.Surface(0.05, 0.2), theirs)
+        truth = lamp_record.recorded_cell(angles, azimuth, lamp_record.Surface(0.05, 0.2), theirs)
         if np.isnan(truth):
             assert np.isnan(table[cell])
             continue
@@ -233,10 +207,3 @@ def test_bad_lamps_are_refused_in_one_line(call, message):
     with pytest.raises(ArgumentError, match=message) as caught:
         call()
     assert "\n" not in str(caught.value)
-
-
-def test_a_fit_asks_for_a_distant_lamp():
-    from matcam import limits
-
-    with pytest.raises(ArgumentError, match="a fit needs a distant lamp"):
-        limits(Rig(rigs.merl().camera, Sphere(256), NearLamp(10)), "ggx", roughness=[0.01])

@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere, rigs
+from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.inverse.operator.chosen_cells import chosen_cells
+from matcam.inverse.operator.sphere_view import SphereView
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
 
@@ -47,7 +48,7 @@ def table_of(cells, values):
 
 
 def made(every, setup):
-    cells = chosen_cells(rigs.merl().sample.radius.item(), "centre", every)
+    cells = chosen_cells(SphereView(256.0), "centre", every)
     rule = oracle.Cells(GRID.theta_h[cells.i_theta_h], cells.theta_d, GRID.phi_d[cells.i_phi_d], setup)
     return Pictures(cells, rule)
 

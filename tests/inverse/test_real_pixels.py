@@ -9,6 +9,7 @@ from matcam.inverse import Correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.lobe_operator import lobe_operator, perfect_operator
 from matcam.inverse.operator.pixel_phase import cell_rule, located_rig
+from matcam.inverse.operator.sphere_view import SphereView
 from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
 from tests.inverse.real_tables import real_shot
@@ -136,7 +137,7 @@ def test_the_operator_against_the_oracle(rule):
 def test_chosen_cells_share_no_pixel_and_state_their_noise(rule):
     from matcam.forward.pixel_grid import PixelGrid
 
-    cells = chosen_cells(256.0, "centre", 15, PixelGrid(rule, PHASES[rule]))
+    cells = chosen_cells(SphereView(256.0), "centre", 15, PixelGrid(rule, PHASES[rule]))
     np.testing.assert_allclose(cells.weight.sum(-1), 1)
     low = 0.5 if rule == "nearest" else 0.12
     assert cells.noise_share.min() >= low - 1e-9
@@ -159,7 +160,7 @@ def test_a_camera_that_sees_points_reads_the_pixels(rule):
     from tests.oracle.real_pixels import angles_of, behind, light_cosine
 
     phase, lobe = PHASES[rule], oracle.GGX(0.02)
-    cells, operator = perfect_operator("centre", 30, 256.0, None, PixelGrid(rule, phase))
+    cells, operator = perfect_operator("centre", 30, SphereView(256.0), None, PixelGrid(rule, phase))
     record = np.asarray(operator.record(GGX(0.02), "smith", ()))
     for s, td in enumerate(cells.theta_d):
         good = cells.valid[s]

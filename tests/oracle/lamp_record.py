@@ -67,6 +67,33 @@ def record(x, y, lamp_angle, azimuth, surface, rig, disc=(1, 1), orders=(10, 14)
     return total[1]
 
 
+def recorded_cell(angles, azimuth, surface, rig, disc=(1, 1), orders=(12, 16)):
+    """Mean of both ways of a cell over the irradiance, NaN below the horizon; each under the lamp that shows the cell's angles
+    (theta_h, theta_d, phi_d). Vectors stand about the half vector and are turned to the sensor."""
+    ways = []
+    for phi in (angles[2], angles[2] + np.pi):
+        normal = np.array([-np.sin(angles[0]) * np.cos(phi), np.sin(angles[0]) * np.sin(phi), np.cos(angles[0])])
+        light, view = (np.array([side * np.sin(angles[1]), 0, np.cos(angles[1])]) for side in (1, -1))
+        if min(normal @ light, normal @ view) <= 0:
+            return np.nan
+        axis, lamp = _far(normal, view, 1 / rig.distance), _far(normal, light, 1 / rig.lamp_distance)
+        first = lamp - (lamp @ axis) * axis
+        first /= np.linalg.norm(first)
+        scale = rig.radius * np.sqrt(1 - 1 / rig.distance**2) / (1 - normal @ axis / rig.distance)
+        x, y = scale * normal @ first, scale * normal @ np.cross(axis, first)
+        x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
+        irradiance = normal @ light / np.sum((lamp - normal / rig.lamp_distance) ** 2)
+        lamp_angle = np.arccos(np.clip(lamp @ axis, -1, 1))
+        ways.append(record(x, y, lamp_angle, azimuth, surface, rig, disc, orders) / irradiance)
+    return np.mean(ways)
+
+
+def _far(normal, towards, nearness):
+    """Unit vector from the sample's centre to what is seen from the surface in a direction."""
+    cos = normal @ towards
+    return nearness * normal + (np.sqrt(1 - nearness**2 * (1 - cos**2)) - nearness * cos) * towards
+
+
 def _under_point(x, y, towards, lamp_distance, surface, rig, order):
     q, w = 1 / rig.distance, 1 / lamp_distance
     reach = rig.half_width + 9 * rig.sigma

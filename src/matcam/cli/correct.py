@@ -13,13 +13,16 @@ from matcam.cli.options import (
     Anyway,
     AsJson,
     CameraProfile,
+    Distance,
     FamilyOrAuto,
     Force,
+    LampDistance,
     LampRadius,
     Masking,
     PixelPhase,
     Radius,
     RealPixels,
+    SampleMm,
     Sampling,
     rig_of,
 )
@@ -46,7 +49,10 @@ def command(
     masking: Masking = "smith",
     camera: CameraProfile = None,
     radius: Radius = None,
+    distance: Distance = None,
     lamp: LampRadius = 0.0,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
     sampling: Sampling = "centre",
     cell: RealPixels = None,
     phase: PixelPhase = None,
@@ -132,7 +138,8 @@ def command(
 
     use_compilation_cache()
     workspace = Workspace.user()
-    rig = rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase)
+    near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     how: dict[str, Any] = {
         "ndf": ndf,
         "masking": None if masking == "none" else masking,

@@ -11,14 +11,17 @@ from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
     CameraProfile,
+    Distance,
     Family,
     Force,
     FresnelModel,
+    LampDistance,
     LampRadius,
     Masking,
     PixelPhase,
     Radius,
     RealPixels,
+    SampleMm,
     Sampling,
     rig_of,
 )
@@ -56,7 +59,10 @@ def command(
     masking: Masking = "smith",
     camera: CameraProfile = None,
     radius: Radius = None,
+    distance: Distance = None,
     lamp: LampRadius = 0.0,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
     sampling: Sampling = "centre",
     cell: RealPixels = None,
     phase: PixelPhase = None,
@@ -86,7 +92,8 @@ def command(
     from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
-    rig = None if blind else rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase)
+    near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    rig = None if blind else rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(
             [read_table(file, sampling=sampling) for file in files],

@@ -13,13 +13,16 @@ from matcam.cli.options import (
     Anyway,
     AsJson,
     CameraProfile,
+    Distance,
     FamilyOrAuto,
     Force,
+    LampDistance,
     LampRadius,
     Masking,
     PixelPhase,
     Radius,
     RealPixels,
+    SampleMm,
     Sampling,
     rig_of,
 )
@@ -41,7 +44,10 @@ def command(
     masking: Masking = "smith",
     camera: CameraProfile = None,
     radius: Radius = None,
+    distance: Distance = None,
     lamp: LampRadius = 0.0,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
     sampling: Sampling = "centre",
     cell: RealPixels = None,
     phase: PixelPhase = None,
@@ -95,9 +101,10 @@ def command(
 
         if metal is not None:
             metals(metal)  # an unknown name should cost nothing
+        near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
         result = fresnel(
             read_table(file, sampling=sampling),
-            rig_of(camera, radius, lamp, cell_value=cell or "unknown", pixel_phase=phase),
+            rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase),
             ndf=ndf,
             masking=None if masking == "none" else masking,
             normalise=(math.radians(low), math.radians(high)),

@@ -7,7 +7,16 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, CameraProfile, LampRadius, Radius, rig_of
+from matcam.cli.options import (
+    AsJson,
+    CameraProfile,
+    Distance,
+    LampDistance,
+    LampRadius,
+    Radius,
+    SampleMm,
+    rig_of,
+)
 
 
 def command(
@@ -24,7 +33,10 @@ def command(
     ] = 1e-4,
     camera: CameraProfile = None,
     radius: Radius = None,
+    distance: Distance = None,
     lamp: LampRadius = 0.0,
+    lamp_distance: LampDistance = None,
+    sample_mm: SampleMm = None,
     json: AsJson = False,
 ) -> None:
     """Compute which roughness and angle a rig can recover at all (Cramer-Rao bounds), and which change would help.
@@ -38,7 +50,8 @@ def command(
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
-    rig = rig_of(camera, radius, lamp)
+    near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    rig = rig_of(camera, radius, lamp, **near)
     with show.working("bounds"):
         found = limits(
             rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01), workspace=Workspace.user()

@@ -23,7 +23,8 @@ def after(name: str, values: dict[str, Any]) -> str | None:
 def _camera(values: dict[str, Any]) -> list[Any]:
     """Return the options of the same rig."""
     found: list[Any] = []
-    for parameter, option in (("camera", "--camera"), ("radius", "--radius")):
+    for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm"):
+        option = f"--{parameter.replace('_', '-')}"
         if values.get(parameter) is not None:
             found += [option, values[parameter]]
     return found

@@ -68,7 +68,7 @@ def fresnel(
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it: a sphere, a distant camera and a distant lamp.
+        rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
         ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", as the result is a curve and not parameters.
         masking: the G that (13) divides by: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.

@@ -13,14 +13,13 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
-from matcam.core.jax import jnp
 from matcam.core.registry import ONE_WIDTH
 from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
-from matcam.inverse.operator.rig_axes import LENS, prior_axis
+from matcam.inverse.operator.rig_axes import LENS, prior_axis, rig_with
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -56,7 +55,7 @@ def limits(
     there are no data to choose another by.
 
     Args:
-        rig: the rig: a distant camera with a Gaussian lens, a sphere, and a distant lamp.
+        rig: the rig: a camera with a Gaussian lens, a sphere, and a lamp; distant or near.
         ndf: family of the lobe, one with a single width. Default: "ggx". It is not "auto", as there are no data to choose by.
         roughness: roughnesses to judge, no unit (n,). Default: ten from 0.0003 to 0.2.
         noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
@@ -138,7 +137,8 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
 
     def with_(radius: float, sigma: float) -> Rig:
         lens = rig.camera.with_parameters({LENS: sigma})
-        return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (Sphere(radius), lens))
+        distance = {} if rig.sample.distant else {"distance": rig.sample.distance}  # type: ignore[attr-defined]
+        return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (Sphere(radius, **distance), lens))
 
     return {
         "sphere twice as large in the picture": with_(2 * radius, sigma),
@@ -220,7 +220,7 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
 
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
     """Return (alike, smallest, width_bias) of one blur."""
-    blurred = eqx.tree_at(lambda r: getattr(r, field), own.view.rig, jnp.asarray(size))
+    blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()
     width, lens = own.columns.reshape(2, -1)

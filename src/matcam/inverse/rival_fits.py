@@ -16,7 +16,7 @@ from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.fit.fit_setup import FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.lobe_operator import sphere_radius
+from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.rigs import Rig
 
 _BEND = 1.0
@@ -104,7 +104,7 @@ def rivals(
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it: a sphere, a distant camera and a distant lamp.
+        rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
         ndf: family that both lobes are bent away from. Default: "ggx". It hardly matters, as a bent lobe is as good as no
             family.
         every: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because bent lobes are slow
@@ -133,7 +133,7 @@ def rivals(
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
         (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
-        radius=sphere_radius(rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
+        view=sphere_view(rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
     return Rivals(_rival(camera), _rival(shadowing))

@@ -40,6 +40,14 @@ class Lamp(eqx.Module):
     def angular_radius(self) -> jax.Array:
         """Angular radius of the disc, seen from the sample's centre, rad."""
 
+    @abstractmethod
+    def with_angular_radius(self, angular_radius: float) -> Lamp:
+        """Return the same lamp with a disc of another angular radius.
+
+        Args:
+            angular_radius: seen from the sample's centre, rad; not checked.
+        """
+
 
 class DistantLamp(Lamp):
     """Describe a lamp whose light falls parallel on the sample.
@@ -72,6 +80,10 @@ class DistantLamp(Lamp):
     def angular_radius(self) -> jax.Array:
         """Return the radius, rad."""
         return self.radius
+
+    def with_angular_radius(self, angular_radius: float) -> DistantLamp:
+        """Return a distant lamp of another radius."""
+        return eqx.tree_at(lambda lamp: lamp.radius, self, jnp.asarray(angular_radius))
 
     def __repr__(self) -> str:
         return f"DistantLamp(radius={self.radius!s})"
@@ -119,6 +131,10 @@ class NearLamp(Lamp):
     def angular_radius(self) -> jax.Array:
         """Return the angle under which the sample's centre sees the radius, rad."""
         return jnp.arctan(self.radius / self.distance)
+
+    def with_angular_radius(self, angular_radius: float) -> NearLamp:
+        """Return a lamp at the same distance with another radius."""
+        return eqx.tree_at(lambda lamp: lamp.radius, self, jnp.tan(angular_radius) * self.distance)
 
     def __repr__(self) -> str:
         return f"NearLamp(distance={self.distance!s}, radius={self.radius!s})"

@@ -23,8 +23,9 @@ from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.lobe_operator import check_rig, sphere_radius
+from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
+from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
 
@@ -259,7 +260,7 @@ def correct(
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it: a sphere, a distant camera and a distant lamp.
+        rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
         ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", as the result is a table and not parameters.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
@@ -404,10 +405,12 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
         raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
     seen = found.theta_d[there]
     f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
-    radius = sphere_radius(rig)
+    view = sphere_view(rig)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
-    x = radius * (np.sin(td) * (np.cos(th) - 1) - np.sin(th) * np.cos(ph) * np.cos(td))
-    distance2 = np.maximum(x**2 + (radius * np.sin(th) * np.sin(ph)) ** 2, _NEAREST_GLARE**2)
-    # integral of D over normals is about 1: flux = F r^2 / 4
+    # each cell's way on the lamp's side stands for both: they lie about as far from their picture's highlight
+    x, y = view.from_highlight(th, td, ph)
+    distance2 = np.maximum(x**2 + y**2, _NEAREST_GLARE**2)
+    # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig
     cos_i = np.maximum(np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph)), 0.05)
-    return f[None, :, None, :] * (radius**2 / 4 / (np.pi * np.e * distance2 * cos_i))[..., None]
+    flux = view.highlight_area(grid.theta_d)[:, None] / 4 / view.irradiance(cos_i)
+    return f[None, :, None, :] * (flux / (np.pi * np.e * distance2 * cos_i))[..., None]

@@ -31,9 +31,9 @@ from matcam.inverse.correction.doubts import (
 )
 from matcam.inverse.fit.fit_setup import SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.lobe_operator import sphere_radius
 from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens
+from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
@@ -138,7 +138,7 @@ def explain(
     setup = setup.with_(ndf=found.family)
     blind_setup = FitSetup(
         (brdf,), None, found.family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=setup.every,
-        radius=sphere_radius(rig), pixels=grid_of(rig), workspace=workspace,
+        view=sphere_view(rig), pixels=grid_of(rig), workspace=workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
     others: tuple[MaterialFit, ...] = ()

@@ -27,8 +27,8 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
-from matcam.inverse.operator.lobe_operator import sphere_radius
 from matcam.inverse.operator.rig_axes import axis_selection
+from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.rigs import Rig
 
 
@@ -80,7 +80,7 @@ def lobe_ratio(
     pixels = grid_of(rig)
     if pixels is not None:
         lattices = Lattices(fine, coarse, fitted)
-        moved, by_phase = pixel_log_ratio(lattices, at, fits.shape, pixels, sphere_radius(rig), phase_std)
+        moved, by_phase = pixel_log_ratio(lattices, at, fits.shape, pixels, sphere_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
     return LobeRatio(log, np.sqrt(variance))
 

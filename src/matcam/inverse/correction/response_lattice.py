@@ -14,9 +14,10 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.workspace import Workspace
-from matcam.inverse.operator.chosen_cells import FAR_COSINE, NEAR_COSINE, ChosenCells, cell_places
-from matcam.inverse.operator.lobe_operator import LobeOperator, operator_in, point_operator, rig_key, sphere_radius
+from matcam.inverse.operator.chosen_cells import FAR_COSINE, NEAR_COSINE, ChosenCells, places_in
+from matcam.inverse.operator.lobe_operator import LobeOperator, operator_in, point_operator, rig_key
 from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.operator.sphere_view import SphereView, sphere_view
 from matcam.rigs import Rig
 
 _PEAK_RINGS = 4
@@ -79,14 +80,14 @@ def response_lattice(
     key = ("lattice", rig_key(rig), sampling, spacing, axes)
 
     def make() -> ResponseLattice:
-        cells = _lattice_cells(sphere_radius(rig), sampling, spacing)
+        cells = _lattice_cells(sphere_view(rig), sampling, spacing)
         recorded = operator_in(rig, cells, axes, repr(key), workspace)
         return ResponseLattice(cells, recorded, point_operator(cells), spacing, sampling)
 
     return workspace.remember("response lattice", key, make, most=_LATTICES)
 
 
-def _lattice_cells(radius: float, sampling: Sampling, spacing: Spacing) -> ChosenCells:
+def _lattice_cells(view: SphereView, sampling: Sampling, spacing: Spacing) -> ChosenCells:
     """Return the cells of a lattice."""
     grid = merl_grid(sampling)
     ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))
@@ -94,7 +95,7 @@ def _lattice_cells(radius: float, sampling: Sampling, spacing: Spacing) -> Chose
     shape = (slices.size, ring.size)
     theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[slices]
     phi_d = np.broadcast_to(azimuth, shape)
-    x, y, cos_i, cos_o = cell_places(radius, theta_h, theta_d[:, None], phi_d)
+    x, y, cos_i, cos_o = places_in(view, theta_h, theta_d[:, None], phi_d)
     valid = np.minimum(cos_i, cos_o).min(-1) > NEAR_COSINE
     safe = np.where(valid[..., None], cos_i, 1.0)
     none = np.zeros(shape, int)  # cells of the lattice lie between those of a table

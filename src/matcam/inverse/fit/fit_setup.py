@@ -29,7 +29,7 @@ from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
-from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator, sphere_radius
+from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import (
     LENS,
@@ -42,6 +42,7 @@ from matcam.inverse.operator.rig_axes import (
     prior_axis,
     shape_axis,
 )
+from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
@@ -79,7 +80,8 @@ class FitSetup:
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
         every: spacing of the slices of theta_d (no unit). Default: 1.
-        radius: radius of the sphere, px, whose pixels are distinguished without a rig. Default: 256.
+        view: the sphere whose pixels are distinguished without a rig: its radius, px, and how near camera and lamp are.
+            Default: 256 px, distant.
         pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own.
         workspace: keeps what depends on the rig alone. Default: None, the process's own.
 
@@ -112,7 +114,7 @@ class FitSetup:
     free_masking: bool = False
     noise: PixelNoise | None = None
     every: int = 1
-    radius: float = sphere_radius(None)
+    view: SphereView = FAR_AWAY
     pixels: PixelGrid | None = None
     workspace: Workspace | None = None
 
@@ -194,10 +196,10 @@ class FitSetup:
         """Return the least-squares problem."""
         layout, sampling = self.layout, sampling_of(self.tables[0])  # the layout first: it checks the arguments
         if self.rig is None:
-            cells, operator = perfect_operator(sampling, self.every, self.radius, self.workspace, self.pixels)
+            cells, operator = perfect_operator(sampling, self.every, self.view, self.workspace, self.pixels)
         else:
             cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
-        radius = self.radius if self.rig is None else sphere_radius(self.rig)
+        radius = (self.view if self.rig is None else sphere_view(self.rig)).radius
         batch = (self.workspace or default_workspace()).batch
         return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius, batch)
 
@@ -241,7 +243,7 @@ class FitSetup:
         if self.lens_shape:
             axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))
             root[-1, -1] = 1.0
-        finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_radius(self.rig)
+        finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_view(self.rig).radius
         return Prior(axes, root, self.bend, max(finest, self.stiff_below))
 
 
@@ -287,7 +289,7 @@ def fit(
 
     Args:
         brdf: table as from `read_merl`, 1/sr, or several tables of one rig (one camera, a material each).
-        rig: the rig that recorded them: a sphere, a distant camera and a distant lamp. None fits as if the camera were
+        rig: the rig that recorded them: a sphere; camera and lamp are distant or near. None fits as if the camera were
             perfect.
         ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". It is not "auto", as in
             `fresnel` and `correct`, because the family decides which parameters the result has.

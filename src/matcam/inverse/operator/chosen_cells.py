@@ -14,6 +14,7 @@ import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.forward.pixel_grid import PixelGrid, looked_up, pixel_angles
+from matcam.inverse.operator.sphere_view import BOTH_WAYS, SphereView
 from matcam.rigs import CellValue
 
 NEAR_RINGS = 12
@@ -106,8 +107,8 @@ class CellPlaces(NamedTuple):
     cos_o: np.ndarray
 
 
-def chosen_cells(radius: float, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
-    """Choose cells in every `every`-th slice of a table recorded from a distant sphere of `radius` px.
+def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
+    """Choose cells in every `every`-th slice of a table recorded from a sphere.
 
     pixels: the real grid that the cells are looked up in; None: each has pixels of its own.
     """
@@ -116,16 +117,16 @@ def chosen_cells(radius: float, sampling: Sampling, every: int = 1, pixels: Pixe
     columns: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for j in slices:
         one = None if pixels is None else pixels._replace(phase=tuple(pixels.of_slices(slices)[len(columns)].tolist()))
-        columns.append(_slice_cells(radius, grid.theta_h, grid.theta_d[j], grid.phi_d, one))
+        columns.append(_slice_cells(view, grid.theta_h, grid.theta_d[j], grid.phi_d, one))
     i, k, valid = (np.stack(part) for part in zip(*columns, strict=True))
     theta_h, phi_d = grid.theta_h[i], grid.phi_d[k]
-    x, y, cos_i, cos_o = cell_places(radius, theta_h, grid.theta_d[slices, None], phi_d)
+    x, y, cos_i, cos_o = places_in(view, theta_h, grid.theta_d[slices, None], phi_d)
     shift = np.zeros(2) if pixels is None else pixels.of_slices(slices)[:, None, None]
     numbers = _pixel_numbers(x, y, shift)
     one_pixel = numbers[..., 0] == numbers[..., 1]
     real = None
     if pixels is not None:
-        real, x, y, cos_i, cos_o = _in_pixels(radius, grid.theta_d[slices, None], x, y, pixels.rule, shift)
+        real, x, y, cos_i, cos_o = _in_pixels(view.radius, grid.theta_d[slices, None], x, y, pixels.rule, shift)
         for cosine in (cos_i, cos_o):  # of cells that only fill up a slice
             cosine[~valid] = 1.0
     return ChosenCells(slices, grid.theta_d[slices], i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
@@ -149,8 +150,17 @@ def _in_pixels(
     return RealPixels(at.theta_h, at.psi, weight, noise_share), x, y, at.cos_i, at.cos_o
 
 
+def places_in(view: SphereView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
+    """Return the two places that show each cell, each in the picture whose lamp does (docs/model.md 10)."""
+    far = cell_places(view.radius, theta_h, theta_d, phi_d)
+    if view.distant:
+        return far
+    near = view.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS)
+    return far._replace(x=near.x, y=near.y)  # type: ignore[arg-type]
+
+
 def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
-    """Return the two places that show each cell (docs/model.md 3)."""
+    """Return the two places where a distant camera and lamp show each cell (docs/model.md 3)."""
     psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
     th, td = theta_h[..., None], theta_d[..., None]
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
@@ -159,16 +169,17 @@ def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: 
 
 
 def _slice_cells(
-    radius: float, theta_h: np.ndarray, theta_d: float, phi_d: np.ndarray, grid: PixelGrid | None
+    view: SphereView, theta_h: np.ndarray, theta_d: float, phi_d: np.ndarray, grid: PixelGrid | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (i, k, valid) of one slice, rings from the highlight outwards.
 
     A cell is refused if one of its pixels belongs to another cell.
     """
     shift = np.zeros(2) if grid is None else np.asarray(grid.phase)
+    radius = view.radius
     rings = [_ring_azimuths(ring, radius * theta_h[ring], theta_d, phi_d.size) for ring in _RINGS]
     i, k = np.repeat(_RINGS, [one.size for one in rings]), np.concatenate(rings)
-    x, y, cos_i, cos_o = cell_places(radius, theta_h[i], np.full(k.size, theta_d), phi_d[k])
+    x, y, cos_i, cos_o = places_in(view, theta_h[i], np.full(k.size, theta_d), phi_d[k])
     seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
     if grid is not None:  # the pixels themselves must be there, too
         _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid.rule, shift)

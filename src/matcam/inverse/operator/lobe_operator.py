@@ -11,7 +11,6 @@ errors.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -22,35 +21,25 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.forward.pixel_grid import PixelGrid, grid_of
+from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
-from matcam.inverse.operator.polar_rule import (
-    THROUGH_SAMPLES,
-    Pixels,
-    kernel_reach,
-    masking_samples,
-    padded,
-    polar_rule,
-    polar_window,
-    transfer,
-)
-from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
+from matcam.inverse.operator.polar_rule import THROUGH_SAMPLES
+from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view
 from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
 from matcam.numerics.approximation import lagrange_basis
-from matcam.rigs import Rig
+from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Sphere
 
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
 
 _LAMBDA_NODES = 128
-_PERFECT_RADIUS = 256.0
-"""px; sphere whose pixels are told apart where no rig is given."""
 
 
 class LobeOperator(eqx.Module):
@@ -66,6 +55,7 @@ class LobeOperator(eqx.Module):
         through_samples: (nodes of a group, samples).
         axes: parameters of the rig that may change.
         shape: (slices, cells of each).
+        share: shares of the two azimuths at which masking is taken, as `cos_i`; None: halves.
     """
 
     slope2: jax.Array
@@ -77,6 +67,7 @@ class LobeOperator(eqx.Module):
     through_samples: jax.Array
     axes: tuple[Axis, ...] = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
+    share: jax.Array | None = None
 
     def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
         """Return the integral of D G through the camera over cos_i, 1/sr at F = 1, mean of both ways; shape (slices, cells).
@@ -116,7 +107,9 @@ class LobeOperator(eqx.Module):
 
     def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
         """Return G at the nodes, from the Lambdas at its samples."""
-        joint = jnp.mean(g2(masking, lambda_i, lambda_o, self.azimuth), axis=-1) @ self.through_samples.T
+        both = g2(masking, lambda_i, lambda_o, self.azimuth)
+        mean = jnp.mean(both, axis=-1) if self.share is None else jnp.sum(both * self.share, axis=-1)
+        joint = mean @ self.through_samples.T
         return joint.reshape(self.slope2.shape)
 
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
@@ -143,6 +136,7 @@ class LobeOperator(eqx.Module):
             slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
             cos_i=own(self.cos_i), cos_o=own(self.cos_o), azimuth=own(self.azimuth),
             through_samples=self.through_samples, axes=self.axes, shape=(1, count),
+            share=None if self.share is None else own(self.share),
         )  # fmt: skip
 
 
@@ -154,11 +148,15 @@ class _Rules(NamedTuple):
     sample_theta: np.ndarray
     sample_cos_psi: np.ndarray
     along: tuple[np.ndarray, ...]
+    sample_theta_d: np.ndarray | None = None
+    sample_share: np.ndarray | None = None
 
     def operator(self, cells: ChosenCells, through: np.ndarray, axes: tuple[Axis, ...]) -> LobeOperator:
         """Return the operator, with the angles that masking needs."""
         theta = self.sample_theta[..., None]
         theta_d = np.repeat(cells.theta_d, cells.valid.shape[1]).reshape(-1, *[1] * (theta.ndim - 1))
+        if self.sample_theta_d is not None:
+            theta_d = self.sample_theta_d
         mean = np.cos(theta) * np.cos(theta_d)
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
@@ -174,6 +172,7 @@ class _Rules(NamedTuple):
             through_samples=placed(through),
             axes=axes,
             shape=(slices, count),
+            share=None if self.sample_share is None else placed(self.sample_share),
         )
 
 
@@ -202,14 +201,14 @@ def lobe_operator(
     rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig.
     """
     if rig is None:
-        return perfect_operator(sampling, every, _PERFECT_RADIUS, workspace)
+        return perfect_operator(sampling, every, FAR_AWAY, workspace)
     workspace = workspace or default_workspace()
     known = rig_key(rig)  # refuses what cannot be fitted, before anything else is asked of it
     pixels = grid_of(rig)
     key = (known, sampling, every, axes, pixels)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(sphere_radius(rig), sampling, every, pixels)
+        cells = chosen_cells(sphere_view(rig), sampling, every, pixels)
         return cells, operator_in(rig, cells, axes, repr(key), workspace)
 
     return workspace.remember("lobe operator", key, make)
@@ -220,13 +219,9 @@ def rig_key(rig: Rig) -> tuple:
     check_rig(rig)
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
-    rest = tuple(float(a) for a in (rig.sample.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))  # type: ignore[attr-defined]
-    return repr(camera), tuple(sorted(parameters.items())), rest
-
-
-def sphere_radius(rig: Rig | None) -> float:
-    """Return the radius of the rig's sphere, px; without a rig, of the one whose pixels are told apart."""
-    return _PERFECT_RADIUS if rig is None else float(rig.sample.radius)  # type: ignore[attr-defined]
+    view = sphere_view(rig)
+    rest = tuple(float(a) for a in (view.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
+    return repr(camera), tuple(sorted(parameters.items())), rest if view.distant else (*rest, *view[1:])
 
 
 def check_rig(rig: Rig) -> None:
@@ -235,13 +230,10 @@ def check_rig(rig: Rig) -> None:
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"a fit needs a table recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
-    if not rig.sample.distant:
+    if rig.cell_value in ON_REAL_PIXELS and not sphere_view(rig).distant:
         raise ArgumentError(
-            "a fit needs a distant camera (Sphere(radius)): before a near one a slice is taken from pictures of many lamps"
-        )
-    if rig.lamp.nearness is not None:
-        raise ArgumentError(
-            "a fit needs a distant lamp (DistantLamp()): under a near one theta_d varies over a picture"
+            f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
+            "cell_value must be 'centre' or 'edge'"
         )
     if rig.cell_value == "mean":
         raise ArgumentError(
@@ -254,103 +246,30 @@ def operator_in(
     rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
 ) -> LobeOperator:
     """Return the rule of any cells. description: of all that it depends on, under which the workspace keeps it on disk."""
-    stored = workspace.store(description, lambda: _rules(rig, cells, axes))
+    stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
-    return _Rules(along=along, **stored).operator(cells, THROUGH_SAMPLES, axes)
-
-
-def _rules(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
-    """Return the arrays of `_Rules` by name; those of the axes are along0, along1 ..."""
-    radius = sphere_radius(rig)
-    ways = cells.x.shape[-1]
-    flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
-    theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
-    pixels = Pixels(*(padded(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, cells.weight / cells.cos_i)))
-    depth = np.sqrt(np.maximum(1 - (pixels.x**2 + pixels.y**2) / radius**2, 0))
-    own = blur_of(rig)
-    blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
-    if any(blur.varies for blur in blurs):  # one program for all
-        blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]
-    spreads = [
-        [np.broadcast_to(v, pixels.x.shape) for v in blur.spread(rig.sample, depth, 2 * pixels.theta_d)]  # type: ignore[arg-type]
-        for blur in blurs
-    ]
-
-    def full(part: np.ndarray) -> np.ndarray:
-        result = np.zeros((cells.x.size, *part.shape[1:]))
-        result[flat] = part[: flat.size]
-        return result.reshape(-1, ways, *part.shape[1:])
-
-    columns: list[list[np.ndarray]] = []
-    for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
-        reaches = [
-            kernel_reach(
-                float(rig.camera.pixel.half_width),
-                np.sqrt(np.asarray(blur.stds)[list(terms)].max() ** 2 + np.maximum(*s)),
-            )
-            for blur, s in zip(blurs, spreads, strict=True)
-        ]
-        rules = [
-            polar_rule(jnp.asarray(radius), blur, tuple(spread), terms, pixels, polar_window(radius, pixels, reach))
-            for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
-        ]
-        shown, weights = rules[0], [rules[0].weight]
-        if axes:  # all on the nodes of the widest
-            widest = polar_window(radius, pixels, np.max(reaches, axis=0))._replace(reach=reaches[0])
-            shown = polar_rule(jnp.asarray(radius), blurs[0], tuple(spreads[0]), terms, pixels, widest)
-            weights = [transfer(rule, widest) for rule in rules]
-        weight, *others = (np.asarray(w) for w in weights)
-        theta, cos_psi = np.asarray(shown.theta), np.asarray(shown.cos_psi)
-        along = _changes_along(axes, weight, others)
-        columns.append(
-            [full(part) for part in (theta, weight, *(a[:, None] for a in masking_samples(theta, cos_psi)), *along)]
-        )
-    named = [np.concatenate(c, axis=2) for c in zip(*columns, strict=True)]
-    arrays: dict[str, np.ndarray] = dict(zip(_Rules._fields[:4], named, strict=False))
-    first = 4
-    for n, axis in enumerate(axes):
-        arrays[f"along{n}"] = np.stack(named[first : first + len(axis.points)])
-        first += len(axis.points)
-    return arrays
-
-
-def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
-    """Return the blurs whose rules an axis needs. own: that of the rig."""
-    if axis.name == SHAPE:
-        scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
-        return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
-    return [blur_of(rig_with(rig, {axis.name: axis.value(point)})) for point in axis.points if point]
-
-
-def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[np.ndarray]:
-    """Return by how much the weights differ at every point of every axis. others: weights of `_blurs_along`, in order."""
-    changes = (other - weight for other in others)
-    along = []
-    for axis in axes:
-        if axis.name == SHAPE:
-            along += [0 * weight, SHAPE_SHARE * (next(changes) + next(changes))]
-        else:
-            along += [next(changes) if point else 0 * weight for point in axis.points]
-    return along
+    # before a near camera G is taken at every node: close to the limb no polynomial follows it
+    through = np.eye(THROUGH_SAMPLES.shape[0]) if "sample_theta_d" in stored else THROUGH_SAMPLES
+    return _Rules(along=along, **stored).operator(cells, through, axes)
 
 
 def perfect_operator(
     sampling: Sampling,
     every: int,
-    radius: float,
+    view: SphereView,
     workspace: Workspace | None = None,
     pixels: PixelGrid | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Return the rule of a camera that sees points, in the cells that are chosen for a sphere of `radius` px.
+    """Return the rule of a camera that sees points, in the cells that are chosen for a sphere.
 
     pixels: the real grid that the cells are looked up in.
     """
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(radius, sampling, every, pixels)
+        cells = chosen_cells(view, sampling, every, pixels)
         return cells, point_operator(cells)
 
-    key = (sampling, every, radius, pixels)
+    key = (sampling, every, view, pixels)
     return (workspace or default_workspace()).remember("perfect operator", key, make)
 
 

@@ -22,6 +22,7 @@ from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid, sampling_of
 from matcam.core.remark import Remark
 from matcam.forward.pixel_grid import looked_up
 from matcam.inverse.operator.chosen_cells import cell_places
+from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _RINGS = 16
@@ -135,6 +136,8 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
     """
     if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, UNKNOWN):
         return LocatedRig(rig)
+    if not sphere_view(rig).distant:  # each cell has a picture of its own
+        return LocatedRig(_with_cells(rig, sampling_of(table), None))
     radius = float(rig.sample.radius)  # type: ignore[attr-defined]
     rule = rig.cell_value
     if rule == UNKNOWN:

@@ -19,25 +19,26 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Blur
+from matcam.inverse.operator.sphere_view import square_border
 from matcam.numerics.approximation import lagrange_basis
 
-_NODES = np.polynomial.legendre.leggauss(40)
-_BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - _NODES[0] ** 2) * _NODES[1])
+NODES = np.polynomial.legendre.leggauss(40)
+_BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - NODES[0] ** 2) * NODES[1])
 """Barycentric weights of the polynomial through the nodes (Wang & Xiang 2012)."""
-_AZIMUTHS = np.polynomial.legendre.leggauss(22)
+AZIMUTHS = np.polynomial.legendre.leggauss(22)
 _FINEST = 25.0
 """Outer end of the nodes over the angle at which they become even."""
 _REACH = 6.2
 """How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
 _BLOCK = 128
 """Pixels at a time: what fits into a processor's cache."""
-_SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
+SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
 """Nodes at which G is taken: it is smooth over the nodes, and the polynomial through these gives it at all of them."""
 
 
 def _sample_polynomials() -> np.ndarray:
     """Return Lagrange's polynomials through the samples at all nodes, (nodes, samples)."""
-    return np.stack(lagrange_basis(_NODES[0][_SAMPLED], _NODES[0]), axis=-1)
+    return np.stack(lagrange_basis(NODES[0][SAMPLED], NODES[0]), axis=-1)
 
 
 THROUGH_SAMPLES = _sample_polynomials()
@@ -92,12 +93,7 @@ def polar_window(radius: float, pixels: Pixels, reach: np.ndarray) -> PolarWindo
 
     The extremes lie on the border of the kernel's square, or on the limb where the square leaves the sphere.
     """
-    t = np.linspace(-1, 1, 25)
-    border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
-    border = np.concatenate([border, border[:, ::-1]])
-    x, y = (c[..., None] + reach[..., None] * border[:, n] for n, c in enumerate((pixels.x, pixels.y)))
-    out = np.maximum(np.hypot(x, y) / (radius * (1 - 1e-12)), 1.0)
-    x, y = x / out / radius, y / out / radius
+    x, y = (a / radius for a in square_border(radius, pixels.x, pixels.y, reach))
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     sin, cos = np.sin(pixels.theta_d)[..., None], np.cos(pixels.theta_d)[..., None]
     theta = np.arctan2(np.hypot(y, x * cos - z * sin), x * sin + z * cos)
@@ -123,10 +119,10 @@ def polar_rule(
 
     def block(arguments):  # type: ignore[no-untyped-def]
         x, y, theta_d, factor, low, high, reach, var_x, var_y = (a[:, None, None] for a in arguments)
-        scale, first, last = _stretch(low, high)
-        t = first + (last - first) * (_NODES[0][:, None] + 1) / 2
+        scale, first, last = stretched(low, high)
+        t = first + (last - first) * (NODES[0][:, None] + 1) / 2
         theta = scale * jnp.sinh(t)
-        step = scale * jnp.cosh(t) * (last - first) / 2 * _NODES[1][:, None]
+        step = scale * jnp.cosh(t) * (last - first) / 2 * NODES[1][:, None]
         sin, cos, sin_d, cos_d = jnp.sin(theta), jnp.cos(theta), jnp.sin(theta_d), jnp.cos(theta_d)
         # visible: cos psi < cot theta cot theta_d; lit: > the negative; seen by the kernel: x, then y
         horizon = cos * cos_d / jnp.maximum(sin * sin_d, 1e-300)
@@ -139,7 +135,7 @@ def polar_rule(
         for begin, end in ((rise[0], rise[1]), (jnp.pi - rise[1], jnp.pi - rise[0])):
             begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
             half = jnp.maximum(end - begin, 0.0) / 2
-            psi = begin + half * (_AZIMUTHS[0] + 1)
+            psi = begin + half * (AZIMUTHS[0] + 1)
             cos_psi, sin_psi = jnp.cos(psi), jnp.sin(psi)
             dx = radius * (cos * sin_d + sin * cos_psi * cos_d) - x
             dy = radius * sin * sin_psi
@@ -149,7 +145,7 @@ def polar_rule(
                 * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
                 for j in terms
             )
-            share = kernel * half * _AZIMUTHS[1]
+            share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
             mean += jnp.sum(share * cos_psi, -1)
             square += jnp.sum(share * cos_psi**2, -1)
@@ -166,7 +162,7 @@ def polar_rule(
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
 
 
-def _stretch(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def stretched(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last."""
     # the highlight itself is inside only where the window begins at 0
     scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
@@ -183,9 +179,9 @@ def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
 
     def block(arguments):  # type: ignore[no-untyped-def]
         theta, weight, low, high = arguments
-        scale, first, last = (a[:, None] for a in _stretch(low, high))
+        scale, first, last = (a[:, None] for a in stretched(low, high))
         t = 2 * (jnp.arcsinh(theta / scale) - first) / (last - first) - 1
-        gap = t[..., None] - _NODES[0]
+        gap = t[..., None] - NODES[0]
         gap = jnp.where(jnp.abs(gap) < 1e-13, 1e-13, gap)
         share = _BARYCENTRIC / gap
         return jnp.sum(weight[..., None] * share / jnp.sum(share, -1, keepdims=True), axis=1)
@@ -197,14 +193,18 @@ def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
 
 def masking_samples(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (theta, cos psi) at the sampled nodes; where nothing is seen, the azimuths of the nearest node that sees any."""
-    seen = np.isfinite(cos_psi[..., 0])
+    nearest = nearest_seen(np.isfinite(cos_psi[..., 0]))
+    complete = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
+    return theta[:, SAMPLED], np.nan_to_num(complete[:, SAMPLED])
+
+
+def nearest_seen(seen: np.ndarray) -> np.ndarray:
+    """Return the index of the nearest that is seen along axis 1."""
     index = np.arange(seen.shape[1])
     before = np.maximum.accumulate(np.where(seen, index, -1), axis=1)
     after = np.minimum.accumulate(np.where(seen, index, index.size)[:, ::-1], axis=1)[:, ::-1]
     nearest = np.where((before < 0) | ((after < index.size) & (after - index < index - before)), after, before)
-    nearest = np.clip(nearest, 0, index.size - 1)
-    complete = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
-    return theta[:, _SAMPLED], np.nan_to_num(complete[:, _SAMPLED])
+    return np.clip(nearest, 0, index.size - 1)
 
 
 def padded(array: np.ndarray) -> np.ndarray:

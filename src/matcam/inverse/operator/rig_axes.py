@@ -176,7 +176,9 @@ def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
     """Return the rig with other values of these parameters."""
     camera = rig.camera.with_parameters({name: value for name, value in values.items() if name not in WIDTHS})
     rig = eqx.tree_at(lambda r: r.camera, rig, camera)
-    widths = [name for name in WIDTHS if name in values]
+    if LAMP in values:
+        rig = eqx.tree_at(lambda r: r.lamp, rig, rig.lamp.with_angular_radius(float(values[LAMP])))
+    widths = [name for name in WIDTHS if name in values and name != LAMP]
     new = tuple(jnp.asarray(float(values[name])) for name in widths)
     return eqx.tree_at(lambda r: tuple(getattr(r, name) for name in widths), rig, new) if widths else rig
 

@@ -1,0 +1,155 @@
+"""The rules of chosen cells as arrays: what they read of a lobe at each node, and how that changes along the rig's axes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jnp
+from matcam.forward.integral.blur import Blur, blur_of, groups_of
+from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.near_rule import (
+    NearPixels,
+    NearRule,
+    near_masking_samples,
+    near_rule,
+    near_window,
+)
+from matcam.inverse.operator.polar_rule import (
+    Pixels,
+    PolarWindow,
+    kernel_reach,
+    masking_samples,
+    padded,
+    polar_rule,
+    polar_window,
+    transfer,
+)
+from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
+from matcam.inverse.operator.sphere_view import SphereView, sphere_view
+from matcam.rigs import Rig
+
+
+class _Blurs(NamedTuple):
+    """Hold the blurs of a rig's own and of all points of its axes, and what lamp and focus add to each in the pixels.
+
+    Attributes:
+        blurs: the rig's own first.
+        spreads: for each, the variances along x and y, (pixels,), px^2.
+        reaches: for each, the half side of the square that a pixel sees, (pixels,), px.
+        terms: of the blurs, those that are looked at.
+    """
+
+    blurs: list[Blur]
+    spreads: list[tuple[np.ndarray, ...]]
+    reaches: list[np.ndarray]
+    terms: tuple[int, ...]
+
+
+class _Found(NamedTuple):
+    """Hold the nodes of pixels, their weights for each blur, and where masking is taken: arrays by name."""
+
+    theta: np.ndarray
+    weights: list[np.ndarray]
+    samples: dict[str, np.ndarray]
+
+
+def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
+    """Return the nodes, weights and masking samples of cells by name; what changes along the axes is along0, along1 ..."""
+    ways = cells.x.shape[-1]
+    flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
+    view = sphere_view(rig)
+    theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
+    factor = cells.weight / (cells.cos_i * view.irradiance(cells.cos_i))
+    x, y, theta_d, factor = (padded(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, factor))
+    if view.distant:
+        lamp_angle = 2 * theta_d
+    else:
+        lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
+    own = blur_of(rig)
+    blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
+    if any(blur.varies for blur in blurs):  # one program for all
+        blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]
+    depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
+    spreads = [
+        tuple(np.broadcast_to(v, x.shape) for v in blur.spread(rig.sample, depth, lamp_angle, nearness))  # type: ignore[arg-type]
+        for blur in blurs
+    ]
+
+    def full(part: np.ndarray) -> np.ndarray:
+        result = np.zeros((cells.x.size, *part.shape[1:]))
+        result[flat] = part[: flat.size]
+        return result.reshape(-1, ways, *part.shape[1:])
+
+    half_width = float(rig.camera.pixel.half_width)
+    columns: list[dict[str, np.ndarray]] = []
+    for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
+        widths = [np.asarray(blur.stds)[list(terms)].max() for blur in blurs]
+        reaches = [
+            kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) for s, v in zip(widths, spreads, strict=True)
+        ]
+        through = _Blurs(blurs, spreads, reaches, terms)
+        if view.distant:
+            found = _far_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+        else:
+            found = _near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)
+        weight, *others = found.weights
+        named = {"theta": found.theta, "weight": weight, **{name: a[:, None] for name, a in found.samples.items()}}
+        for n, changes in enumerate(_changes_along(axes, weight, others)):
+            named |= {f"along{n}.{point}": change for point, change in enumerate(changes)}
+        columns.append({name: full(part) for name, part in named.items()})
+    arrays = {name: np.concatenate([column[name] for column in columns], axis=2) for name in columns[0]}
+    for n, axis in enumerate(axes):
+        arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
+    return arrays
+
+
+def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
+    blurs, spreads, reaches, terms = through
+
+    def rule(n: int, window: PolarWindow):  # type: ignore[no-untyped-def]
+        return polar_rule(jnp.asarray(radius), blurs[n], tuple(spreads[n]), terms, pixels, window)
+
+    rules = [rule(n, polar_window(radius, pixels, reach)) for n, reach in enumerate(reaches)]
+    shown, weights = rules[0], [rules[0].weight]
+    if len(blurs) > 1:  # all on the nodes of the widest
+        widest = polar_window(radius, pixels, np.max(reaches, axis=0))._replace(reach=reaches[0])
+        shown = rule(0, widest)
+        weights = [transfer(rule, widest) for rule in rules]
+    theta = np.asarray(shown.theta)
+    at, cos_psi = masking_samples(theta, np.asarray(shown.cos_psi))
+    return _Found(theta, [np.asarray(w) for w in weights], {"sample_theta": at, "sample_cos_psi": cos_psi})
+
+
+def _near_rules(view: SphereView, pixels: NearPixels, through: _Blurs) -> _Found:
+    blurs, spreads, reaches, terms = through
+    onto = near_window(view, pixels, np.max(reaches, axis=0)).theta
+    rules: list[NearRule] = [
+        near_rule(view, blur, spread, terms, pixels, near_window(view, pixels, reach), onto)
+        for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
+    ]
+    names = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
+    samples = dict(zip(names, near_masking_samples(rules[0]), strict=True))
+    return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples)
+
+
+def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
+    """Return the blurs whose rules an axis needs. own: that of the rig."""
+    if axis.name == SHAPE:
+        scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
+        return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
+    return [blur_of(rig_with(rig, {axis.name: axis.value(point)})) for point in axis.points if point]
+
+
+def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:
+    """Return by how much the weights differ at every point of every axis. others: weights of `_blurs_along`, in order."""
+    changes = (other - weight for other in others)
+    along = []
+    for axis in axes:
+        if axis.name == SHAPE:
+            along.append([0 * weight, SHAPE_SHARE * (next(changes) + next(changes))])
+        else:
+            along.append([next(changes) if point else 0 * weight for point in axis.points])
+    return along

@@ -1,0 +1,272 @@
+"""The record of an isotropic lobe in one pixel of a sphere, before a near camera or under a near lamp (docs/model.md 10).
+
+The half vector turns over the picture, so that a circle about the highlight's normal is none of a constant theta_h. Nodes lie
+on such circles, as in `polar_rule`: what the camera sees, the lamp lights and the kernel reaches is an arc in closed form on
+each. Every node has its own theta_h, theta_d and irradiance. A polynomial in asinh(theta_h / scale) carries their weights over
+to few nodes in theta_h, at which a lobe is asked for. The polynomials are Legendre's, and those nodes are Gauss's.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.blur import Blur
+from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, stretched
+from matcam.inverse.operator.sphere_view import SphereView, angles_between, square_border
+
+_BLOCK = 32
+_MOST_LEAN = 1e3
+"""Largest skewness of what a circle shows."""
+_LEAST_SPREAD = 1e-7
+"""Standard deviation of the cosine of an azimuth below which all azimuths are one."""
+
+
+class NearPixels(NamedTuple):
+    """Hold pixels of a sphere's pictures, arrays of one shape; each may be under a lamp of its own.
+
+    Attributes:
+        x: px from the optical axis, the lamp towards +x.
+        y: the same across.
+        lamp_angle: between lamp and optical axis, rad.
+        highlight: angle of the highlight's normal from the optical axis, rad.
+        factor: factor of the record.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    lamp_angle: np.ndarray
+    highlight: np.ndarray
+    factor: np.ndarray
+
+
+class NearWindow(NamedTuple):
+    """Hold what a kernel can see; arrays of shape (pixels,).
+
+    Attributes:
+        circles: angles from the highlight's normal.
+        theta: angles between normal and half vector.
+    """
+
+    circles: PolarWindow
+    theta: PolarWindow
+
+
+class NearRule(NamedTuple):
+    """Hold the rule of each pixel.
+
+    Attributes:
+        theta: (pixels, nodes), angle between normal and half vector, rad.
+        weight: (pixels, nodes).
+        circle: (pixels, circles), mean place of each circle among the nodes, in [-1, 1]; NaN where nothing is seen.
+        cos_psi: (pixels, circles, 2), cosine of the two azimuths at which G is taken.
+        theta_d: (pixels, circles, 2), theta_d there, rad.
+        share: (pixels, circles, 2), their shares.
+    """
+
+    theta: jax.Array
+    weight: jax.Array
+    circle: jax.Array
+    cos_psi: jax.Array
+    theta_d: jax.Array
+    share: jax.Array
+
+
+def near_window(view: SphereView, pixels: NearPixels, reach: np.ndarray) -> NearWindow:
+    """Return what is seen under a kernel of half side `reach` px.
+
+    The extremes lie on the border of the kernel's square, or on the limb where the square leaves the sphere.
+    """
+    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach))
+    peak = np.sin(pixels.highlight), 0 * pixels.x, np.cos(pixels.highlight)
+    circle = angles_between(normal, tuple(a[..., None] for a in peak))  # type: ignore[arg-type]
+    lamp, q, w = pixels.lamp_angle[..., None], view.camera, view.lamp
+    theta = _directions(normal, np.sin(lamp), np.cos(lamp), q, w).theta_h
+    at = view.stretch * peak[0] / (1 - q * peak[2])
+    inside = (np.abs(pixels.x - at) < reach) & (np.abs(pixels.y) < reach)
+    return NearWindow(*(_between(angle, inside, reach) for angle in (circle, theta)))
+
+
+def _between(angle: np.ndarray, inside: np.ndarray, reach: np.ndarray) -> PolarWindow:
+    low, high = angle.min(-1), angle.max(-1)
+    slack = 0.02 * (high - low)
+    low = np.where(inside, 0.0, np.maximum(low - slack, 0.0))
+    return PolarWindow(low, np.minimum(high + slack, np.pi / 2), reach)
+
+
+class _Directions(NamedTuple):
+    """Hold what a piece of surface sees of camera and lamp; `view` and `light` are over the distances of these."""
+
+    view: Any
+    light: Any
+    cos_i: Any
+    cos_o: Any
+    theta_h: Any
+    theta_d: Any
+
+
+def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> _Directions:
+    """Return the lengths of view and light, cosines and angles at normals; sin, cos: of the lamp's angle."""
+    xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
+    n_x, n_y, n_z = normal
+    up = n_x * sin + n_z * cos
+    view, light = xp.sqrt(1 + q**2 - 2 * q * n_z), xp.sqrt(1 + w**2 - 2 * w * up)
+    cos_o, cos_i = (n_z - q) / view, (up - w) / light
+    # half vector x normal, which vanishes at the highlight without a loss of digits
+    cross = -n_y / view - cos * n_y / light, n_x / view + (cos * n_x - sin * n_z) / light, sin * n_y / light
+    theta_h = xp.arctan2(xp.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2), cos_i + cos_o)
+    v = -q * n_x / view, -q * n_y / view, (1 - q * n_z) / view
+    i = (sin - w * n_x) / light, -w * n_y / light, (cos - w * n_z) / light
+    apart, together = (sum((a + side * b) ** 2 for a, b in zip(v, i, strict=True)) for side in (-1, 1))
+    return _Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
+
+
+@partial(jax.jit, static_argnums=(3,))
+def near_rule(
+    view: SphereView,
+    blur: Blur,
+    variances: tuple,
+    terms: tuple[int, ...],
+    pixels: NearPixels,
+    window: NearWindow,
+    onto: PolarWindow,
+) -> NearRule:
+    """Return the rule for some terms of a blur; differentiable in its parameters.
+
+    variances: px^2, (pixels,), that lamp and focus add along x and y. window: what this blur sees. onto: the theta_h between
+    which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`.
+    """
+    radius, stretch, q, w = view.radius, view.stretch, view.camera, view.lamp
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        x, y, lamp, peak, factor, low, high, reach, from_theta, to_theta, var_x, var_y = (
+            a[:, None, None] for a in arguments
+        )
+        scale, first, last = stretched(low, high)
+        along = first + (last - first) * (NODES[0][:, None] + 1) / 2
+        circle = scale * jnp.sinh(along)
+        step = scale * jnp.cosh(along) * (last - first) / 2 * NODES[1][:, None]
+        s, c = jnp.sin(circle), jnp.cos(circle)
+        sin_p, cos_p, sin_l, cos_l = jnp.sin(peak), jnp.cos(peak), jnp.sin(lamp), jnp.cos(lamp)
+        aside = lamp - peak
+        y = jnp.abs(y)  # the mirror's other half sees the same
+        # whatever is linear in the normal is an arc of a circle: what the camera sees, what the lamp lights, columns
+        horizon = (c * cos_p - q) / jnp.maximum(s * sin_p, 1e-300)
+        shade = (w - c * jnp.cos(aside)) / jnp.maximum(s * jnp.sin(aside), 1e-300)
+        columns = [jnp.clip(x + side * reach, -radius, radius) for side in (-1, 1)]
+        seen = [
+            (at - c * (stretch * sin_p + at * q * cos_p)) / (s * (stretch * cos_p - at * q * sin_p)) for at in columns
+        ]
+        from_ = jnp.arccos(jnp.clip(jnp.minimum(seen[1], horizon), -1, 1))
+        to = jnp.arccos(jnp.clip(jnp.maximum(seen[0], shade), -1, 1))
+        # rows: the sine of the azimuth less a lean
+        rows = [jnp.clip(y + side * reach, 0.0, radius) for side in (-1, 1)]
+        lean = [jnp.arctan2(at * q * sin_p, stretch) for at in rows]
+        rise = [
+            jnp.arcsin(jnp.clip(at * (1 - q * c * cos_p) / (s * jnp.hypot(stretch, at * q * sin_p)), 0, 1))
+            for at in rows
+        ]
+        psi, share = [], []
+        for begin, end in (
+            (lean[0] + rise[0], lean[1] + rise[1]),
+            (jnp.pi + lean[1] - rise[1], jnp.pi + lean[0] - rise[0]),
+        ):
+            begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
+            half = jnp.maximum(end - begin, 0.0) / 2
+            psi.append(begin + half * (AZIMUTHS[0] + 1))
+            share.append(half * AZIMUTHS[1])
+        azimuth, share = jnp.concatenate(psi, -1), jnp.concatenate(share, -1)
+        cos_a = jnp.cos(azimuth)
+        normal = c * sin_p + s * cos_a * cos_p, s * jnp.sin(azimuth), c * cos_p - s * cos_a * sin_p
+        at = _directions(normal, sin_l, cos_l, q, w)
+        depth = 1 - q * normal[2]
+        dx, dy = stretch * normal[0] / depth - x, stretch * normal[1] / depth
+        kernel = sum(
+            blur.weights[j]
+            * blur.kernel(dx, j, var_x)
+            * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
+            for j in terms
+        )
+        # area in the picture over the cosine of the view, times the irradiance across the light
+        share = share * kernel * at.view / depth**3 / at.light**2
+        scale, first, last = stretched(from_theta, to_theta)
+        place = jnp.clip(2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1, -1.1, 1.1)
+        through = factor[..., 0] * stretch**2 / 4 * (s * step)[..., 0]
+        weight = _onto_nodes(place, through[..., None] * share)
+        nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
+        return nodes[:, 0], weight, *_azimuths(at, place, share)
+
+    circles, theta = window.circles, onto
+    arguments = (*pixels, circles.low, circles.high, circles.reach, theta.low, theta.high, *variances)
+    blocks = tuple(a.reshape(-1, _BLOCK) for a in arguments)
+    found = jax.lax.map(block, blocks)
+    return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
+
+
+def _onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
+    """Return the weights at Gauss's nodes that integrate polynomials as these shares at these places do.
+
+    The polynomial through Gauss's nodes is a sum of Legendre's, whose coefficients are the nodes' own sums.
+    """
+
+    def next_moment(state, k):  # type: ignore[no-untyped-def]
+        before, now = state
+        return (now, ((2 * k + 1) * place * now - k * before) / (k + 1)), jnp.sum(share * now, (-2, -1))
+
+    start = jnp.zeros_like(place), jnp.ones_like(place)
+    _, moments = jax.lax.scan(next_moment, start, jnp.arange(NODES[0].size, dtype=float))
+    return moments.T @ _FROM_MOMENTS.T
+
+
+_FROM_MOMENTS = NODES[1][:, None] * np.polynomial.legendre.legvander(NODES[0], NODES[0].size - 1)
+_FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
+
+
+def _azimuths(at: _Directions, place: jax.Array, share: jax.Array) -> tuple[jax.Array, ...]:
+    """Return each circle's mean place, and the cosine, theta_d and share of two azimuths that stand for what it shows."""
+    total = jnp.sum(share, -1)
+    safe = jnp.where(total == 0, 1.0, total)
+
+    def mean(of: jax.Array) -> jax.Array:
+        return jnp.sum(share * of, -1) / safe
+
+    cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
+    cos_psi = jnp.clip(cos_psi, -1, 1)
+    middle, beside = mean(cos_psi), mean(at.theta_d)
+    off = cos_psi - middle[..., None]
+    spread = jnp.sqrt(jnp.maximum(mean(off**2), _LEAST_SPREAD**2))
+    slope = mean(off * (at.theta_d - beside[..., None])) / spread
+    # Gauss's rule of two nodes, exact to the third moment: close to the limb a circle is seen at two ends, of unequal light
+    lean = jnp.clip(mean(off**3) / spread**3, -_MOST_LEAN, _MOST_LEAN) / 2
+    root = jnp.sqrt(lean**2 + 1)
+    nodes = jnp.stack([lean - root, lean + root], -1)
+    shares = jnp.stack([lean + root, root - lean], -1) / (2 * root[..., None])
+    pair = jnp.clip(middle[..., None] + spread[..., None] * nodes, -1, 1)
+    here = jnp.where(total == 0, jnp.nan, mean(place))
+    return here, pair, beside[..., None] + slope[..., None] * nodes, shares
+
+
+def near_masking_samples(rule: NearRule) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return (theta, cos psi, theta_d, shares) at the nodes, from the circles next to them.
+
+    Where nothing is seen, they are those of the nearest circle that sees any.
+    """
+    circle, *sampled = (np.asarray(a) for a in (rule.circle, rule.cos_psi, rule.theta_d, rule.share))
+    seen = np.isfinite(circle)
+    nearest = nearest_seen(seen)
+    circle = np.nan_to_num(np.take_along_axis(circle, nearest, axis=1))
+    sampled = [np.take_along_axis(a, nearest[..., None], axis=1) for a in sampled]
+    at = NODES[0]
+    low = np.clip((circle[:, None] <= at[:, None]).sum(-1) - 1, 0, seen.shape[1] - 2)
+    left, right = (np.take_along_axis(circle, low + n, axis=1) for n in (0, 1))
+    gap = right - left
+    part = np.clip((at - left) / np.where(gap > 0, gap, 1.0), 0, 1)[..., None]
+
+    def between(values: np.ndarray) -> np.ndarray:
+        one, other = (np.take_along_axis(values, (low + n)[..., None], axis=1) for n in (0, 1))
+        return one + part * (other - one)
+
+    return np.asarray(rule.theta), *(between(a) for a in sampled)

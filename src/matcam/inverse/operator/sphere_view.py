@@ -1,0 +1,137 @@
+"""A sphere before a camera and under a lamp: how large it is in the picture, and how near both are (docs/model.md 10)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
+from matcam.sample.shape import Place
+
+BOTH_WAYS = np.array([0.0, np.pi])
+"""What is added to phi_d: a picture shows a cell from the lamp's side, and opposite."""
+Normals = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+class SphereView(NamedTuple):
+    """Hold how a sphere is seen and lit; numbers, so that views can be compared.
+
+    Attributes:
+        radius: of the limb in the picture, px.
+        camera: inverse of the camera's distance, 1/radii; 0: distant.
+        lamp: inverse of the lamp's distance, 1/radii; 0: distant.
+    """
+
+    radius: float
+    camera: float = 0.0
+    lamp: float = 0.0
+
+    @property
+    def distant(self) -> bool:
+        """Say whether camera and lamp both are distant: then a picture is one theta_d."""
+        return self.camera == 0 and self.lamp == 0
+
+    @property
+    def stretch(self) -> float:
+        """Return the scale at the depth of the sphere's centre, px per radius."""
+        return self.radius * (1 - self.camera**2) ** 0.5
+
+    @property
+    def sphere(self) -> Sphere:
+        """Return the sphere itself."""
+        return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
+
+    def place(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Place:
+        """Return where a picture shows half and difference angles, and under which lamp."""
+        angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
+        count = angles[0].size
+        size = 1 << max(count - 1, 1).bit_length()  # few sizes: each is a program
+        place = _place(self.sphere, *(np.resize(a, size) for a in angles), self.lamp)
+        return Place(*(np.asarray(a)[:count].reshape(angles[0].shape) for a in place))  # type: ignore[arg-type]
+
+    def lamp_angles(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
+        """Return the angle between lamp and optical axis at which each of a cell's two places shows it, rad."""
+        return self.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS).lamp_angle  # type: ignore[return-value]
+
+    def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
+        """Return the irradiance across the light where its cosine is cos_i, over that at the sphere's centre."""
+        w = self.lamp
+        return 1.0 if w == 0 else (np.sqrt(1 - w**2 * (1 - cos_i**2)) - w * cos_i) ** -2.0  # type: ignore[return-value]
+
+    def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
+        """Return the angle of the highlight's normal from the optical axis, rad."""
+        return np.asarray(_highlight(self.sphere, lamp_angle, self.lamp))
+
+    def from_highlight(
+        self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a picture shows half and difference angles, from its highlight, px along x and y."""
+        if self.distant:
+            x = self.radius * (
+                np.sin(theta_d) * (np.cos(theta_h) - 1) - np.sin(theta_h) * np.cos(phi_d) * np.cos(theta_d)
+            )
+            return x, self.radius * np.sin(theta_h) * np.sin(phi_d)
+        place = self.place(theta_h, theta_d, phi_d)
+        return np.asarray(place.x) - self.at_highlight(np.asarray(place.lamp_angle)), np.asarray(place.y)
+
+    def at_highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
+        """Return the place of the highlight in the picture, px along x."""
+        u = self.highlight(lamp_angle)
+        return self.stretch * np.sin(u) / (1 - self.camera * np.cos(u))
+
+    def highlight_area(self, theta_d: np.ndarray) -> np.ndarray:
+        """Return the flux of a highlight of F = 1 over that at the centre, times 4, px^2: radius^2 of a distant sphere."""
+        if self.distant:
+            return np.full(np.shape(theta_d), self.radius**2)
+        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(theta_d, self.lamp))
+        return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
+
+    def normals(self, x: np.ndarray, y: np.ndarray) -> Normals:
+        """Return the normals that places on the sphere's picture show."""
+        x, y, q = x / self.stretch, y / self.stretch, self.camera
+        square = x**2 + y**2
+        n_z = (square * q + np.sqrt(np.maximum(1 + square * (q**2 - 1), 0))) / (1 + square * q**2)
+        depth = 1 - q * n_z
+        return x * depth, y * depth, n_z
+
+
+FAR_AWAY = SphereView(256.0)
+"""The MERL rig's sphere, whose pixels are told apart where no rig is given."""
+
+
+def sphere_view(rig: Rig | None) -> SphereView:
+    """Return the view of a rig's sphere; without a rig, of the one whose pixels are told apart."""
+    if rig is None:
+        return FAR_AWAY
+    sample, lamp = rig.sample, rig.lamp.nearness
+    return SphereView(float(sample.radius), float(sample.nearness), 0.0 if lamp is None else float(lamp))  # type: ignore[attr-defined]
+
+
+def square_border(radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (..., 100) round squares of half side `reach` about places, px; on the limb where squares leave it."""
+    t = np.linspace(-1, 1, 25)
+    border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
+    border = np.concatenate([border, border[:, ::-1]])
+    at_x, at_y = (c[..., None] + reach[..., None] * border[:, n] for n, c in enumerate((x, y)))
+    out = np.maximum(np.hypot(at_x, at_y) / (radius * (1 - 1e-12)), 1.0)
+    return at_x / out, at_y / out
+
+
+def angles_between(one: Normals, other: Normals) -> np.ndarray:
+    """Return the angles between unit vectors, rad, to all digits."""
+    cross = [one[i] * other[j] - one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    length = np.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2)
+    return np.arctan2(length, one[0] * other[0] + one[1] * other[1] + one[2] * other[2])
+
+
+@jax.jit
+def _place(sphere: Sphere, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array, lamp: jax.Array) -> Place:
+    return sphere.place(theta_h, theta_d, phi_d, lamp)
+
+
+@jax.jit
+def _highlight(sphere: Sphere, lamp_angle: jax.Array, lamp: jax.Array) -> jax.Array:
+    return sphere.highlight(jnp.asarray(lamp_angle), lamp)

@@ -1,0 +1,136 @@
+"""The fit's operator before near cameras and under near lamps, against an oracle with a quadrature of its own."""
+
+import numpy as np
+import pytest
+
+from matcam import GGX, BoxPixel, Camera, GaussianOptics, NearLamp, Rig, Sphere, limits, rigs
+from matcam.core.workspace import Workspace
+from matcam.inverse.operator.chosen_cells import ChosenCells, places_in
+from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
+from matcam.inverse.operator.rig_axes import free_axis, rig_with
+from matcam.inverse.operator.sphere_view import SphereView, sphere_view
+from tests.golden import rows
+from tests.oracle import lamp_record
+
+NEVER = Workspace(entries=0)
+GEOMETRIES = [(6.0, 4.0, 256.0), (np.inf, 3.0, 100.0), (20.0, 50.0, 400.0), (8.0, np.inf, 100.0)]
+
+
+def made(camera, lamp, radius, sigma=0.5):
+    """(the package's rig, the oracle's): distances in radii."""
+    light = None if np.isinf(lamp) else NearLamp(lamp)
+    rig = Rig(Camera(GaussianOptics(sigma), BoxPixel(0.5)), Sphere(radius, camera), light)
+    return rig, lamp_record.Rig(radius, camera, lamp, sigma, 0.5)
+
+
+def missed(camera, lamp, radius, alphas, count, every=18):
+    """Errors of `count` random chosen cells for each alpha, over 1e-4 of the value or 1e-7 of the picture's peak."""
+    rig, theirs = made(camera, lamp, radius)
+    cells, operator = lobe_operator(rig, "centre", every, (), NEVER)
+    random, errors = np.random.default_rng(5), []
+    for alpha in alphas:
+        found = np.asarray(operator.record(GGX(alpha), "smith", ()))
+        peak = np.max(found, axis=1, where=cells.valid, initial=0)
+        for s, n in random.permutation(np.argwhere(cells.valid))[:count]:
+            angles = cells.theta_h[s, n], cells.theta_d[s], cells.phi_d[s, n]
+            truth = lamp_record.recorded_cell(angles, 0.0, lamp_record.Surface(alpha), theirs)
+            errors.append(abs(found[s, n] - truth) / max(1e-4 * truth, 1e-7 * peak[s]))
+    print(f"camera {camera}, lamp {lamp}, radius {radius}: worst {max(errors):.2g} of what is allowed")
+    return np.array(errors)
+
+
+def test_cells_of_a_near_rig():
+    assert np.max(missed(6.0, 4.0, 100.0, [0.02], 5, every=30)) < 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("camera", "lamp", "radius"), GEOMETRIES)
+def test_many_cells_of_near_rigs(camera, lamp, radius):
+    """240 in all; lobes of a quarter of a pixel and broad ones."""
+    assert np.max(missed(camera, lamp, radius, [0.001, 0.02, 0.2], 20)) < 1
+
+
+def test_golden_cells_by_the_near_code():
+    """Camera and lamp at 1e8 radii: both ways of the golden cells that a fit uses, closer than by the distant code."""
+    golden = rows("measure_cells")
+    theta_h, theta_d, phi_d, rings = (
+        np.array([row[key] for row in golden]) for key in ("theta_h", "theta_d", "phi_d", "i_theta_h")
+    )
+    rig = Rig(rigs.merl().camera, Sphere(256.0, 1e8), NearLamp(1e8))
+    column = [a[:, None] for a in (rings, rings, theta_h, phi_d)]
+    places = places_in(sphere_view(rig), column[2], theta_d[:, None], column[3])
+    valid = np.ones(column[0].shape, bool)
+    cells = ChosenCells(np.arange(len(golden)), theta_d, *column, valid, *places, ~valid)
+    operator = operator_in(rig, cells, (), "golden, near", NEVER)
+    compared = 0
+    for place, row in enumerate(golden):
+        grazing = min(cells.cos_i[place].min(), cells.cos_o[place].min())
+        if grazing < (0.06 if row["i_theta_h"] < 12 else 0.17):
+            continue
+        record = np.asarray(operator.ways(GGX(row["alpha"]), "smith", ()))[place, 0]
+        truth = np.array([row["recorded_one_way"], row["recorded_other_way"]])
+        np.testing.assert_allclose(record, truth, rtol=1e-6, err_msg=f"{row}")
+        compared += 1
+    assert compared > 15
+
+
+def test_a_lamps_disc_is_changed_at_its_distance():
+    rig = rig_with(Rig(rigs.merl().camera, Sphere(64.0), NearLamp(10.0, 0.1)), {"lamp_radius": 0.02})
+    assert isinstance(rig.lamp, NearLamp)
+    assert float(rig.lamp.distance) == 10
+    assert float(rig.lamp_radius) == pytest.approx(0.02, rel=1e-12)
+
+
+def test_the_place_of_a_highlight_and_its_light():
+    """The flux of a highlight by its area in the picture, against the ratio of the picture's shift by finite differences."""
+    view = SphereView(100.0, 1 / 6, 1 / 4)
+    theta_d, step = np.radians([5.0, 40.0, 70.0]), 1e-4
+    none = np.zeros(3)
+    peak = view.place(none, theta_d, none)
+    np.testing.assert_allclose(view.at_highlight(peak.lamp_angle), peak.x, rtol=1e-12)
+    # normals a small angle from the half vector, each in the picture of the same lamp
+    from scipy.optimize import brentq
+
+    for n, angle in enumerate(theta_d):
+        corners = []
+        for phi in (0.0, np.pi / 2):
+
+            def lamp_miss(at, phi=phi, n=n):
+                there = view.place(np.array([step]), np.array([at]), np.array([phi]))
+                return float(there.lamp_angle[0] - peak.lamp_angle[n])
+
+            at = brentq(lamp_miss, angle - 0.01, angle + 0.01, xtol=1e-15)
+            there = view.place(np.array([step]), np.array([at]), np.array([phi]))
+            corners.append((float(there.x[0] - peak.x[n]), float(there.y[0])))
+        area = abs(corners[0][0] * corners[1][1] - corners[0][1] * corners[1][0]) / step**2
+        lamp = 1 / (np.sqrt(1 - view.lamp**2 * np.sin(angle) ** 2) - view.lamp * np.cos(angle))
+        assert view.highlight_area(angle) == pytest.approx(area * lamp**2 / np.cos(angle), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_lens_and_a_near_lamp_are_followed():
+    """Along its axis the operator of a near rig is that of a rig with the other lens or lamp."""
+    rig, _ = made(6.0, 4.0, 256.0)
+    for name, value in (("optics.sigma_px", 0.4), ("lamp_radius", 0.003)):
+        axis = free_axis(name, rig)
+        coordinate = 0.5 * np.log((value**2 + axis.softening**2) / (axis.base**2 + axis.softening**2))
+        _, along = lobe_operator(rig, "centre", 18, (axis,), NEVER)
+        cells, there = lobe_operator(rig_with(rig, {name: value}), "centre", 18, (), NEVER)
+        ours = np.asarray(along.record(GGX(0.01), "smith", np.array([coordinate])))
+        truth = np.asarray(there.record(GGX(0.01), "smith", ()))
+        inner = cells.valid & (cells.cos_i.min(-1) > 0.2) & (cells.cos_o.min(-1) > 0.2)
+        peak = np.max(truth, axis=1, keepdims=True, where=inner, initial=0)
+        off = np.abs(ours - truth)[inner] / np.hypot(truth, 0.01 * peak)[inner]
+        print(f"{name}: worst {off.max():.1e}")
+        assert off.max() < 1e-3
+
+
+@pytest.mark.slow
+def test_bounds_of_a_very_distant_rig_are_a_distant_rigs():
+    camera = rigs.merl().camera
+    near, far = (
+        limits(rig, roughness=[0.002, 0.02], every=15, workspace=NEVER)
+        for rig in (Rig(camera, Sphere(256.0, 1e6), NearLamp(1e6)), Rig(camera, Sphere(256.0)))
+    )
+    for name in ("width_std", "width_std_free", "lens_std_free", "fresnel_std", "width_std_changed"):
+        np.testing.assert_allclose(near[name].values, far[name].values, rtol=5e-3)
