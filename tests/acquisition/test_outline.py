@@ -45,7 +45,7 @@ def test_outline_is_found_to_a_twentieth_of_a_pixel(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_errors_of_the_outline_are_those_that_it_states(kind, monkeypatch):
-    if kind in ("backlit", KINDS[-1]):  # 6 rays across a pixel place the limb to 0.001 px, as well as the outline is found
+    if kind in ("backlit", KINDS[-1]):  # 6 rays a pixel place the limb to 0.001 px, as well as the outline is found
         monkeypatch.setattr(oracle, "FINE", 16)
     rng = np.random.default_rng(12)
     off, std = (np.array(a) for a in zip(*(errors(kind, rng) for _ in range(30)), strict=True))
