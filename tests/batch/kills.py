@@ -113,8 +113,11 @@ def run(folder, command, *, limit=None, end=None, after=None):
         stdout=subprocess.DEVNULL, start_new_session=True, preexec_fn=limit,
     )  # fmt: skip
     try:
-        _, said = process.communicate(timeout=after or 900)
+        _, said = process.communicate(timeout=after or 600)
     except subprocess.TimeoutExpired:
+        if after is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            return Ran(0, "hangs", time.monotonic() - begin, _cpu() - before)
         (os.killpg if end == "SIGINT" else os.kill)(process.pid, getattr(signal, end))
         _, said = process.communicate(timeout=120)
     seconds = time.monotonic() - begin
@@ -172,6 +175,7 @@ def kill_at_random(name, folder, kills, seed=0, note=lambda line: None):
         )
         left, times = visible(folder), _times(folder)
         faults = [f"{fault} is half-written" for fault in _half_written(name, left, expected)]
+        faults += ["it hangs"] if first.said == "hangs" else []
         again = run(folder, [*command, *(["--force"] if left and name != "run" else [])])
         faults += [f"the rerun failed: {again.said[-300:]}"] if again.code else []
         faults += [f"{path} is missing" for path in expected if not (folder / path).exists()]

@@ -125,3 +125,16 @@ def test_a_command_whose_last_file_fails_writes_none(tmp_path, monkeypatch, erro
     monkeypatch.setattr(chart_file, "write_json", fail)
     assert _run(["chart", "squares", "-o", str(tmp_path / "a.svg")]) == (130 if error is KeyboardInterrupt else 2)
     assert os.listdir(tmp_path) == []
+
+
+def test_too_small_a_limit_of_address_space_is_said():
+    """OpenBLAS would wait for its buffer without end: `chart` did for 15 minutes under 0.66 GB."""
+    resource = pytest.importorskip("resource")
+    for limit in (0.25e9, 0.66e9, 1.3e9):
+        ran = subprocess.run(
+            [sys.executable, "-m", "matcam", "predict"], capture_output=True, text=True, timeout=60,
+            env={**os.environ, "PYTHONPATH": str(REPOSITORY / "src")},
+            preexec_fn=lambda limit=int(limit): resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+        )  # fmt: skip
+        assert ran.returncode == 2
+        assert ran.stderr.startswith(f"matcam: this process may use {limit / 1e9:.2f} GB of address space (ulimit -v)")

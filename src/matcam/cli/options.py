@@ -18,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 from matcam.cli import help_page
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.io import all_or_nothing
+from matcam.core.memory import check_address_space
 from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
 from matcam.files import formats
 
@@ -242,6 +243,7 @@ class Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, whose files appear together at its end; translate the message of its error."""
+        check_address_space()
         values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
         modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
         if modules:

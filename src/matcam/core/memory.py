@@ -5,7 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from matcam.core.errors import ArgumentError
+
 _GROUPS = Path("/sys/fs/cgroup")
+_LIBRARIES = 2 << 30
+"""Bytes of address space that NumPy, SciPy and JAX take to load, compile and run the smallest command, and some to spare."""
+_OF_A_PROCESSOR = 40 << 20
+"""Bytes that OpenBLAS takes for the thread and the buffer of each further processor."""
 
 
 def available_memory() -> int:
@@ -16,6 +22,24 @@ def available_memory() -> int:
         its own address-space limit.
     """
     return max(min(_of_machine(), *_of_groups(), _of_process()), 0)
+
+
+def check_address_space() -> None:
+    """Refuse to start under a limit of address space (`ulimit -v`) that the libraries do not fit into.
+
+    OpenBLAS, which SciPy loads, asks for its buffer again and again without end where it does not get it, and XLA waits for
+    threads that never started.
+
+    Raises:
+        ArgumentError: the limit is too small.
+    """
+    least = _LIBRARIES + _OF_A_PROCESSOR * ((os.cpu_count() or 1) - 1)
+    limit = _own_limit()
+    if limit < least:
+        raise ArgumentError(
+            f"this process may use {limit / 1e9:.2f} GB of address space (ulimit -v): NumPy, SciPy and JAX alone need "
+            f"{least / 1e9:.2f} GB"
+        )
 
 
 def _physical() -> int:
