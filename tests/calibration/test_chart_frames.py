@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matcam.calibration.camera.calibration import calibrate
-from matcam.calibration.chart.chart import Star
+from matcam.calibration.chart.chart import Dots, Star
 from matcam.calibration.chart.chart_file import read_chart, write_chart
 from matcam.calibration.chart.chart_layout import design_chart
 from matcam.calibration.chart.printed_levels import printed_levels
@@ -71,7 +71,8 @@ def test_the_print_is_read_off_its_patches(tmp_path):
     assert found.of(star).contrast == pytest.approx(
         2 * (level * wave).mean() / level.mean(), rel=2 * found.contrast_std
     )
-    assert "0.3 became" in found.remark.text
+    assert "0.3 became" in found.remark().text
+    assert "--tone" in found.remark(assumed=True).text
 
 
 def outcome(chart, frame):
@@ -94,6 +95,38 @@ def test_frames(tmp_path, seed):
     chart, frame = drawn(tmp_path, pixels, seed)
     kind, text = outcome(chart, frame)
     assert kind == "good", text
+
+
+def test_spoilt_targets_are_left_out_by_name(tmp_path):
+    """A star that is covered in half, dots whose black is not."""
+    chart, frame = drawn(tmp_path, 545, 4)
+    counts, camera = frame.counts.copy(), frame.camera
+    y, x = np.indices(counts.shape)
+    star = next(e for e in chart.elements if isinstance(e, Star))
+    at_x, at_y = camera.sensor_of(*np.array(star.centre))
+    reach = np.hypot(*np.subtract(camera.sensor_of(star.centre[0] + star.outer, star.centre[1]), (at_x, at_y)))
+    counts[(np.hypot(x - at_x, y - at_y) < 1.5 * reach) & (x < at_x)] = 0.4 * np.median(counts)
+    dots = np.array(next(e for e in chart.elements if isinstance(e, Dots)).centres)
+    dot_x, dot_y = camera.sensor_of(*dots.T)
+    for u, v in zip(dot_x.round().astype(int), dot_y.round().astype(int), strict=True):
+        stamp = counts[v - 4 : v + 5, u - 4 : u + 5]
+        stamp[:] = np.maximum(stamp, 0.9 * np.median(stamp))
+    found = calibrate([counts], chart=chart, tone="linear")
+    fit = found.channels["grey"]
+    assert float(fit.values[0]) == pytest.approx(camera.sigma, abs=max(0.01 * camera.sigma, 2 * float(fit.std[0])))
+    said = " ".join(r.text for r in found.remarks if r.code in ("target-not-measured", "target-disagrees"))
+    assert "star" in said
+    assert "dots" in said
+
+
+def test_a_chart_too_small_to_be_measured_is_found_all_the_same(tmp_path):
+    path = tmp_path / "chart.json"
+    write_chart(path, design_chart())  # for 3000 px
+    chart, document = read_chart(path), json.loads(path.read_text())
+    document["elements"] = [e for e in document["elements"] if e["kind"] != "dots"]  # thousands
+    frame = random_frame(document, chart.page, 400, 10, hand=False)
+    with pytest.raises(FitError, match=r"the chart was found, but .* px wide here"):
+        calibrate([frame.counts], chart=chart, tone="linear")
 
 
 @pytest.mark.slow

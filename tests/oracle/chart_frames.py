@@ -158,10 +158,15 @@ def random_frame(chart, page, pixels, seed, *, hand=None, shadow=None):
     turn, deep, wide = draw.uniform(0, 2 * np.pi), draw.uniform(0.05, 0.2), draw.uniform(0.05, 0.15)
     skin, has_hand = draw.uniform(0.2, 0.6), draw.random() < 0.4
     if has_hand if hand is None else hand:
-        # a thumb that comes in over the border
-        c, s = np.cos(turn), np.sin(turn)
-        border = min(0.5 / max(abs(c), 1e-9), 0.5 * camera.height / camera.width / max(abs(s), 1e-9))
-        along, across = x * c + y * s - border, y * c - x * s
+        # a thumb or a hand that comes in over the page's border, somewhere between the directions of its corners
+        c, s, (page_w, page_h) = np.cos(turn), np.sin(turn), page
+        out = min(0.5 * page_w / max(abs(c), 1e-9), 0.5 * page_h / max(abs(s), 1e-9))
+        at_x, at_y = camera.sensor_of(page_w / 2 + out * c, page_h / 2 + out * s)
+        in_x, in_y = camera.sensor_of(page_w / 2, page_h / 2)
+        size, towards = pixels / camera.width, np.arctan2(at_y - in_y, at_x - in_x)
+        px, py = x - at_x / camera.width + 0.5, y - (at_y - camera.height / 2) / camera.width
+        along = (px * np.cos(towards) + py * np.sin(towards)) / size
+        across = (py * np.cos(towards) - px * np.sin(towards)) / size
         covered = gaussian_filter(((along / deep) ** 2 + (across / wide) ** 2 < 1).astype(float), camera.sigma)
         picture = picture * (1 - covered) + skin * light * covered
         drawn["hand"] = float(covered.mean())

@@ -169,12 +169,15 @@ class PicturePlan:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 samples = targets.samples
                 dots = dot_places(self.chart, targets)
-                said = [targets.printed.remark] if targets.printed is not None else []
+                assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
+                said = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
                 remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *said) if r]
             if edges is not None:
                 try:
                     result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
-                except FitError:
+                except FitError as error:
+                    if not samples and self.chart is not None and registration is not None:
+                        raise _nothing_measured(self.chart, registration) from error
                     if not samples:
                         raise
                 else:
@@ -193,6 +196,17 @@ def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projec
             x, y, width, height = pixel_box(registration(np.asarray(round_it)), plane.shape, _MARGIN)
             values[y : y + max(height, 0), x : x + max(width, 0)] = np.nan
     return replace(plane, values=values)
+
+
+def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
+    """Return why a chart that was found says nothing."""
+    width, height = chart.page
+    ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
+    across = float(np.hypot(*(ends[1] - ends[0])))
+    return FitError(
+        f"the chart was found, but its targets are covered or too fine to be measured: its page is {across:.0f} px wide here: "
+        "photograph it larger, or print one for so few pixels (matcam chart --pixels)"
+    )
 
 
 def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:

@@ -36,8 +36,11 @@ def balanced(mosaic: FloatArray) -> FloatArray:
     return even
 
 
-def find_marks(picture: FloatArray) -> list[Mark]:
-    """Find all concentric dark discs and rings of a picture (height, width), NaN where there are no data."""
+def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
+    """Find all concentric dark discs and rings of a picture (height, width), NaN where there are no data.
+
+    enough: marks, one of them with two rings, that are not added to.
+    """
     smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
@@ -47,6 +50,8 @@ def find_marks(picture: FloatArray) -> list[Mark]:
     share = smooth / np.maximum(paper[np.ix_(rows, columns)], 1e-300)
     found: list[Mark] = []
     for dark in _DARK:
+        if len(found) >= enough and any(mark.rings == 2 for mark in found):
+            break
         for mark in _marks_below(share, dark):
             if all(np.hypot(mark.x - one.x, mark.y - one.y) > 2 * max(mark.radius, one.radius) for one in found):
                 found.append(mark)
@@ -58,9 +63,10 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
     label, count = ndimage.label(share < dark, np.ones((3, 3)))
     if not count:
         return []
-    every = np.arange(1, count + 1)
-    area = ndimage.sum_labels(np.ones(share.shape), label, every)
-    y, x = np.array(ndimage.center_of_mass(np.ones(share.shape), label, every)).T
+    rows, columns = np.nonzero(label)
+    which = label[rows, columns] - 1
+    area = np.bincount(which, minlength=count)
+    y, x = (np.bincount(which, place, count) / area for place in (rows, columns))
     small = np.flatnonzero((area >= _SMALLEST) & (area < _LARGEST * share.size))
     radii = np.sqrt(area[small] / np.pi)
     around = cKDTree(np.stack([x, y], axis=-1)).query_ball_point(

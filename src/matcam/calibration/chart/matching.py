@@ -48,19 +48,19 @@ class _Views(NamedTuple):
         matrix: (n, 3, 3) from mm to undistorted px from the picture's middle.
         barrel: of the lens.
         nearest: (n, fiducials) nearest mark, -1 where none is near.
-        count: (n,) marks that are explained.
+        explained: (n,) marks that are where the view puts a fiducial.
         off: (n,) mean distance of these, relative to the chart's size.
     """
 
     matrix: FloatArray
     barrel: float
     nearest: np.ndarray
-    count: np.ndarray
+    explained: np.ndarray
     off: FloatArray
 
     def agree(self, marks: int) -> bool:
         """Return whether a view explains so many marks closely."""
-        return bool((self.off[self.count >= marks] < _CLOSE).any())
+        return bool((self.off[self.explained >= marks] < _CLOSE).any())
 
 
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
@@ -156,12 +156,12 @@ def _views(
 
 def _best(found: list[_Views]) -> list[tuple[int, float, FloatArray, float, np.ndarray]]:
     """Return count, mean distance, view, barrel and marks of the views that explain most, the closest first."""
-    top = max((int(views.count.max(initial=0)) for views in found), default=0)
+    top = max((int(views.explained.max(initial=0)) for views in found), default=0)
     if top < 4:
         return []
     rows = []
     for views in found:
-        which = np.flatnonzero(views.count == top)
+        which = np.flatnonzero(views.explained == top)
         which = which[np.argsort(views.off[which], kind="stable")][:1000]
         rows += [(top, float(views.off[i]), views.matrix[i], views.barrel, views.nearest[i]) for i in which]
     # the same marks in the same places are one match

@@ -52,15 +52,17 @@ class PrintedLevels:
         inside = curve(np.clip(wanted, at[0], at[-1]))
         return np.minimum(np.exp(inside + slope * np.minimum(wanted - at[0], 0.0)), 1.0)
 
-    @property
-    def remark(self) -> Remark | None:
-        """Return that the print is not what the chart describes; None where it is."""
+    def remark(self, *, assumed: bool = False) -> Remark | None:
+        """Return that the print is not what the chart describes; None where it is.
+
+        assumed: the tone curve was not stated, and may be what is wrong.
+        """
         was, became = _MIDDLE, float(self(_MIDDLE))
         if abs(np.log(became / was)) < _REMARKABLE:
             return None
-        text = (
-            f"the print is not as described: level {was:g} became {became:.2f}; contrasts follow from the tone patches"
-        )
+        either = ", or the tone curve is not as assumed (--tone)" if assumed else ""
+        text = f"the print is not as described{either}: level {was:g} became {became:.2f}; contrasts follow from the "
+        text += "tone patches"
         return Remark("printed-levels", text)
 
     @property

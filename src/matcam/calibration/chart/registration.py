@@ -127,7 +127,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
     picture = LinearImage.of(image).values
     picture = balanced(picture) if mosaic else picture
-    marks = find_marks(picture)
+    marks = find_marks(picture, len(chart.fiducials))
     if len(marks) < 4:
         raise FitError(
             f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "

@@ -40,7 +40,7 @@ class Sides(NamedTuple):
     @property
     def found(self) -> np.ndarray:
         """Return at which places a side was found (n, m)."""
-        return np.isfinite(self.seen).all(2)
+        return np.asarray(np.isfinite(self.seen).all(2))
 
 
 def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:

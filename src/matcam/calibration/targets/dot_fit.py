@@ -152,14 +152,14 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
     fit: DotFit | None = None
     gain, read, weight = 0.0, 1.0, known.astype(float)
-    bow = np.zeros_like(du)
+    bow, shared, at = np.zeros_like(du), np.zeros((*du.shape, 0)), None
     for step in range(_STEPS):
         if step == _WEIGHTED:
             bow = _bow(lattice, state[:, 0], du, dv)
             # fitted places know the lattice, and with it the dots' sizes, better than those that were found
             shape = size * lattice._replace(x=state[:, 4], y=state[:, 5]).shapes
         u, v = columns - state[:, 4:5], rows - state[:, 5:6]
-        table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, [*_OWN, *SHARED[2:]])
+        table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, _OWN)
         flat = table.reshape(len(table), len(state), -1)
         c = state[:, 3, None]
         model = state[:, :1] + state[:, 1:2] * du + state[:, 2:3] * dv + bow + c * flat[0]
@@ -177,16 +177,18 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
-        shared = c[..., None] * np.stack([flat[3], flat[4], *flat[5:]], axis=-1)
         std = np.sqrt(np.einsum("nii->ni", inverse))
         fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
+        at = (u, v, shape, np.sqrt(state[:, 6]))
         state = state + change
         state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
             break
-    if fit is None or not np.isfinite(fit.parameters).all():
+    if fit is None or at is None or not np.isfinite(fit.parameters).all():
         raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
-    return _without_outliers(fit)
+    # what dots have in common needs higher derivatives, and only once
+    flat = dot_derivatives(*at, half_width, SHARED).reshape(len(SHARED), len(state), -1)
+    return _without_outliers(replace(fit, shared=fit.parameters[:, 3, None, None] * flat.transpose(1, 2, 0)))
 
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -212,7 +212,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         used = pixels.subset(mask, None if highest == _HIGHEST else _SOME)
         some = pixels.at(used)
         edges = float(frequency[used].min()), float(frequency[used].max())
-        fit = fit_wave(some, phase, parameters, Modulation(partial(_basis, edges=edges)), steps=6)
+        fit = fit_wave(some, phase, parameters, Modulation(partial(_basis, edges=edges)), steps=4)
         if fit is None:
             raise FitError("the star's pixels do not determine its MTF: it is too small in this picture")
         parameters = fit.parameters

@@ -146,7 +146,7 @@ def fit_wave(
     coefficients: FloatArray = np.zeros(0)
     gain, read = 0.0, float(value.var())
     for step in range(steps + 2):
-        columns, slopes = _columns(phase, parameters, x, y, modulation)
+        columns, slope = _columns(phase, parameters, x, y, modulation)
         if not step:
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
@@ -154,7 +154,7 @@ def fit_wave(
         moving = step > 1
         design = [powers * (1 + wave)[:, None], level[:, None] * columns]
         if moving:
-            tilt = level * (slopes @ coefficients)
+            tilt = level * slope(coefficients)
             at = phase.at(parameters, x, y)
             for i, size in enumerate(scale * 1e-4):
                 moved = parameters.copy()
@@ -230,18 +230,20 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
 
 def _columns(
     phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, modulation: Modulation
-) -> tuple[FloatArray, FloatArray]:
-    """Return the functions at the pixels, and their derivatives by the phase.
+) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
+    """Return the functions at the pixels (n, orders * k), and the derivative of their sum by the phase.
 
-    Both are (n, orders * k).
+    The latter is a function of the coefficients.
     """
     at, frequency, direction = local_wave(phase, parameters, x, y)
-    columns, slopes = [], []
-    for order in modulation.orders:
-        basis = modulation.basis(order * frequency, direction)
-        columns.append(basis * np.cos(order * at)[:, None])
-        slopes.append(-order * basis * np.sin(order * at)[:, None])
-    return np.concatenate(columns, axis=1), np.concatenate(slopes, axis=1)
+    bases = [modulation.basis(order * frequency, direction) for order in modulation.orders]
+    columns = [basis * np.cos(order * at)[:, None] for order, basis in zip(modulation.orders, bases, strict=True)]
+
+    def slope(coefficients: FloatArray) -> FloatArray:
+        parts = zip(modulation.orders, bases, np.split(coefficients, len(bases)), strict=True)
+        return np.asarray(sum(-order * np.sin(order * at) * (basis @ own) for order, basis, own in parts))
+
+    return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1), slope
 
 
 def _powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
