@@ -3,11 +3,23 @@
 import galsim
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, HaloOptics, WindowedGaussianPixel
+from matcam import (
+    BoxPixel,
+    Camera,
+    Cylinder,
+    DiffractionOptics,
+    GaussianOptics,
+    HaloOptics,
+    NearLamp,
+    Rig,
+    Sphere,
+    WindowedGaussianPixel,
+)
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
-from matcam.forward import Highlights, highlight_stamps
+from matcam.forward import Highlights, highlight_stamps, rig_highlights
 
 TIGHT = galsim.GSParams(
     folding_threshold=1e-9, maxk_threshold=1e-10, kvalue_accuracy=1e-12, xvalue_accuracy=1e-12, maximum_fft_size=32768
@@ -157,3 +169,79 @@ def test_highlights_are_named():
         ArgumentError, match=r"highlights must be Highlights\(flux, x, y, std_along, std_across\), got tuple"
     ):
         highlight_stamps(CAMERA, 8, (1, 0, 0, 1, 1))
+
+
+def summed(width, lamp_angle, azimuth, where, q, w, radius=256.0, sigma=0.5):
+    """Pixels at `where`, px, of a Gaussian lobe before a camera at 1 / q radii and under a lamp at 1 / w: a sum over normals
+    about the brightest one, which a bisection finds."""
+    low, high = 0.0, lamp_angle
+    for _ in range(60):
+        u = (low + high) / 2
+        view, light = np.array([-q * np.sin(u), 1 - q * np.cos(u)]), np.array([np.sin(lamp_angle), np.cos(lamp_angle)])
+        light = light - w * np.array([np.sin(u), np.cos(u)])
+        half = view / np.linalg.norm(view) + light / np.linalg.norm(light)
+        low, high = (u, high) if half[0] * np.cos(u) > half[1] * np.sin(u) else (low, u)
+    t, chi = np.meshgrid(
+        (np.arange(500) + 0.5) / 500 * 7 * width, (np.arange(96) + 0.5) / 96 * 2 * np.pi, indexing="ij"
+    )
+    along, across, up = np.sin(t) * np.cos(chi), np.sin(t) * np.sin(chi), np.cos(t)
+    n = np.stack([along * np.cos(u) + up * np.sin(u), across, up * np.cos(u) - along * np.sin(u)])
+    towards = np.array([np.sin(lamp_angle), 0, np.cos(lamp_angle)])[:, None, None]
+    view, light = np.array([0, 0, 1.0])[:, None, None] - q * n, towards - w * n
+    length, far = np.linalg.norm(view, axis=0), np.linalg.norm(light, axis=0)
+    half = view / length + light / far
+    angle = np.arcsin(np.linalg.norm(np.cross(half, n, axis=0), axis=0) / np.linalg.norm(half, axis=0))
+    depth, stretch = 1 - q * n[2], radius * np.sqrt(1 - q**2)
+    density = np.exp(-((angle / width) ** 2) / 2) / (2 * np.pi * width**2)
+    area = stretch**2 * length / depth**3 * np.sin(t) * (7 * width / 500) * (2 * np.pi / 96)
+    light_sent = density / 4 / far**2 * area
+    x, y = stretch * n[0] / depth, stretch * n[1] / depth
+    x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
+
+    def kernel(d):
+        return (erf((d + 0.5) / (np.sqrt(2) * sigma)) - erf((d - 0.5) / (np.sqrt(2) * sigma))) / 2
+
+    return np.array([np.sum(light_sent * kernel(x - a) * kernel(y - b)) for a, b in where])
+
+
+@pytest.mark.parametrize(
+    ("camera", "lamp", "degrees", "azimuth"),
+    [(np.inf, np.inf, 60.0, 0.0), (20.0, 28.0, 100.0, 0.0), (6.0, 4.0, 70.0, 0.6), (np.inf, 3.0, 20.0, 2.0)],
+)
+def test_highlights_of_a_rig(camera, lamp, degrees, azimuth):
+    """Nine pixels about the highlight, against a sum over normals that knows no tangent plane."""
+    light = None if np.isinf(lamp) else NearLamp(lamp)
+    rig = Rig(Camera(GaussianOptics(0.5)), Sphere(256.0, camera), light)
+    found = rig_highlights(rig, 0.002, np.radians(degrees), azimuth, reflectance=0.5)
+    middle = np.round([float(found.x), float(found.y)])
+    stamp = highlight_stamps(rig.camera, 3, found._replace(x=found.x - middle[0], y=found.y - middle[1]))
+    where = [(middle[0] + column, middle[1] - row) for row in (-1, 0, 1) for column in (-1, 0, 1)]
+    truth = 0.5 * summed(0.002, np.radians(degrees), azimuth, where, 1 / camera, 1 / lamp)
+    off = np.abs(np.asarray(stamp).ravel() - truth).max() / truth.max()
+    print(f"worst {off:.1e} of the peak")
+    assert off < 6e-4
+    assert (found.angle is None) == (azimuth == 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: rig_highlights(NEAR, 0.6, 0.5), r"width must lie in \(0, 0.5\] rad, got 0.6"),
+        (lambda: rig_highlights(NEAR, 0.01, [0.5, 2.9]), "the lamp is behind the sample"),
+        (lambda: rig_highlights(NEAR, 0.01, 0.5, 45), "azimuth must lie in .* np.radians.*, got 45"),
+        (lambda: rig_highlights(NEAR, 0.01, [0.1, 0.2], [0.1, 0.2, 0.3]), "shapes that broadcast"),
+        (lambda: rig_highlights(NEAR, 0.01, 0.5, reflectance=-1), "reflectance must lie in"),
+        (lambda: rig_highlights(Rig(NEAR.camera, Cylinder(20)), 0.01, 0.5), "need a Sphere, this rig has a Cylinder"),
+        (lambda: rig_highlights(NEAR.camera, 0.01, 0.5), "rig must be a Rig"),
+        (
+            lambda: rig_highlights(Rig(NEAR.camera, Sphere(20, 5), NearLamp(5)), 0.01, [0.5, 0.0]),
+            "stands in the camera",
+        ),
+    ],
+)
+def test_highlights_that_no_rig_shows_are_refused(call, message):
+    with pytest.raises(ArgumentError, match=message):
+        call()
+
+
+NEAR = Rig(Camera(GaussianOptics(0.5)), Sphere(20.0), NearLamp(3.0))

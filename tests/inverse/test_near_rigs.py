@@ -3,8 +3,27 @@
 import numpy as np
 import pytest
 
-from matcam import GGX, BoxPixel, Camera, GaussianOptics, NearLamp, Rig, Sphere, limits, rigs
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    Conductor,
+    DistantLamp,
+    GaussianOptics,
+    Microfacet,
+    NearLamp,
+    Rig,
+    Sphere,
+    correct,
+    fit,
+    fresnel,
+    limits,
+    measure,
+    rigs,
+)
+from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.workspace import Workspace
+from matcam.forward import true_table, with_pixel_noise
 from matcam.inverse.operator.chosen_cells import ChosenCells, places_in
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
@@ -12,6 +31,7 @@ from matcam.inverse.operator.sphere_view import SphereView, sphere_view
 from tests.golden import rows
 from tests.oracle import lamp_record
 
+CHROMIUM = Conductor([2.9], [4.23])
 NEVER = Workspace(entries=0)
 GEOMETRIES = [(6.0, 4.0, 256.0), (np.inf, 3.0, 100.0), (20.0, 50.0, 400.0), (8.0, np.inf, 100.0)]
 
@@ -134,3 +154,59 @@ def test_bounds_of_a_very_distant_rig_are_a_distant_rigs():
     )
     for name in ("width_std", "width_std_free", "lens_std_free", "fresnel_std", "width_std_changed"):
         np.testing.assert_allclose(near[name].values, far[name].values, rtol=5e-3)
+
+
+@pytest.fixture(scope="module")
+def near_table():
+    """A rig with the camera at 20 radii and the lamp at 10, and the table that it records of chromium, by `measure`."""
+    rig, _ = made(20.0, 10.0, 100.0)
+    return rig, measure(Microfacet(GGX(0.02), CHROMIUM), rig).isel(channel=[1])
+
+
+def knowing(rig, std, **changes):
+    """The rig, its lens known to `std` px."""
+    camera = Camera(rig.camera.optics, rig.camera.pixel, uncertainty=Uncertainty.of({"optics.sigma_px": std}))
+    return Rig(camera, changes.get("sample", rig.sample), changes.get("lamp", rig.lamp))
+
+
+@pytest.mark.slow
+def test_a_near_rigs_table_gives_its_material_back(near_table):
+    """Noise-free; the same table taken for a distant rig's gives n 14 % too small."""
+    rig, table = near_table
+    found = fit(table, knowing(rig, 0.0), "ggx", every=9, workspace=NEVER).params
+    print(found)
+    assert found["alpha"] == pytest.approx(0.02, rel=1e-5)
+    assert found["n[G]"] == pytest.approx(2.9, rel=3e-4)
+    assert found["k[G]"] == pytest.approx(4.23, rel=1e-4)
+    far = knowing(rig, 0.0, sample=Sphere(100.0), lamp=DistantLamp())
+    assert fit(table, far, "ggx", every=9, workspace=NEVER).params["n[G]"] < 2.6
+
+
+@pytest.mark.slow
+def test_a_near_rigs_table_is_corrected(near_table):
+    """1 % noise, lens known to 3 %: F at every angle to 75.5 degrees, and the peaks of the corrected table."""
+    rig, table = near_table
+    rig = knowing(rig, 0.015)
+    noisy = with_pixel_noise(table, rig, PixelNoise(0.01, 1e-4), 1)
+    workspace = Workspace()
+    found = fresnel(noisy, rig, ndf="ggx", every=6, workspace=workspace)
+    angles = found["theta_d"].values
+    true = np.asarray(CHROMIUM.at(angles)).ravel()
+    true = true / true[(angles >= np.radians(10)) & (angles <= np.radians(45))].mean()
+    seen = (angles > np.radians(10)) & (angles < np.radians(76))
+    off = found["corrected"].values[seen, 0] / true[seen] - 1
+    print("F off by", np.round(off, 4))
+    assert np.abs(off).max() < 0.01
+    assert abs(found["raw"].values[seen, 0][-1] / true[seen][-1] - 1) > 0.4
+    corrected = correct(noisy, rig, ndf="ggx", workspace=workspace)
+    truth = true_table(Microfacet(GGX(0.02), CHROMIUM)).values[..., 1]
+    value, std = (corrected[name].values[..., 0] / truth for name in ("brdf", "brdf_std"))
+    recorded, supported = noisy.values[..., 0] / truth, corrected["supported"].values
+    supported = (supported[..., 0] if supported.ndim == 4 else supported) & np.isfinite(value)
+    rows = 0, np.arange(5, 76), 90
+    print("peaks: recorded", recorded[rows][::10], "corrected", value[rows][::10], "supported", supported[rows].mean())
+    print("false support", np.mean(np.abs(value - 1)[supported] > 3 * std[supported]), "of", supported.mean())
+    assert supported[rows].mean() > 0.9
+    assert np.abs(value[rows] - 1)[supported[rows]].max() < 0.05
+    assert recorded[0, 75, 90] < 0.6
+    assert np.mean(np.abs(value - 1)[supported] > 3 * std[supported]) < 0.01

@@ -138,7 +138,7 @@ def command(
 
     use_compilation_cache()
     workspace = Workspace.user()
-    near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
     rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     how: dict[str, Any] = {
         "ndf": ndf,

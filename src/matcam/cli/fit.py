@@ -92,7 +92,7 @@ def command(
     from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
-    near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
     rig = None if blind else rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(

@@ -101,7 +101,7 @@ def command(
 
         if metal is not None:
             metals(metal)  # an unknown name should cost nothing
-        near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+        near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
         result = fresnel(
             read_table(file, sampling=sampling),
             rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase),

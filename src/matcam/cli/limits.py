@@ -50,7 +50,7 @@ def command(
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
-    near = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
     rig = rig_of(camera, radius, lamp, **near)
     with show.working("bounds"):
         found = limits(

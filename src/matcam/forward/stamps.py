@@ -21,6 +21,11 @@ from matcam.camera.pixel import BoxPixel
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.forward.integral.blur import blur_of
+from matcam.lamp.lamps import checked_azimuths, checked_lamp_angles, closeness
+from matcam.material.ndf.gaussian_lobe import GaussianNDF
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
 
 _ERROR = 1e-8
 """Error of the rule over a pixel's height, relative to the highlight's density."""
@@ -91,6 +96,73 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
     edges = _PixelEdges(size, is_concrete(pixel.half_width) and float(pixel.half_width) == 0.5, pixel.half_width)
     draw = _aligned if lights.angle is None else partial(_rotated, _order(lens, lights))
     return reduce(jnp.add, (draw(edges, sigma, lights._replace(flux=weight * lights.flux)) for weight, sigma in lens))
+
+
+def rig_highlights(
+    rig: Rig, width: ArrayLike, lamp_angle: ArrayLike, azimuth: ArrayLike = 0.0, *, reflectance: ArrayLike = 1.0
+) -> Highlights:
+    """Return the highlights that a rig's sphere shows of a lobe.
+
+    The lobe is Gaussian, and the sphere is replaced by its tangent plane. A near lamp's irradiance falls off, and it turns the
+    half vector over the picture, as a near camera does. The lamp's disc, a lens out of focus and registration jitter widen a
+    highlight as Gaussians of their own variance. Nothing is masked.
+
+    Args:
+        rig: camera, sample and lamp; the sample is a `Sphere`. Its lens and pixel are for `highlight_stamps`.
+        width: standard deviation of the lobe, rad, (0, 0.5].
+        lamp_angle: between lamp and optical axis, seen from the sphere's centre, rad. All arguments broadcast.
+        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: 0, towards +x, for stamps along the pixel
+            grid, which are faster.
+        reflectance: F of each highlight, no unit, >= 0. Default: 1.
+
+    Returns:
+        The highlights, x and y from the optical axis: subtract from them the places of the stamps' middles. Their flux is
+        that of radiance under the lamp's irradiance of 1 at the sphere's centre, 1/sr px^2. Differentiable.
+
+    Raises:
+        ArgumentError: the sample is no sphere, a value is out of its range, or a lamp is behind the sphere or in the camera.
+
+    Source:
+        docs/model.md 4 and 10: the tangent plane.
+
+    Example:
+        >>> rig = matcam.Rig(matcam.rigs.merl().camera, matcam.Sphere(256.0, 20.0), matcam.NearLamp(28.0))
+        >>> found = matcam.forward.rig_highlights(rig, 0.002, np.radians([20.0, 100.0]), np.radians(30.0))
+        >>> print(np.round(found.x, 1), np.round(found.std_along, 2), np.round(found.std_across, 2))
+        [ 40.1 174.5] [0.51 0.32] [0.51 0.49]
+    """
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    sample, near = rig.sample, rig.lamp.nearness
+    if not isinstance(sample, Sphere):
+        raise ArgumentError(f"highlights of a rig need a Sphere, this rig has a {type(sample).__name__}")
+    lobe = checks.within("width", width, 0, GaussianNDF.largest, "rad", open_low=True)
+    angle = checked_lamp_angles(lamp_angle, rig.lamp, sample.distance)
+    share = checks.within("reflectance", reflectance, 0, np.inf, open_high=True)
+    turn = checked_azimuths(azimuth)
+    try:
+        lobe, angle, share, turn = jnp.broadcast_arrays(lobe, angle, share, turn)
+    except ValueError:
+        shapes = [a.shape for a in (lobe, angle, turn, share)]
+        raise ArgumentError(
+            f"width, lamp_angle, azimuth and reflectance must have shapes that broadcast, got {shapes}"
+        ) from None
+    u, theta_d = sample.highlight(angle, near), sample.theta_d(angle, near)
+    x = sample.stretch * jnp.sin(u) / (1 - sample.nearness * jnp.cos(u))
+    along, across = sample.px_per_rad(theta_d, near)
+    # radiance F D / 4 cos^2, the area of normals on the sensor, and the lamp's irradiance there; D cos integrates to 1
+    flux = share * along * across * closeness(near, jnp.cos(theta_d)) ** 2 / (4 * jnp.cos(theta_d))
+    by_lamp, by_lamp_across = blur_of(rig).spread(sample, jnp.cos(u), angle, near)
+    jitter = rig.jitter**2
+    aligned = is_concrete(turn) and not np.any(np.asarray(turn))
+    return Highlights(
+        flux=flux,
+        x=x * jnp.cos(turn),
+        y=x * jnp.sin(turn),
+        std_along=jnp.sqrt((lobe * along) ** 2 + by_lamp + jitter),
+        std_across=jnp.sqrt((lobe * across) ** 2 + by_lamp_across + jitter),
+        angle=None if aligned else turn,
+    )
 
 
 class _Lights(NamedTuple):

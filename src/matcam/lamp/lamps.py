@@ -215,16 +215,26 @@ def disc_of(lamp: Lamp) -> float:
 
 
 def checked_azimuth(azimuth: ArrayLike) -> float:
-    """Return an azimuth in [-2 pi, 2 pi] rad; more is degrees by mistake."""
+    """Return one azimuth in [-2 pi, 2 pi] rad; more is degrees by mistake."""
+    return float(checks.scalar("azimuth", checked_azimuths(azimuth)))
+
+
+def checked_azimuths(azimuth: ArrayLike) -> jax.Array:
+    """Return azimuths in [-2 pi, 2 pi] rad, any shape."""
     what = "rad (2 pi is a turn; of degrees give np.radians)"
-    return float(checks.scalar("azimuth", checks.within("azimuth", azimuth, -_TURNS, _TURNS, what)))
+    return checks.within("azimuth", azimuth, -_TURNS, _TURNS, what)
 
 
 def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> float:
-    """Return the angle between lamp and optical axis, rad, if the lamp lights anything that is seen.
+    """Return one angle between lamp and optical axis, rad, if the lamp lights anything that is seen."""
+    return float(checks.scalar("lamp_angle", checked_lamp_angles(lamp_angle, lamp, camera_distance)))
+
+
+def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> jax.Array:
+    """Return angles between lamp and optical axis, rad, if the lamp lights anything that is seen.
 
     Args:
-        lamp_angle: the angle, rad.
+        lamp_angle: the angles, rad, any shape.
         lamp: the lamp.
         camera_distance: distance of the camera from the sample's centre, radii.
 
@@ -235,11 +245,10 @@ def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Array
     nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's numbers")
     most = float(np.arccos(1 / camera_distance) + np.arccos(nearness))
     behind = f"rad (beyond {'pi' if most == np.pi else 'that'} the lamp is behind the sample)"
-    checked = checks.within("lamp_angle", lamp_angle, 0, most, behind, open_high=True)
-    angle = float(checks.scalar("lamp_angle", checked))
+    angle = checks.within("lamp_angle", lamp_angle, 0, most, behind, open_high=True)
     if nearness and np.isfinite(camera_distance):
-        apart = np.hypot(1 / nearness * np.sin(angle), 1 / nearness * np.cos(angle) - camera_distance)
-        if apart < _AT_CAMERA * camera_distance:
+        apart = jnp.hypot(1 / nearness * jnp.sin(angle), 1 / nearness * jnp.cos(angle) - camera_distance)
+        if is_concrete(apart) and bool(jnp.any(apart < _AT_CAMERA * camera_distance)):
             raise ArgumentError(
                 f"the lamp stands in the camera, {camera_distance:g} radii from the sample on its axis: "
                 "give another lamp_angle or lamp_distance"

@@ -249,7 +249,7 @@ def _azimuths(at: _Directions, place: jax.Array, share: jax.Array) -> tuple[jax.
     return here, pair, beside[..., None] + slope[..., None] * nodes, shares
 
 
-def near_masking_samples(rule: NearRule) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def near_masking_samples(rule: NearRule) -> tuple[np.ndarray, ...]:
     """Return (theta, cos psi, theta_d, shares) at the nodes, from the circles next to them.
 
     Where nothing is seen, they are those of the nearest circle that sees any.

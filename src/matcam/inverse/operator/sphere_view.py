@@ -86,7 +86,7 @@ class SphereView(NamedTuple):
         """Return the flux of a highlight of F = 1 over that at the centre, times 4, px^2: radius^2 of a distant sphere."""
         if self.distant:
             return np.full(np.shape(theta_d), self.radius**2)
-        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(theta_d, self.lamp))
+        along, across = (np.asarray(a) for a in self.sphere.px_per_rad(jnp.asarray(theta_d), self.lamp))
         return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
 
     def normals(self, x: np.ndarray, y: np.ndarray) -> Normals:
