@@ -22,8 +22,10 @@ from matcam import (
     rigs,
 )
 from matcam.camera import PixelNoise, Uncertainty
+from matcam.core.errors import ArgumentError
 from matcam.core.workspace import Workspace
 from matcam.forward import true_table, with_pixel_noise
+from matcam.inverse import FitSetup
 from matcam.inverse.operator.chosen_cells import ChosenCells, places_in
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
@@ -125,6 +127,21 @@ def test_the_place_of_a_highlight_and_its_light():
         area = abs(corners[0][0] * corners[1][1] - corners[0][1] * corners[1][0]) / step**2
         lamp = 1 / (np.sqrt(1 - view.lamp**2 * np.sin(angle) ** 2) - view.lamp * np.cos(angle))
         assert view.highlight_area(angle) == pytest.approx(area * lamp**2 / np.cos(angle), rel=1e-3)
+
+
+def test_turned_pixels_are_refused():
+    """Where a table says that its lamp stood at 30 degrees; 90 degrees are another side of the pixel."""
+    table = true_table(Microfacet(GGX(0.1), 1.0))
+    table.attrs["lamp_azimuth"] = np.pi / 6
+    with pytest.raises(
+        ArgumentError, match=r"lamp_azimuth'\] must be a multiple of pi / 2 rad, got 0.523599"
+    ) as caught:
+        FitSetup((table,), rigs.merl())
+    assert "\n" not in str(caught.value)
+    table.attrs["lamp_azimuth"] = -np.pi / 2
+    assert FitSetup((table,), rigs.merl()).rig is not None
+    table.attrs["lamp_azimuth"] = np.pi / 6
+    assert FitSetup((table,), None).rig is None
 
 
 @pytest.mark.slow

@@ -50,6 +50,8 @@ from matcam.rigs import Rig
 CameraParameters = Literal["fixed", "prior", "free"]
 CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 
+_ALIGNED = 1e-9
+"""Sine of twice an azimuth below which square pixels lie along the plane of camera and lamp."""
 AUTO = "auto"
 """Family of the lobe where the user names none: the likelier of the candidates."""
 CANDIDATES = ("ggx", "epd")
@@ -134,6 +136,8 @@ class FitSetup:
             self.noise.check()
         if self.rig is not None:
             check_rig(self.rig)
+            for table in tables:
+                _check_azimuth(table)
             object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)
 
     def with_(self, **changes: Any) -> FitSetup:
@@ -245,6 +249,16 @@ class FitSetup:
             root[-1, -1] = 1.0
         finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_view(self.rig).radius
         return Prior(axes, root, self.bend, max(finest, self.stiff_below))
+
+
+def _check_azimuth(table: xr.DataArray) -> None:
+    """Raise ArgumentError for a table whose pixels are turned against the plane of camera and lamp."""
+    azimuth = float(table.attrs.get("lamp_azimuth", 0.0))
+    if abs(np.sin(2 * azimuth)) > _ALIGNED:
+        raise ArgumentError(
+            f"a fit needs pixels along the plane of camera and lamp: the table's attrs['lamp_azimuth'] must be a multiple of "
+            f"pi / 2 rad, got {azimuth:g}"
+        )
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
