@@ -49,7 +49,7 @@ def write(path):
             "",
             *table(shown_on_page),
             "",
-            "What it cannot do yet: `fit`, `fresnel` and `correct` want a sphere under a distant camera and lamp.",
+            "What it cannot do yet: `fit`, `fresnel` and `correct` want a sphere, and the lamp along the rows or columns of the pixels.",
             "",
         ]
     )

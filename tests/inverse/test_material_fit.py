@@ -168,4 +168,4 @@ def test_bad_arguments_are_refused():
     with pytest.raises(ArgumentError, match="at least one"):
         fit([], rig)
     with pytest.raises(ArgumentError, match="distant camera"):
-        fit(table, Rig(rig.camera, Sphere(256, distance=30)))
+        fit(table, Rig(rig.camera, Sphere(256, distance=30), cell_value="nearest", pixel_phase=(0.1, 0.2)))
