@@ -50,6 +50,11 @@ _WITHHELD = Remark(
     "rig and data contradict each other: the table stays as it is, and what the rig would have changed is the standard "
     "deviation of the correction; anyway=True corrects it",
 )
+_UNSEEN = Remark(
+    "blur-not-seen",
+    "the lens is a guess, and the data do not show whether it blurs: the table stays as it is, and what the rig would have "
+    "changed is the standard deviation of the correction; state the lens, or anyway=True corrects it",
+)
 _NEAREST_GLARE = 8.0
 """px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
 _ANGLES = (5, 45, 75)
@@ -138,7 +143,7 @@ class Correction:
         if anyway:
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
         else:
-            ratio = withheld(fitted) if held_back else shrunk(fitted, found.no_camera)
+            ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
         scattered = glare * _farthest_glare(brdf, rig, best)
         left = found.without_camera.noise if held_back and found.no_blur else found.shape.noise
         table = _corrected_table(brdf, best, left, ratio, scattered, glare)
@@ -147,6 +152,8 @@ class Correction:
             remarks = (*remarks, found.no_blur_remark)
         if said:
             remarks = (*remarks, _WITHHELD)
+        elif found.undecided and not anyway and _matters(fitted):
+            remarks = (*remarks, _UNSEEN)
         table.attrs.update(
             ndf=best.family, bent=int(best.is_bent), masking=masking or "none", glare=glare,
             sampling=sampling_of(brdf), source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),

@@ -36,7 +36,7 @@ from matcam.inverse.fit.fit_parameters import TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
-from matcam.inverse.operator.rig_axes import LENS, known_lens
+from matcam.inverse.operator.rig_axes import LENS, is_guess, known_lens
 from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
@@ -54,6 +54,8 @@ _MOST_MISFIT = 2.0
 """Misfit up to which a lobe explains its data, where the noise was given."""
 _PROBABLE = 0.5
 """Probability from which something is taken to be so."""
+_UNLIKELY = 0.05
+"""Probability of no camera down to which a lens that is a guess moves nothing."""
 _EVIDENCE = 0.1
 """Share of a difference of log likelihoods that is believed: what a model misses is the same in neighbouring cells."""
 
@@ -107,6 +109,14 @@ class Explanation(NamedTuple):
             or self.no_blur
             or any(doubt.contradicts for doubt in self.doubts if doubt.axis.name == LENS)
         )
+
+    @property
+    def undecided(self) -> bool:
+        """Say whether nobody knows of a blur: the lens is a guess, and the data do not show one clearly."""
+        lens = known_lens(self.located.rig.camera).uncertainty
+        value = self.located.rig.camera.parameters().get(LENS)
+        guess = lens is not None and LENS in lens.names and value is not None
+        return guess and is_guess(LENS, lens.std()[LENS] / float(value)) and self.no_camera > _UNLIKELY
 
     @property
     def no_blur_remark(self) -> Remark:
