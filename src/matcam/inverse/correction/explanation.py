@@ -113,10 +113,11 @@ class Explanation(NamedTuple):
     @property
     def undecided(self) -> bool:
         """Say whether nobody knows of a blur: the lens is a guess, and the data do not show one clearly."""
-        lens = known_lens(self.located.rig.camera).uncertainty
-        value = self.located.rig.camera.parameters().get(LENS)
-        guess = lens is not None and LENS in lens.names and value is not None
-        return guess and is_guess(LENS, lens.std()[LENS] / float(value)) and self.no_camera > _UNLIKELY
+        camera = self.located.rig.camera
+        lens = known_lens(camera).uncertainty
+        if lens is None or LENS not in lens.names or self.no_camera <= _UNLIKELY:
+            return False
+        return is_guess(LENS, lens.std()[LENS] / float(camera.parameters()[LENS]))
 
     @property
     def no_blur_remark(self) -> Remark:

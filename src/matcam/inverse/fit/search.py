@@ -23,7 +23,7 @@ from matcam.numerics.linalg import scaled_inverse
 
 _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
-_TWO_LOBES = [
+_TWO_LOBES: list[tuple[float, ...]] = [
     (width, width + wider, share, *tails)
     for width in _WIDTHS[:-2:2]
     for wider in np.log([3.0, 12.0, 45.0])
