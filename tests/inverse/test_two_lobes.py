@@ -63,7 +63,7 @@ def test_a_mixture_is_given_back(shot, name):
     value, std, supported = shot.read(done)
     raw = table.values[shot.i, np.array(SLICES)[:, None], shot.k, 0]
     peak = (shot.i <= 2) & (truth > 1e-9) & np.isfinite(std)
-    error, bar = (value / truth - 1)[peak], (std / value)[peak]
+    error, bar = value[peak] / truth[peak] - 1, std[peak] / value[peak]
     rms = np.sqrt(np.mean(error**2))
     print(
         f"{name}: before {np.median(raw[peak] / truth[peak] - 1):+.2f}, rms error {rms:.4f}, worst {np.abs(error).max():.3f}, "
