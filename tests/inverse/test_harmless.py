@@ -1,5 +1,7 @@
 """Doing no harm: shrinkage, withheld corrections, energy, and what a rig says of its lens."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -10,6 +12,7 @@ from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
 from matcam.inverse import Correction
 from matcam.inverse.correction.correction import supported_values
+from matcam.inverse.correction.explanation import Explanation
 from matcam.inverse.correction.harmless import LobeRatio, albedo, shrunk, withheld, within_energy
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, SHAPE, known_lens, shape_axis
@@ -105,6 +108,14 @@ def test_what_a_rig_says_of_its_lens():
     other = known_lens(Camera(DiffractionOptics(8.0, 550e-9, 5e-6)))
     assert other.uncertainty.std() == {"optics.f_number": pytest.approx(0.8)}
     assert known_lens(Camera(GaussianOptics(0.4), uncertainty=Uncertainty.of({LENS: 0.0}))).exact
+
+
+def test_a_guess_that_no_data_confirm_moves_nothing():
+    """rigs.merl() guesses its lens; a lens known to 3 % is there whether or not a broad lobe shows it."""
+    for rig, undecided in ((rigs.merl(), True), (recorded.rig(std=0.015), False), (recorded.rig(), False)):
+        for no_camera, asked in ((0.2, undecided), (1e-3, False)):
+            found = SimpleNamespace(located=SimpleNamespace(rig=rig), no_camera=no_camera)
+            assert Explanation.undecided.fget(found) == asked
 
 
 def test_a_guess_may_be_no_lens_at_all_and_a_lens_without_a_statement_is_asked_of_the_data():

@@ -8,6 +8,7 @@ from matcam import Rig, Sphere, fit
 from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import texts
+from matcam.inverse import FitSetup
 from matcam.material import Sampled
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -128,6 +129,12 @@ def test_diffuse_and_channels():
         assert abs(one.params[f"diffuse[{label}]"] - albedo) < 4 * one.std[f"diffuse[{label}]"]
         assert abs(three.params[f"alpha[{label}]"] - 0.02) < 4 * three.std[f"alpha[{label}]"]
     assert three.std["alpha[R]"] > 1.4 * one.std["alpha"]
+    # from one lobe for all on to one for each
+    setup = FitSetup((table,), recorded.rig(), diffuse=True, per_channel=True, noise=recorded.NOISE, every=EVERY)
+    again = setup.solve(start=one)
+    assert again.misfit == pytest.approx(three.misfit, rel=1e-3)
+    for name, value in three.params.items():
+        assert abs(again.params[name] - value) < 0.1 * three.std[name]
 
 
 def test_a_lobe_too_narrow_for_the_camera_is_said_to_be():

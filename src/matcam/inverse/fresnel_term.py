@@ -69,7 +69,8 @@ def fresnel(
     Args:
         brdf: table as from `read_merl`, 1/sr.
         rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", as the result is a curve and not parameters.
+        ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", or two lobes where neither explains the data,
+            as the result is a curve and not parameters.
         masking: the G that (13) divides by: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.

@@ -50,6 +50,11 @@ _WITHHELD = Remark(
     "rig and data contradict each other: the table stays as it is, and what the rig would have changed is the standard "
     "deviation of the correction; anyway=True corrects it",
 )
+_UNSEEN = Remark(
+    "blur-not-seen",
+    "the lens is a guess, and the data do not show whether it blurs: the table stays as it is, and what the rig would have "
+    "changed is the standard deviation of the correction; state the lens, or anyway=True corrects it",
+)
 _NEAREST_GLARE = 8.0
 """px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
 _ANGLES = (5, 45, 75)
@@ -66,7 +71,8 @@ class Correction:
         doubts: the same fit with a parameter of the rig free, one for each parameter.
         shape: what was changed of the family's lobe.
         remarks: what a reader should know of the correction.
-        without_camera: fit of the same lobe as a perfect camera would have recorded it.
+        without_camera: fit of the same lobe as a perfect camera would have recorded it; with free shadowing and a lobe for each
+            colour where nothing less explains the data.
         no_camera: probability (no unit) that no camera, rather than this one, made the table.
         withheld: whether the table stays as it is, because rig and data contradict each other. Default: False.
 
@@ -137,20 +143,23 @@ class Correction:
         if anyway:
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
         else:
-            ratio = withheld(fitted) if held_back else shrunk(fitted, found.no_camera)
+            ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
         scattered = glare * _farthest_glare(brdf, rig, best)
-        table = _corrected_table(brdf, best, found.shape.noise, ratio, scattered, glare)
+        left = found.without_camera.noise if held_back and found.no_blur else found.shape.noise
+        table = _corrected_table(brdf, best, left, ratio, scattered, glare)
         remarks = found.remarks
         if found.no_blur and _matters(fitted):
             remarks = (*remarks, found.no_blur_remark)
         if said:
             remarks = (*remarks, _WITHHELD)
+        elif found.undecided and not anyway and _matters(fitted):
+            remarks = (*remarks, _UNSEEN)
         table.attrs.update(
             ndf=best.family, bent=int(best.is_bent), masking=masking or "none", glare=glare,
             sampling=sampling_of(brdf), source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
-        return cls(table, best, found.doubts, found.shape, remarks, found.blind, found.no_camera, said)
+        return cls(table, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said)
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
         """Return the share of the highlight's peak that the camera lost.
@@ -261,7 +270,8 @@ def correct(
     Args:
         brdf: table as from `read_merl`, 1/sr.
         rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", as the result is a table and not parameters.
+        ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", or two lobes where neither explains the data,
+            as the result is a table and not parameters.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It limits

@@ -4,9 +4,12 @@
 cells with F free in every slice and a Lambertian part.
 
 - The camera: its lens as the profile states it or as assumed, the shape of the lens's kernel uncertain, too.
-- A lobe whose family fails is bent, where that explains the noise. Elsewhere what bending would change is uncertainty.
+- Where no family explains the data two lobes may: a coat over a base, facets of two finishes.
+- A lobe that fails, too, is bent, where that explains the noise. Elsewhere what bending would change is uncertainty.
 - No camera: the same lobe as a perfect camera would have recorded it. If it makes the data clearly more probable, the data
   show no blur by this camera, whatever the rig says.
+- Shadowing: where no lobe explains the noise, neither with a camera nor without, each colour has a lobe of its own, and masking
+  is any smooth function of the angle. Of F it says nothing, but whether there is a camera, and what a pixel's noise is.
 """
 
 from __future__ import annotations
@@ -29,10 +32,11 @@ from matcam.inverse.correction.doubts import (
     rig_doubts,
     shape_correction,
 )
-from matcam.inverse.fit.fit_setup import SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
+from matcam.inverse.fit.fit_parameters import TWO_LOBES
+from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
-from matcam.inverse.operator.rig_axes import LENS, known_lens
+from matcam.inverse.operator.rig_axes import LENS, is_guess, known_lens
 from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
@@ -48,6 +52,10 @@ _MOST_NOISE = 0.05
 """Noise of a pixel, estimated, up to which a lobe explains its data."""
 _MOST_MISFIT = 2.0
 """Misfit up to which a lobe explains its data, where the noise was given."""
+_PROBABLE = 0.5
+"""Probability from which something is taken to be so."""
+_UNLIKELY = 0.05
+"""Probability of no camera down to which a lens that is a guess moves nothing."""
 _EVIDENCE = 0.1
 """Share of a difference of log likelihoods that is believed: what a model misses is the same in neighbouring cells."""
 
@@ -67,6 +75,7 @@ class Explanation(NamedTuple):
         blind_setup: of `blind`.
         blind: the lobe without a camera.
         no_camera: probability that no camera, rather than this one, made the table.
+        shadowed: a lobe of each colour with free masking, without a camera; None where nothing asks for it.
     """
 
     located: LocatedRig
@@ -80,11 +89,17 @@ class Explanation(NamedTuple):
     blind_setup: FitSetup
     blind: MaterialFit
     no_camera: float
+    shadowed: MaterialFit | None
+
+    @property
+    def without_camera(self) -> MaterialFit:
+        """Return what explains the table best if no camera is needed."""
+        return self.shadowed or self.blind
 
     @property
     def no_blur(self) -> bool:
         """Say whether the data show no blur by this camera."""
-        return self.no_camera > 0.5
+        return self.no_camera > _PROBABLE
 
     @property
     def contradicts(self) -> bool:
@@ -96,13 +111,24 @@ class Explanation(NamedTuple):
         )
 
     @property
+    def undecided(self) -> bool:
+        """Say whether nobody knows of a blur: the lens is a guess, and the data do not show one clearly."""
+        camera = self.located.rig.camera
+        lens = known_lens(camera).uncertainty
+        if lens is None or LENS not in lens.names or self.no_camera <= _UNLIKELY:
+            return False
+        return is_guess(LENS, lens.std()[LENS] / float(camera.parameters()[LENS]))
+
+    @property
     def no_blur_remark(self) -> Remark:
         """Say that the data show no blur."""
-        noise = [f"{fit.noise.relative:.1%}" for fit in (self.blind, self.fit)]
-        return Remark(
-            "no-blur-in-data",
-            f"the data show no blur by this camera: without it a pixel's noise would be {noise[0]}, with it {noise[1]}",
+        noise = [f"{fit.noise.relative:.1%}" for fit in (self.blind, self.fit, self.without_camera)]
+        text = (
+            f"the data show no blur by this camera: without it a pixel's noise would be {noise[0]}, with it {noise[1]}"
         )
+        if self.shadowed is not None:
+            text += f"; {noise[2]} with free shadowing and a lobe for each colour"
+        return Remark("no-blur-in-data", text)
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -141,6 +167,12 @@ def explain(
         view=sphere_view(rig), pixels=grid_of(rig), workspace=workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
+    if shape.family_fails and ndf == AUTO:
+        both = _two_lobes(setup.with_(ndf=TWO_LOBES), noise)
+        if both is not None and both[0].log_likelihood > found.log_likelihood:
+            found, shape = both
+            candidates = [*candidates, found]
+            setup, blind_setup = setup.with_(ndf=TWO_LOBES), blind_setup.with_(ndf=TWO_LOBES)
     others: tuple[MaterialFit, ...] = ()
     others_setup = setup
     if not shape.family_fails:
@@ -160,12 +192,44 @@ def explain(
             found, setup, shape = through_camera, bent_setup, no_correction(through_camera, shape.scale)
         else:
             others, others_setup, shape = (through_camera,), bent_setup, no_correction(found, shape.scale)
-    difference = _EVIDENCE * (blind.log_likelihood - through_camera.log_likelihood)
-    no_camera = float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))
+    no_camera = _probability(blind, through_camera)
+    shadowed = None
+    if not _explains(blind, noise) and (no_camera > _PROBABLE or not _explains(through_camera, noise)):
+        shadowed = _shadowed(blind_setup, blind)
+    if shadowed is not None and not _explains(through_camera, noise):
+        no_camera = max(no_camera, _probability(shadowed, through_camera))
     doubts = rig_doubts(setup, rig, found, doubted)
     return Explanation(
-        located, setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera
+        located, setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera, shadowed
     )
+
+
+def _two_lobes(setup: FitSetup, noise: PixelNoise | None) -> tuple[MaterialFit, ShapeCorrection] | None:
+    """Return the fit of two lobes and what it leaves of their shape; None where two do not explain the data, either.
+
+    setup: of two lobes. Most tables that fail are refused by a few slices.
+    """
+    found = setup.with_(every=max(_BEND_EVERY, setup.every)).solve()
+    if shape_correction(found, noise).family_fails:
+        return None
+    found = setup.solve(start=found)
+    shape = shape_correction(found, noise)
+    return None if shape.family_fails else (found, shape)
+
+
+def _shadowed(blind_setup: FitSetup, blind: MaterialFit) -> MaterialFit | None:
+    """Return the fit with free masking and a lobe for each colour, if it makes the data clearly more probable."""
+    setup = blind_setup.with_(masking="smith-separable", per_channel=True, free_masking=True, bend=_MOST_BEND)
+    found = setup.solve(start=blind, weights="start")
+    return found if _probability(found, blind) > _PROBABLE else None
+
+
+def _probability(one: MaterialFit, other: MaterialFit) -> float:
+    """Return the probability of one explanation of some cells against another; parameters of free masking count (Akaike)."""
+    difference = _EVIDENCE * (one.log_likelihood - other.log_likelihood)
+    if one.coordinates.kind.shadows:
+        difference -= one.effective_parameters() - other.effective_parameters()
+    return float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))
 
 
 def _explains(found: MaterialFit, noise: PixelNoise | None) -> bool:

@@ -18,6 +18,7 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 from matcam.material.ndf.free_lobe import BentNDF, ShadowedNDF
 from matcam.material.ndf.ggx import AnisotropicGGX
+from matcam.material.ndf.two_lobes import TwoLobes
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
 
 FresnelModel = str
@@ -25,6 +26,11 @@ FresnelModel = str
 
 NARROWEST_PX = 0.02
 """Lobes narrower than this on the sensor are the same point to any camera."""
+
+TWO_LOBES = TwoLobes.family
+"""A lobe that `correct` tries where no family explains the data; nobody chooses it by name."""
+_SHARE_BOUNDS = (-6.0, 6.0)
+"""Of ln(share / (1 - share)): a share of 0.25 % shows in no picture."""
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
@@ -39,7 +45,7 @@ class LobeKind(NamedTuple):
     """Say what the parameters of a lobe mean: its family and masking, and the splines that bend them.
 
     Attributes:
-        family: key of `FAMILIES`.
+        family: key of `FAMILIES`, or TWO_LOBES.
         masking: the lobe's G.
         bends: number of parameters that bend the lobe away from its family; 0 or KNOTS.
         shadows: number of parameters of its masking where that is free; 0 or SHADOWS.
@@ -55,7 +61,14 @@ class LobeKind(NamedTuple):
     @property
     def family_names(self) -> tuple[str, ...]:
         """Name the family's own parameters as its constructor does; those of a stretched lobe by the tangents x and y."""
+        if self.family == TWO_LOBES:
+            return tuple(field.name for field in dataclasses.fields(TwoLobes))
         return ("alpha_x", "alpha_y") if self.stretched else _fields_of(self.family)
+
+    @property
+    def of_family(self) -> bool:
+        """Say whether the lobe is a family's, so that its parameters say what it is."""
+        return not (self.bends or self.shadows or self.family == TWO_LOBES)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,9 +82,15 @@ class LobeKind(NamedTuple):
         return len(self.family_names) + self.bends + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
-        """Return the NDF at coordinates: logarithms of the family's parameters, then the splines' own."""
+        """Return the NDF at coordinates: logarithms of the family's parameters, then the splines' own.
+
+        Of two lobes, the shares are the logistic function of a coordinate, and coordinates themselves.
+        """
         own = len(self.family_names)
-        ndf = FAMILIES[self.family](*(jnp.exp(one) for one in q[:own]))
+        if self.family == TWO_LOBES:
+            ndf: NDF = TwoLobes(jnp.exp(q[0]), jnp.exp(q[1]), jax.nn.sigmoid(q[2]), q[3], q[4])
+        else:
+            ndf = FAMILIES[self.family](*(jnp.exp(one) for one in q[:own]))
         bends, shadows = q[own : own + self.bends], q[own + self.bends : self.size]
         if self.bends:
             ndf = BentNDF(ndf, bends)
@@ -83,8 +102,11 @@ class LobeKind(NamedTuple):
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:
         """Bound the coordinates for a lobe on a sphere of `radius` px."""
-        bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * FAMILIES[self.family].largest)))]
-        bounds *= 1 + self.stretched
+        largest = 1.0 if self.family == TWO_LOBES else FAMILIES[self.family].largest
+        bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * largest)))]
+        bounds *= 1 + (self.stretched or self.family == TWO_LOBES)
+        if self.family == TWO_LOBES:
+            bounds += [_SHARE_BOUNDS, (0.0, 1.0), (0.0, 1.0)]
         if self.family in WITH_POWER:
             low, high = _POWER_BOUNDS[self.family]
             bounds.append((float(np.log(low)), float(np.log(high))))

@@ -12,7 +12,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
-from matcam.inverse.fit.lobe_readings import lobe_readings
+from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.inverse.fit.search import Solution
 from matcam.inverse.operator.rig_axes import ASSUMED, SHAPE, WIDTHS, Axis, known_lens
 from matcam.material.microfacet import Microfacet
@@ -173,7 +173,7 @@ class LobeVerdict(NamedTuple):
     """Say how well a fit knows its lobes.
 
     Attributes:
-        determined: whether every roughness is known to 5 %.
+        determined: whether every roughness is known to 5 %; of a lobe that is no family's, the half width.
         resolved: whether the lobe is wider than the narrowest that the camera can tell from a point.
     """
 
@@ -186,6 +186,10 @@ def lobe_verdict(solution: Solution) -> LobeVerdict:
     layout, std = solution.problem.layout, np.sqrt(np.diag(solution.covariance))
     narrowest = layout.kind.bounds(solution.problem.radius)[0][0]
     resolved = bool(float(solution.p[0]) - narrowest > _BOUND)
+    if not layout.kind.of_family:  # of such a lobe the half width is what is known or not
+        lobes = [layout.lobe(n) for n in range(layout.lobes)]
+        angles = [half_maximum_angle(layout.kind, solution.p[at], solution.covariance[at, at]) for at in lobes]
+        return LobeVerdict(resolved and all(error < DETERMINED * angle for angle, error in angles), resolved)
     first = [layout.lobe(n).start for n in range(layout.lobes)]
     own = len(layout.kind.family_names)
     linear = own == 1 or bool(np.all(std[[start + own - 1 for start in first]] < LINEAR))

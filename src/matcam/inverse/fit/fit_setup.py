@@ -25,7 +25,7 @@ from matcam.core.registry import FAMILIES, FRESNEL_MODELS
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.pixel_grid import PixelGrid
 from matcam.inverse.fit.fit_data import fit_data
-from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, LobeKind
+from matcam.inverse.fit.fit_parameters import TWO_LOBES, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
@@ -126,7 +126,7 @@ class FitSetup:
             raise ArgumentError("brdf must be a table or a list of at least one, got none")
         if len({sampling_of(table) for table in tables}) > 1:
             raise ArgumentError("tables that are fitted together must have the same attrs['sampling']")
-        checks.choice("ndf", self.ndf, tuple(FAMILIES))
+        checks.choice("ndf", self.ndf, (*FAMILIES, TWO_LOBES))
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
         if type(self.every) is not int or not 1 <= self.every <= 30:
@@ -188,9 +188,9 @@ class FitSetup:
         layout, (problem, p, *_) = self.layout, start._solution
         before = problem.layout
         vector = np.zeros(layout.size)
-        for lobe in range(layout.lobes):
-            size = min(layout.kind.size, before.kind.size)
-            vector[layout.lobe(lobe)][:size] = p[before.lobe(lobe)][:size]
+        size = min(layout.kind.size, before.kind.size)
+        for unit, lobe in enumerate(layout.lobe_of):
+            vector[layout.lobe(lobe)][:size] = p[before.lobe(before.lobe_of[unit])][:size]
         vector[layout.rig] = p[before.rig] @ axis_selection(problem.prior.axes, self.prior.axes)
         vector[layout.rig.stop :] = p[before.rig.stop :]
         return vector

@@ -47,7 +47,7 @@ class LobeReadings(NamedTuple):
 
 def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
     """Return what users read of a lobe at coordinates."""
-    if not (kind.bends or kind.shadows):
+    if kind.of_family:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
     angle, by_q = half_maximum(kind, q)

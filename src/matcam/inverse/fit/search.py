@@ -17,12 +17,19 @@ from matcam.inverse.fit.fit_data import (
     huber_weights,
     standardised_residual,
 )
-from matcam.inverse.fit.fit_parameters import fresnel_start
+from matcam.inverse.fit.fit_parameters import TWO_LOBES, fresnel_start
 from matcam.inverse.fit.fit_problem import FitModel, FitProblem
 from matcam.numerics.linalg import scaled_inverse
 
 _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
+_TWO_LOBES: list[tuple[float, ...]] = [
+    (width, width + wider, share, *tails)
+    for width in _WIDTHS[:-2:2]
+    for wider in np.log([3.0, 12.0, 45.0])
+    for share in (-0.8, 0.8)
+    for tails in ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
+]
 _ROUNDS = 6
 _SETTLED = 0.02
 """Change of the parameters, in standard deviations, below which weights need no further round."""
@@ -93,7 +100,9 @@ class Search:
         layout, problem = self.problem.layout, self.problem
         family = layout.kind.family
         lattice: list[tuple[float, ...]] = [(q,) for q in _WIDTHS]
-        if family in WITH_POWER:
+        if family == TWO_LOBES:
+            lattice = _TWO_LOBES
+        elif family in WITH_POWER:
             lattice = [(q, power) for power in _POWERS[family] for q in _WIDTHS[::2]]
         kind = layout.kind._replace(bends=0, shadows=0)
         free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False))

@@ -32,6 +32,7 @@ from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
+from matcam.material.ndf.two_lobes import TwoLobes
 from matcam.numerics.approximation import lagrange_basis
 from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Sphere
@@ -184,7 +185,7 @@ def quick_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
 
 def quick_table(ndf: NDF) -> jax.Array | None:
     """Return the small table of a Lambda that is an integral; None where it has a closed form."""
-    if isinstance(ndf, GGX | Beckmann | ShadowedNDF):
+    if isinstance(ndf, GGX | Beckmann | TwoLobes | ShadowedNDF):
         return None
     return lambda_table(lambda cot: ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2)), ndf.roughness, _LAMBDA_NODES)
 

@@ -1,0 +1,55 @@
+"""Two lobes in one: a coat over a base, or facets of two finishes. Each is anything from GGX to Beckmann."""
+
+from __future__ import annotations
+
+from matcam.core.jax import jax, jnp
+from matcam.material.ndf.beckmann import Beckmann
+from matcam.material.ndf.distribution import SlopeNDF
+from matcam.material.ndf.ggx import GGX
+
+
+class TwoLobes(SlopeNDF):
+    """Mix two lobes, each of which is itself a mixture of GGX and Beckmann of one roughness.
+
+    P22 is linear in the shares, and so is Smith's Lambda, which is an integral of P22: both have closed forms. Who tells the
+    tails of each lobe from data need not choose among families: the share of Beckmann says how fast they fall.
+
+    Attributes:
+        alpha: roughness of one lobe, a slope, shape ().
+        other_alpha: roughness of the other, a slope, shape ().
+        other_share: share of the facets that are the other's, [0, 1].
+        beckmann: share of Beckmann in the one, [0, 1]; the rest is GGX.
+        other_beckmann: share of Beckmann in the other, [0, 1].
+    """
+
+    alpha: jax.Array
+    other_alpha: jax.Array
+    other_share: jax.Array
+    beckmann: jax.Array
+    other_beckmann: jax.Array
+
+    family = "two-lobes"
+    largest = 1.0
+
+    def slope_density(self, slope2: jax.Array) -> jax.Array:
+        """Return the shares' P22."""
+        return sum((share * lobe.slope_density(slope2) for share, lobe in self._parts()), jnp.zeros(()))
+
+    def smith_lambda(self, cos: jax.Array) -> jax.Array:
+        """Return the shares' Lambda."""
+        return sum((share * lobe.smith_lambda(cos) for share, lobe in self._parts()), jnp.zeros(()))
+
+    @property
+    def roughness(self) -> jax.Array:
+        """Return the narrower lobe's roughness."""
+        return jnp.minimum(self.alpha, self.other_alpha)
+
+    def _parts(self) -> list[tuple[jax.Array, GGX | Beckmann]]:
+        return [
+            (share * part, lobe(alpha))
+            for share, alpha, rest in (
+                (1 - self.other_share, self.alpha, self.beckmann),
+                (self.other_share, self.other_alpha, self.other_beckmann),
+            )
+            for part, lobe in ((1 - rest, GGX), (rest, Beckmann))
+        ]
