@@ -100,6 +100,13 @@ def test_exports_hold_what_is_shown(tmp_path, table):
     np.testing.assert_allclose(read_exr(tmp_path / "a.exr"), light, rtol=1e-6)
     with pytest.raises(ArgumentError, match="no such fit"):
         as_pbrt(OpenedTable("a", recorded=table))
+    names = {
+        "alpha": 0.05,
+        **{f"{name}[{c}]": at for c in "RGB" for name, at in (("n", 1.5), ("k", 3.0))},
+    }  # as `fit` names them
+    text = as_pbrt(OpenedTable("a", recorded=table, record={"fit": {"ndf": "ggx", "params": names}})).decode()
+    assert "conductor" in text
+    assert text.count("1.5") >= 3
 
 
 def test_a_run_of_1000_opens_soon_and_lazily(tmp_path):

@@ -163,7 +163,7 @@ def as_pbrt(table: OpenedTable) -> bytes:
 
     fit: Any = table.record.get("fit") or {}
     params = fit.get("params", {})
-    n, k = ([params.get(f"{name}_{channel}") for channel in "RGB"] for name in "nk")
+    n, k = ([params.get(f"{name}[{channel}]") for channel in "RGB"] for name in "nk")
     if fit.get("ndf") != "ggx" or fit.get("bent") or None in (*n, *k):
         raise ArgumentError(
             "pbrt takes a GGX lobe with n and k: this material has no such fit; save the .bsdf for Mitsuba"
