@@ -27,6 +27,8 @@ from tests.conftest import REPOSITORY
 
 _PROGRAM = """
 import functools, sys
+from matcam.core.memory import check_address_space
+check_address_space()  # as a command does before it loads anything
 from matcam.batch import recipe, run
 from matcam.cli import main
 from tests.batch import simple

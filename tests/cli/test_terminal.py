@@ -129,12 +129,15 @@ def test_a_command_whose_last_file_fails_writes_none(tmp_path, monkeypatch, erro
 
 def test_too_small_a_limit_of_address_space_is_said():
     """OpenBLAS would wait for its buffer without end: `chart` did for 15 minutes under 0.66 GB."""
-    resource = pytest.importorskip("resource")
+    pytest.importorskip("resource")
     for limit in (0.25e9, 0.66e9, 1.3e9):
+        limited = (
+            f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({int(limit)},) * 2);"
+            "from matcam.cli import main; main(['predict'])"
+        )
         ran = subprocess.run(
-            [sys.executable, "-m", "matcam", "predict"], capture_output=True, text=True, timeout=60,
+            [sys.executable, "-c", limited], capture_output=True, text=True, timeout=60,
             env={**os.environ, "PYTHONPATH": str(REPOSITORY / "src")},
-            preexec_fn=lambda limit=int(limit): resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
         )  # fmt: skip
         assert ran.returncode == 2
         assert ran.stderr.startswith(f"matcam: this process may use {limit / 1e9:.2f} GB of address space (ulimit -v)")

@@ -10,6 +10,7 @@ from matcam.core.grid import GRID_SHAPE, brdf_table
 from matcam.files.float_pictures import as_float32
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.operator.chosen_cells import chosen_cells
+from matcam.inverse.operator.sphere_view import FAR_AWAY
 
 MASKED = np.ma.masked_greater(np.linspace(0, 1, 64 * 64).reshape(64, 64), 0.99)
 
@@ -46,4 +47,4 @@ def test_a_table_beyond_the_range_is_not_fitted(scale):
     """A conductor cannot reflect it: a fit would make up for the scale with another lobe."""
     table = brdf_table(np.full((*GRID_SHAPE, 3), scale), "centre")
     with pytest.raises(FitError, match=r"channel R: its brightest value, 1e.20+, is no BRDF's: give the table in 1/sr"):
-        fit_data((table,), chosen_cells(256.0, "centre", 30))
+        fit_data((table,), chosen_cells(FAR_AWAY, "centre", 30))
