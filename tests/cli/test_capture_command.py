@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from matcam.core.errors import FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.files.capture import read_capture, read_settings
+from matcam.forward import synthetic_capture
 from matcam.material.optical_constants import metal
 from tests.acquisition.drawn import small
 from tests.oracle.capture import MOSAICS
@@ -39,6 +41,22 @@ def test_check_says_what_it_found(matcam, tmp_path):
     assert found["lamps"] == 4
     assert {one["code"] for one in found["findings"]} >= {"times-wrong", "angles-missed"}
     assert found["radiometry"]["clip_level_dn"][0] == pytest.approx(15256, rel=5e-3)
+
+
+def test_what_an_ended_run_left_is_no_obstacle(matcam, tmp_path, monkeypatch):
+    """Its empty folders and unnamed files; a full disk left them, and the rerun was refused."""
+
+    def drawn(*_):
+        raise FitError("as far as the pictures")
+
+    monkeypatch.setattr(synthetic_capture, "_drawn", drawn)
+    folder = tmp_path / "shots"
+    (folder / "frames").mkdir(parents=True)
+    (folder / "frames" / ".L01_E1-x1.tif").write_bytes(b"half")
+    again = ("simulate", "--capture", folder, "--radius", "30", "--lamp-positions", "1")
+    assert "as far as the pictures" in matcam(*again, code=2).stderr
+    (folder / "frames" / "L01_E1.tif").write_bytes(b"somebody's")
+    assert "is not empty: use --force" in matcam(*again, code=2).stderr
 
 
 @pytest.mark.slow

@@ -118,7 +118,7 @@ def simulate_capture(
         got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
         raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")
     folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not force)):
+    if folder.exists() and (not folder.is_dir() or (_holds_files(folder) and not force)):
         raise OutputError(f"output {folder} exists and is not empty: use force=True to write into it")
     rng = np.random.default_rng(seed)
     lamps = list(_lamps(plan, sphere, rig, rng))
@@ -192,6 +192,11 @@ def sensor_or_usual(rig: Rig) -> Rig:
     sensor = Sensor(5e-6, full_well=30_000, read_noise=3.0, gain=0.5, bits=14, cfa="RGGB", black_level=256)
     whole = Camera(camera.optics, camera.pixel, sensor, uncertainty=camera.uncertainty, provenance=camera.provenance)
     return eqx.tree_at(lambda r: r.camera, rig, whole)
+
+
+def _holds_files(folder: Path) -> bool:
+    """Return whether somebody's files are in a folder, not only what a run that was ended has left."""
+    return any(not path.is_dir() and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
 def _sensor(rig: Rig) -> Sensor:
