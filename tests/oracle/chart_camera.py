@@ -47,6 +47,7 @@ class ChartCamera:
     sigma: float = 0.5
     fill: float = 1.0
     _homography: np.ndarray = field(init=False)
+    _focal: float = field(init=False)
 
     def __post_init__(self):
         (a, b), c = self.tilt, self.roll
@@ -56,10 +57,10 @@ class ChartCamera:
             @ np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
         )
         far = self.distance * self.page[0]
-        focal = far * self.filled * self.width / self.page[0]
+        self._focal = far * self.filled * self.width / self.page[0]
         plane = np.column_stack([turn[:, 0], turn[:, 1], [0, 0, far]])
         to_middle = np.array([[1, 0, -self.page[0] / 2], [0, 1, -self.page[1] / 2], [0, 0, 1]])
-        self._homography = np.diag([focal, focal, 1]) @ plane @ to_middle
+        self._homography = np.diag([self._focal, self._focal, 1]) @ plane @ to_middle
 
     # ------------------------------------------------------------------ geometry
 

@@ -33,11 +33,10 @@ class BentPageCamera(ChartCamera):
     def __post_init__(self):
         super().__post_init__()
         # the third column of the pinhole's matrix, that of heights above the page: normal to the two of the page
-        far = self.distance * self.page[0]
-        focal = far * self.filled * self.width / self.page[0]
-        plane = np.linalg.inv(np.diag([focal, focal, 1])) @ self._homography
+        lens = np.diag([self._focal, self._focal, 1])
+        plane = np.linalg.inv(lens) @ self._homography
         up = np.cross(plane[:, 0], plane[:, 1])
-        self._whole = np.diag([focal, focal, 1]) @ np.column_stack([plane[:, :2], up, plane[:, 2]])
+        self._whole = lens @ np.column_stack([plane[:, :2], up, plane[:, 2]])
         self._eye = np.linalg.solve(self._whole[:, :3], -self._whole[:, 3])
 
     def _height(self, x, y):

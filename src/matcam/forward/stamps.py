@@ -148,7 +148,7 @@ def rig_highlights(
             f"width, lamp_angle, azimuth and reflectance must have shapes that broadcast, got {shapes}"
         ) from None
     u, theta_d = sample.highlight(angle, near), sample.theta_d(angle, near)
-    x = sample.stretch * jnp.sin(u) / (1 - sample.nearness * jnp.cos(u))
+    x = sample.surface(u, jnp.zeros(())).x
     along, across = sample.px_per_rad(theta_d, near)
     # radiance F D / 4 cos^2, the area of normals on the sensor, and the lamp's irradiance there; D cos integrates to 1
     flux = share * along * across * closeness(near, jnp.cos(theta_d)) ** 2 / (4 * jnp.cos(theta_d))

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 from matcam.calibration.chart.chart import Chart, Element
 from matcam.calibration.chart.marks import balanced, find_marks
 from matcam.calibration.chart.matching import match_marks
-from matcam.calibration.chart.sides import Sides, seen_sides
-from matcam.calibration.photograph.linear_image import LinearImage, local_mean
+from matcam.calibration.chart.sides import Sides, seen_sides, smoothed
+from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -27,7 +27,6 @@ Projection = Callable[[FloatArray], FloatArray]
 
 _FEWEST_PLACES = 12
 _WORST = 3.0  # px in a picture of 1000 px: root mean square of what the fit may leave
-_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
 _MARK_STD, _SIDE_STD = 0.2, 0.3  # px: as a pinhole's view of a bent page explains places of marks and of sides
 _MANY_SIDES = 100  # places of sides, beyond which more do not outweigh the fiducials
 _CURL = 0.02  # height of a page's border over the eye's: what pages that lie on a table do
@@ -133,7 +132,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
             f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
             "needed"
         )
-    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    smooth = smoothed(picture)
     match = match_marks(chart, marks, smooth)
     if not match.sure:
         raise FitError(

@@ -10,12 +10,10 @@ import numpy as np
 
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.registration import Projection
-from matcam.calibration.chart.sides import seen_sides
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.chart.sides import seen_sides, smoothed
 from matcam.calibration.search.edge_search import EdgePlaces, clear_distance
 from matcam.core.jax import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
 _CORNER = 3.5  # px, which both ends of a side lose
 _FEWEST = 5  # places along a side at which it must be seen
 _STRAIGHT = 0.7  # px: how far these may lie off a straight line
@@ -27,7 +25,7 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     values: (height, width) any monotone codes, mosaics balanced; NaN where there are no data. projection: from the page, mm, to
     the picture, px.
     """
-    smooth = local_mean(values, _SMOOTH if np.isfinite(values).all() else _SMOOTH_GAPS)
+    smooth = smoothed(values)
     sides = seen_sides(smooth, chart, projection)
     if sides is None:
         return None

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.forward.integral.integrals import highlight_x
+from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Place
@@ -58,8 +60,7 @@ class SphereView(NamedTuple):
 
     def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
         """Return the irradiance across the light where its cosine is cos_i, over that at the sphere's centre."""
-        w = self.lamp
-        return 1.0 if w == 0 else (np.sqrt(1 - w**2 * (1 - cos_i**2)) - w * cos_i) ** -2.0  # type: ignore[return-value]
+        return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, jnp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
         """Return the angle of the highlight's normal from the optical axis, rad."""
@@ -79,8 +80,7 @@ class SphereView(NamedTuple):
 
     def at_highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
         """Return the place of the highlight in the picture, px along x."""
-        u = self.highlight(lamp_angle)
-        return self.stretch * np.sin(u) / (1 - self.camera * np.cos(u))
+        return np.asarray(highlight_x(self.sphere, jnp.asarray(lamp_angle), jnp.asarray(self.lamp)))
 
     def highlight_area(self, theta_d: np.ndarray) -> np.ndarray:
         """Return the flux of a highlight of F = 1 over that at the centre, times 4, px^2: radius^2 of a distant sphere."""
