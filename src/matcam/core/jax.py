@@ -7,9 +7,10 @@ are 1e3 to 1e6 times brighter than what surrounds them.
 from __future__ import annotations
 
 import os
-from functools import cache
+from collections.abc import Callable
+from functools import cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ __all__ = [
     "FloatArray",
     "is_concrete",
     "jax",
+    "jit_plainly",
     "jnp",
     "placed",
     "plainly_compiled",
@@ -35,6 +37,9 @@ __all__ = [
 
 AnyArray = jax.Array | np.ndarray
 FloatArray = npt.NDArray[np.float64]
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
@@ -55,17 +60,38 @@ def placed(array: npt.ArrayLike) -> jax.Array:
         return jax.device_put(np.asarray(array))
 
 
-@cache
 def plainly_compiled(*, once: bool) -> dict[str, Any] | None:
     """Return options for `jax.jit` with which XLA compiles a large program in less time.
 
-    once: for a program that runs once: a quarter of the time to compile, twice the time to run. Otherwise three quarters of the
+    once: for a program that runs once: a quarter of the time to compile, twice the time to run. Otherwise two thirds of the
     time to compile, none of it lost in running.
     """
-    options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
-    if once:
-        options["xla_backend_optimization_level"] = 0
+    bare = once or jax.config.read("jax_disable_most_optimizations")
+    options: dict[str, Any] = {
+        "xla_cpu_use_fusion_emitters": False,
+        "xla_backend_optimization_level": 0 if bare else 1,
+    }
     return {name: value for name, value in options.items() if _is_known(name, value)} or None
+
+
+def jit_plainly(function: Callable[P, T], *, once: bool = False, static: tuple[str, ...] = ()) -> Callable[P, T]:
+    """Compile a function as `jax.jit` does, with the options of `plainly_compiled`.
+
+    It must not be called inside another compiled function: options are those of a whole program.
+
+    once: as in `plainly_compiled`. static: names of arguments that are no arrays.
+    """
+    programs: dict[bool, Callable[P, T]] = {}
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        bare = jax.config.read("jax_disable_most_optimizations")
+        if bare not in programs:  # the options ask the backend, which an import must not start
+            options = plainly_compiled(once=once)
+            programs[bare] = jax.jit(function, static_argnames=static, compiler_options=options)
+        return programs[bare](*args, **kwargs)
+
+    return call
 
 
 @cache

@@ -19,7 +19,7 @@ import equinox as eqx
 import jaxlib
 import numpy as np
 
-from matcam.core.jax import jax, program_folder
+from matcam.core.jax import jax, plainly_compiled, program_folder
 from matcam.core.packed_programs import pack_program, unpack_program
 from matcam.core.sealed import CompiledFunctions, read_sealed, write_sealed
 
@@ -120,7 +120,8 @@ class _Kept(NamedTuple):
             else:
                 return program, result
         with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
-            program = jax.jit(self._of_arrays()).lower(*_arrays(self.leaves)).compile()
+            options = plainly_compiled(once=False)
+            program = jax.jit(self._of_arrays(), compiler_options=options).lower(*_arrays(self.leaves)).compile()
         try:
             write_sealed(path, key, pack_program(program))
         except Exception as error:  # what cannot be written down can be run

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from matcam.core.jax import jax, jnp, plainly_compiled
+from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.picture_rule import Window
@@ -273,7 +273,7 @@ class PictureModel(eqx.Module):
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
     """Return a method of `PictureModel`, compiled once for all scenes of one shape."""
-    return jax.jit(getattr(PictureModel, method), compiler_options=plainly_compiled(once=False))
+    return jit_plainly(getattr(PictureModel, method))
 
 
 def _with_stds(blur: Blur, stds: jax.Array) -> Blur:

@@ -25,7 +25,7 @@ from matcam.calibration.edge.maximum_likelihood import (
 )
 from matcam.calibration.edge.outliers import without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
-from matcam.core.jax import AnyArray, jax, jnp, plainly_compiled
+from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
 from matcam.numerics.linalg import scaled_inverse
 
 _START = -0.5  # ln px: sigma 0.6
@@ -199,7 +199,7 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
 @cache
 def _program(function: Callable[..., EdgeFits], *, once: bool) -> Callable[..., EdgeFits]:
     """Return a compiled function, of which little or much is asked."""
-    return jax.jit(function, static_argnames=("step", "turns"), compiler_options=plainly_compiled(once=once))
+    return jit_plainly(function, once=once, static=("step", "turns"))
 
 
 def _fits_of_one(

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, stretched
 from matcam.inverse.operator.sphere_view import SphereView, angles_between, square_border
@@ -124,7 +124,7 @@ def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> _Directions:
     return _Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
 
 
-@partial(jax.jit, static_argnums=(3,))
+@partial(jit_plainly, static=("terms",))
 def near_rule(
     view: SphereView,
     blur: Blur,

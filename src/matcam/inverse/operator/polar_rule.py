@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.operator.sphere_view import square_border
 from matcam.numerics.approximation import lagrange_basis
@@ -108,7 +108,7 @@ def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
     return half_width + _REACH * stds
 
 
-@partial(jax.jit, static_argnums=(3,))
+@partial(jit_plainly, static=("terms",))
 def polar_rule(
     radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, ...], pixels: Pixels, window: PolarWindow
 ) -> PolarRule:
@@ -169,7 +169,7 @@ def stretched(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, ja
     return scale, jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
 
 
-@jax.jit
+@jit_plainly
 def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
     """Return a rule's weights at the nodes of a wider window.
 

@@ -13,7 +13,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from matcam.core.jax import jax, jnp, plainly_compiled
+from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.core.shading import shading
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
@@ -171,4 +171,4 @@ def _with_slopes(function: Callable[[jax.Array], Recorded], p: jax.Array) -> tup
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
     """Return a method of `ProfileModel`, compiled once for all scenes of one shape."""
-    return jax.jit(getattr(ProfileModel, method), compiler_options=plainly_compiled(once=False))
+    return jit_plainly(getattr(ProfileModel, method))
