@@ -14,6 +14,7 @@ from matcam import BoxPixel, Camera, GaussianOptics
 from matcam.cli import show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
 from matcam.cli.rig_file import read_rig_file
+from matcam.core.threads import ONE_BLAS_THREAD
 
 RIG = """schema = "matcam-rig-1"
 camera = "camera.json"
@@ -154,6 +155,29 @@ def test_help_is_quick():
         after = os.times()
         seconds.append(after.children_user + after.children_system - before.children_user - before.children_system)
     assert min(seconds) <= 0.3, seconds
+
+
+@pytest.mark.parametrize(("said", "threads"), [(None, 1), ("2", 2)])
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(said, threads):
+    """What NumPy's own OpenBLAS then says, in a process that has run a command."""
+    script = (
+        "import contextlib, ctypes, pathlib, sys\n"
+        "from matcam.cli import main\n"
+        "with contextlib.suppress(SystemExit): main(['inspect', 'nothing.binary'])\n"
+        "import numpy\n"
+        "folder = pathlib.Path(numpy.__file__).parent.with_name('numpy.libs')\n"
+        "libraries = [ctypes.CDLL(str(path)) for path in folder.glob('*openblas*')]\n"
+        "print(*(library.scipy_openblas_get_num_threads64_() for library in libraries))"
+    )
+    variables = {name: value for name, value in os.environ.items() if name not in ONE_BLAS_THREAD}
+    if said:
+        variables["OPENBLAS_NUM_THREADS"] = said
+    if (os.cpu_count() or 1) < 2:
+        pytest.skip("one processor: one thread in any case")
+    ran = subprocess.run([sys.executable, "-c", script], env=variables, capture_output=True, text=True, check=True)
+    if not ran.stdout.split():
+        pytest.skip("this NumPy has another linear algebra than OpenBLAS of its own")
+    assert {int(count) for count in ran.stdout.split()} == {threads}
 
 
 def test_layers_of_a_correction(tmp_path):

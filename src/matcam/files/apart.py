@@ -39,6 +39,7 @@ from matcam.core import errors
 from matcam.core.errors import FileFormatError
 from matcam.core.io import reading
 from matcam.core.memory import available_memory
+from matcam.core.threads import ONE_BLAS_THREAD
 
 _KINDS = "biufcSU"
 """NumPy's kinds of numbers and text that an answer may hold."""
@@ -293,8 +294,6 @@ def _limit(seconds: float, wall: float, memory: int) -> None:
 # -- the nursery -------------------------------------------------------------------------------------------------------------
 
 _CAN_FORK = hasattr(os, "fork") and hasattr(socket, "send_fds")
-_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""No threads: a process that has some must not fork."""
 
 
 class _Nursery:
@@ -354,7 +353,8 @@ atexit.register(_nursery.stop)
 
 
 def _environment() -> dict[str, str]:
-    return {**os.environ, **_ENVIRONMENT, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    # a process that has threads must not fork
+    return {**os.environ, **ONE_BLAS_THREAD, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
 
 
 def _serve_standard_streams() -> None:

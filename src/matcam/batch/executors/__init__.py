@@ -7,13 +7,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Sequence
 
 from matcam.batch.job import Job, Outcome
+from matcam.core.threads import ONE_BLAS_THREAD
 
-_ONE_CORE = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NPROC": "1",  # the size of XLA's pool of threads
-}
+_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # the size of XLA's pool of threads
 """Read by NumPy's BLAS and by XLA when a process loads them."""
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _XLA = "--xla_cpu_multi_thread_eigen=false"
