@@ -1,7 +1,9 @@
-"""How much memory this process may still use: of the machine, of its control group, and by its own limit."""
+"""Memory that this process may still use: of the machine, of its control group, by its own limit; and giving memory back."""
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
 from pathlib import Path
 
@@ -40,6 +42,19 @@ def check_address_space() -> None:
             f"this process may use {limit / 1e9:.2f} GB of address space (ulimit -v): NumPy, SciPy and JAX alone need "
             f"{least / 1e9:.2f} GB"
         )
+
+
+def give_back_memory() -> None:
+    """Give back to the system what this process has freed.
+
+    The C library keeps freed memory between blocks that are still used. A worker that has done twenty tables would hold twice
+    what one table needs.
+    """
+    gc.collect()
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (OSError, TypeError, AttributeError):  # another C library, which has its own way
+        return
 
 
 def _physical() -> int:

@@ -27,6 +27,7 @@ from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.jax import use_compilation_cache
+from matcam.core.memory import give_back_memory
 from matcam.core.workspace import Workspace
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
@@ -221,4 +222,7 @@ def _with_absolute_paths(job: Job) -> Job:
 def _attempt_on_worker(job: Job) -> Outcome:
     """Do a job on a worker, which may have started after the others were asked."""
     use_compilation_cache()
-    return attempt(job, Workspace.user())
+    try:
+        return attempt(job, Workspace.user())
+    finally:
+        give_back_memory()

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
-from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
+from matcam.core.grid import GRID_SHAPE, Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace, default_workspace
@@ -59,6 +59,7 @@ _NEAREST_GLARE = 8.0
 """px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
 _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""
+_ROWS = [slice(first, first + 10) for first in range(0, GRID_SHAPE[0], 10)]
 
 
 @dataclass(frozen=True)
@@ -319,24 +320,32 @@ def _corrected_table(
     """Return the corrected table. scattered: most light of the highlight, 1/sr, that glare adds to each entry."""
     data, sampling = brdf.values, sampling_of(brdf)
     body, body_std = found.diffuse / np.pi, found.diffuse_std / np.pi
-    seen = seen_cells(sampling)[..., None]
-    ratio = np.where(seen, np.exp(ratio_of_lobes.log)[..., None], 1.0)
-    above = data - body
-    lobe = above > 0
-    wanted = np.maximum(np.where(lobe, body + above * ratio, data), 0.0)
+    seen = seen_cells(sampling)
+    ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
+    wanted = np.empty_like(data)
+    for rows in _ROWS:  # a few at a time: a table has many temporary ones
+        above = data[rows] - body
+        raised = np.where(above > 0, body + above * ratio[rows, ..., None], data[rows])
+        wanted[rows] = np.maximum(raised, 0.0)
     corrected = within_energy(data, wanted, sampling)
 
-    ratio = np.where(lobe, ratio, 1.0)
-    camera = np.where(lobe, above * ratio * ratio_of_lobes.std[..., None], 0.0) ** 2
-    camera += (scattered**2 + (glare * data) ** 2) * ratio**2
-    camera += (body_std * (ratio - 1)) ** 2 + (wanted - corrected) ** 2
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
-    pixels = ((noise.relative**2 + noise.picture_gain**2) * data**2 + (noise.floor * peak) ** 2) * ratio**2
-    known = seen & np.isfinite(data)
-    camera_std, noise_std = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        supported = known & (camera_std < SUPPORTED * corrected)
-        correction_std = np.where(data > 0, camera_std / data, np.nan)
+    total, correction_std, noise_std = (np.empty_like(data) for _ in range(3))
+    supported = np.empty(data.shape, dtype=bool)
+    for rows in _ROWS:
+        recorded, known = data[rows], seen[rows, ..., None] & np.isfinite(data[rows])
+        above = recorded - body
+        lobe = above > 0
+        factor = np.where(lobe, ratio[rows, ..., None], 1.0)
+        camera = np.where(lobe, above * factor * ratio_of_lobes.std[rows, ..., None], 0.0) ** 2
+        camera += (scattered[rows] ** 2 + (glare * recorded) ** 2) * factor**2
+        camera += (body_std * (factor - 1)) ** 2 + (wanted[rows] - corrected[rows]) ** 2
+        pixels = ((noise.relative**2 + noise.picture_gain**2) * recorded**2 + (noise.floor * peak) ** 2) * factor**2
+        camera_std, noise_std[rows] = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            supported[rows] = known & (camera_std < SUPPORTED * corrected[rows])
+            correction_std[rows] = np.where(recorded > 0, camera_std / recorded, np.nan)
+        total[rows] = np.hypot(camera_std, noise_std[rows])
     first = brdf.dims[:3]
     return xr.Dataset(
         {
@@ -344,7 +353,7 @@ def _corrected_table(
             **{
                 name: (brdf.dims, values, TABLE_ATTRIBUTES[name])
                 for name, values in (
-                    ("brdf_std", np.hypot(camera_std, noise_std)),
+                    ("brdf_std", total),
                     ("correction_std", correction_std),
                     ("noise_std", noise_std),
                     ("supported", supported),
