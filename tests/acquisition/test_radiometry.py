@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.darkness import dark_of, pair_correlation
 from matcam.acquisition.merging import bracket_misfit, merge, misfit_remark
 from matcam.acquisition.radiometry import capture_camera, measure_radiometry
+from matcam.acquisition.radiometry_remarks import processing_remarks
 from matcam.core.errors import FileFormatError, FitError
 from matcam.files.capture import read_capture
 from tests.acquisition.drawn import changed, small
@@ -186,13 +187,33 @@ def test_sharpened_and_smoothed_frames_are_noticed(merged, tmp_path):
 
     assert not codes(merged[2]) & {"sharpened", "smoothed"}
     drawn = small(cfa=None, peak_fill=4.0, clip="converter")
-    for amount, code in ((0.8, "sharpened"), (-0.5, "smoothed")):
+    for amount, code in ((0.8, "sharpened"), (0.2, "sharpened"), (-0.5, "smoothed")):
         frames = {}
         for name, v in drawn.frames.items():
             v = v.astype(float)
             frames[name] = np.clip(np.round(v + amount * (v - gaussian_filter(v, 1.0))), 0, 65535).astype(np.uint16)
-        capture = read_capture(changed(drawn, frames=frames).write(tmp_path / code))
+        capture = read_capture(changed(drawn, frames=frames).write(tmp_path / f"{code} {amount}"))
         assert code in codes(measure_radiometry(capture, lamps=["L00", "L02"]))
+        if code == "sharpened":
+            with pytest.raises(FitError, match=r"sharpened: .*accept_processed = true"):
+                merge(capture)
+
+
+def test_noise_of_raw_frames_is_not_taken_for_a_sharpened_one():
+    """100 pairs of dark frames, of rounded codes with noise of rows and a pattern; and the same sharpened by a fifth."""
+    from scipy.ndimage import gaussian_filter
+
+    rng, wrong, seen = np.random.default_rng(8), 0, 0
+    pattern = 3 * rng.standard_normal((300, 300))
+    for _ in range(100):
+        noise = 1.5 * rng.standard_normal((2, 300, 300)) + 0.1 * rng.standard_normal((2, 300, 1)) + pattern
+        first, second = np.round(256 + noise)
+        wrong += bool(processing_remarks("darks", *pair_correlation([second - first])))
+        both = noise + 0.2 * (noise - gaussian_filter(noise, (0, 1, 1)))
+        first, second = np.round(256 + both)
+        seen += bool(processing_remarks("darks", *pair_correlation([second - first])))
+    assert wrong == 0
+    assert seen == 100
 
 
 def test_one_exposure_is_merged_with_what_noise_it_shows(tmp_path):

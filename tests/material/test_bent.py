@@ -47,3 +47,17 @@ def test_sampled_reflectance():
     ):
         with pytest.raises(ArgumentError, match=words):
             Sampled(theta, values)
+
+
+def test_a_bend_is_differentiated_along_every_direction():
+    """By its coefficients, the base's roughness and the slope at once, against central differences."""
+    bends = np.random.default_rng(2).normal(0, 0.5, KNOTS)
+    at, rng = np.geomspace(1e-7, 0.5, 30), np.random.default_rng(3)
+
+    def density(alpha, bends, slope2):
+        return jnp.log(BentNDF(GGX(alpha), bends).slope_density(slope2))
+
+    direction = 0.01 * rng.standard_normal(), rng.standard_normal(KNOTS), at * rng.standard_normal(at.size)
+    _, found = jax.jvp(density, (0.05, jnp.asarray(bends), jnp.asarray(at)), direction)
+    ends = [density(*(v + s * 1e-5 * d for v, d in zip((0.05, bends, at), direction, strict=True))) for s in (1, -1)]
+    np.testing.assert_allclose(found, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6)

@@ -42,8 +42,10 @@ class Sensor(NamedTuple):
 
 class Faults(NamedTuple):
     """Standard deviations: lamp table, rad; shift of a lamp position, px; gain of a lamp position, relative; true over
-    nominal exposure time, relative. shift_within: of the frames inside one lamp position, px. table: what a stated direction
-    lies off besides, rad, without being stated. outline: by how much the outline frames show too large a radius, px."""
+    nominal exposure time, relative. shift_within: of the frames inside one lamp position, px. between: change of the lamp's
+    light between two frames of one lamp position where the reference has frames of its own, relative. table: what a stated
+    direction lies off besides, rad, without being stated. outline: by how much the outline frames show too large a radius,
+    px."""
 
     lamps: float = np.radians(0.3)
     shift: float = 0.2
@@ -52,6 +54,7 @@ class Faults(NamedTuple):
     shift_within: float = 0.0
     table: float = 0.0
     outline: float = 0.0
+    between: float = 0.0
 
 
 class Patch(NamedTuple):
@@ -116,6 +119,8 @@ def draw(
     fine=1,
     patch=None,
     flats=0,
+    apart=0,
+    second=None,
 ):
     """Draw a capture.
 
@@ -123,7 +128,9 @@ def draw(
     for each lamp. step: between exposures. peak_fill: the brightest pixel of all in the shortest exposure, in full wells: above
     1 it is clipped. darks: of each exposure. flats: of an even field. backlight: rad by which it reaches beyond the limb.
     reference: "monitor" (its light does not depend on where the lamp is), "diffuse" (a white patch that faces the camera,
-    `patch`) or None.
+    `patch`) or None. apart: how many pictures of its own the reference has at each lamp position, in the middle exposure: the
+    sample's then show nothing of it, and it stands where the sphere did; 0: it is in the sample's frames. second: share of
+    another surface that the sphere shows besides, and that surface.
     """
     surface, view = surface or Surface(), view or View()
     sensor, faults = sensor or Sensor(), faults or Faults()
@@ -139,7 +146,7 @@ def draw(
         table = table + faults.table * rng.standard_normal(len(angles))
     names = [f"L{i:02d}" for i in range(len(angles))]
     channel = _channels(view.shape, sensor)
-    pattern = _Reference(reference, view, patch or Patch())
+    pattern = _Reference(reference, view, patch or Patch(), apart > 0)
     even = response(view.shape, sensor, seed)
     sensitivity = np.asarray(sensor.sensitivity if sensor.cfa else (1.0,))
     relative = step ** np.arange(exposures)
@@ -149,6 +156,9 @@ def draw(
     seen = []
     for angle, at, shift in zip(angles, azimuths, shifts, strict=True):
         colours = picture(surface, view, direction(angle, at), shift, fine)
+        if second is not None:
+            share, other = second
+            colours = (1 - share) * colours + share * picture(other, view, direction(angle, at), shift, fine)
         seen.append(_of_channel(colours, channel) * sensitivity[channel])
     scale = peak_fill * sensor.full_well / max((g * s).max() for g, s in zip(gains, seen, strict=True))
     drawn = Drawn()
@@ -160,13 +170,28 @@ def draw(
             if faults.shift_within:
                 light = _moved(clean, faults.shift_within * rng.standard_normal(2))
             electrons = scale * ratio * gain * light
-            if reference == "diffuse":
+            if apart:
+                pass
+            elif reference == "diffuse":
                 pattern.add_patch(electrons, scale * ratio * gain, direction(angle, at), view, sensitivity[channel])
             else:
                 pattern.add(electrons, ratio / relative[-1] * gain, 0.6 * sensor.full_well)
             file = f"frames/{name}_{exposure}.tif"
             drawn.frames[file] = _expose(electrons * even, sensor, rng)
             drawn.rows.append(_row(file, name, np.degrees(said), np.degrees(turned), exposure, nominal[k]))
+    middle = exposures // 2
+    for name, gain, angle, at in zip(names, gains, angles, azimuths, strict=True):
+        moments = faults.between / np.sqrt(2) * rng.standard_normal(apart + 1) if apart else ()
+        for i in range(apart):  # the first moment is that of the sample's frames
+            own = gain * np.exp(moments[i + 1] - moments[0])
+            electrons, ratio = np.zeros(view.shape), relative[middle]
+            if reference == "diffuse":
+                pattern.add_patch(electrons, scale * ratio * own, direction(angle, at), view, sensitivity[channel])
+            else:
+                pattern.add(electrons, 0.7 * own, 0.6 * sensor.full_well)
+            file = f"reference/{name}_{i}.tif"
+            drawn.frames[file] = _expose(electrons * even, sensor, rng)
+            drawn.rows.append(_row(file, name, None, None, ids[middle], nominal[middle]))
     for k, exposure in enumerate(ids):
         for i in range(darks):
             file = f"dark/D{i}_{exposure}.tif"
@@ -230,13 +255,14 @@ def response(shape, sensor, seed):
 
 
 class _Reference:
-    """A square of 40 px in the first corner."""
+    """A square of 40 px in the first corner; in pictures of its own, one in the middle."""
 
-    region = (8, 8, 40, 40)  # column, row, width, height
-
-    def __init__(self, kind, view, patch):
-        self.kind, self.patch = kind, patch
-        assert kind is None or view.column + view.row - 96 > np.sqrt(2) * (view.radius + 4), (
+    def __init__(self, kind, view, patch, apart=False):
+        self.kind, self.patch, self.apart = kind, patch, apart
+        self.region = (8, 8, 40, 40)  # column, row, width, height
+        if apart:
+            self.region = (int(view.column) - 20, int(view.row) - 20, 40, 40)
+        assert apart or kind is None or view.column + view.row - 96 > np.sqrt(2) * (view.radius + 4), (
             "the reference is on the sphere"
         )
 
@@ -341,6 +367,8 @@ def _settings(view, sensor, faults, distances, distance_std, pattern, motion):
     }
     if pattern.kind:
         settings["reference"] = {"kind": pattern.kind, "region_px": list(pattern.region)}
+        if pattern.apart:
+            settings["reference"]["apart"] = True
     return settings
 
 

@@ -8,7 +8,8 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
 from matcam.reconstruction.flat.flat_reconstruction import reconstructed_flat
 from matcam.reconstruction.flat.flat_stack import FlatPicture
-from tests.oracle.flat_picture import FlatStand, direction, random_texture
+from matcam.reconstruction.from_capture import reconstruct
+from tests.oracle.flat_picture import FlatStand, direction, draw, random_texture
 
 STAND = FlatStand()
 TILTS = np.radians([0, 8, 16, 24, 32, 40, 10, 20])
@@ -101,3 +102,22 @@ def test_small_pictures_are_refused():
     _, pictures = stack(0, stand=STAND._replace(shape=(60, 200)))
     with pytest.raises(FitError, match="pictures of 60 x 200 px are too small"):
         reconstructed_flat(pictures, Camera(GaussianOptics(STAND.sigma)))
+
+
+def test_the_reference_divides_the_pictures(tmp_path):
+    """The lamp's light differs by 20 % between the pictures; a monitor in pictures of its own says by how much."""
+    rng = np.random.default_rng(5)
+    maps = random_texture(0.4, 0.08, -2.0, 256, rng), random_texture(0.06, 0.02, -1.5, 256, rng)
+    lamps = [(lamp, 0.0) for lamp in LAMPS]
+    drawn = draw(*maps, STAND, TILTS, lamps, gain_std=0.2, lens_std=1e-3, seed=6)
+    drawn.settings["reference"] = {"kind": "monitor", "region_px": [40, 40, 60, 60], "apart": True, "between_std": 1e-3}
+    for number, gain in enumerate(drawn.truth["gains"]):
+        file = f"reference/L{number:02d}.tif"
+        electrons = np.full(STAND.shape, 9000 * gain / max(drawn.truth["gains"]))
+        drawn.frames[file] = np.round(256 + 0.5 * rng.poisson(electrons)).astype(np.uint16)
+        drawn.rows.append({"file": file, "lamp": f"L{number:02d}", "exposure": "E0", "time_s": "0.001"})
+    found = reconstruct(drawn.write(tmp_path), "ggx")
+    alpha, std = found.parameters["alpha"]
+    assert abs(alpha - STAND.alpha) < 4 * std < 0.1 * STAND.alpha
+    assert found.misfit == pytest.approx(1, abs=0.1)
+    assert found.gains[:, 1].max() < 0.005  # 20 % were stated

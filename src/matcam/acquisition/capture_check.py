@@ -130,11 +130,11 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
 
 def _lamp_remarks(capture: Capture, radiometry: Radiometry | None) -> list[Remark]:
     """Return whether the lamp's light scatters more than is stated, by the reference."""
-    if radiometry is None or capture.reference_region is None:
+    if radiometry is None or capture.reference_place is None:
         return []
     values = {lamp: out.value for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(values) < 2:
-        return [Remark("no-reference", "the reference is dark or clipped in the frames: lamp drift is not measured")]
+        return [Remark("no-reference", "the reference is dark, clipped or not there: lamp drift is not measured")]
     stated = capture.settings["lamp"]["gain_std"]
     scatter = float(np.std(list(values.values()), ddof=1))
     if scatter <= 2 * stated + 0.002:

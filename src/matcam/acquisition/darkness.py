@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.radiometry_remarks import processing_remarks
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
@@ -78,6 +79,7 @@ def measure_darkness(
     """
     found: dict[str, Darkness] = {}
     remarks = []
+    pairs: list[np.ndarray] = []
     for exposure in exposures:
         stack: list[np.ndarray] = []
         for frame in capture.of("dark", exposure=exposure):
@@ -100,6 +102,11 @@ def measure_darkness(
             stack.append(one)
         if stack:
             found[exposure] = dark_of(stack)
+            pairs += [second - first for first, second in pairwise(stack)]
+    if pairs:
+        steps = (1,) if reader.cfa is None else (1, 2)
+        correlation, std = max((pair_correlation(pairs, step) for step in steps), key=lambda one: abs(one[0]))
+        remarks += processing_remarks(f"{capture.folder}: dark frames", correlation, std)
     missing = [name for name in exposures if name not in found]
     if found and missing:
         for name in missing:
@@ -116,6 +123,30 @@ def measure_darkness(
             Remark("dark-missing", f"no dark frames: {what} was subtracted; dim values are uncertain by its error")
         )
     return found, remarks
+
+
+def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float, float]:
+    """Return the correlation of pixels' noise with that of the next one, and its standard deviation.
+
+    Args:
+        pairs: differences of two frames without light, (height, width) each, DN.
+        step: distance of the two pixels, px. Default: 1.
+
+    Example:
+        >>> flicker = np.random.default_rng(0).standard_normal((200, 200))
+        >>> value, std = pair_correlation([flicker])
+        >>> abs(value) < 3 * std
+        True
+    """
+    products, squares, count = 0.0, 0.0, 0
+    for one in pairs:
+        spread = 8 * max(_ROBUST * float(np.median(np.abs(one))), 0.5)
+        noise = np.where(np.abs(one) <= spread, one, 0.0).astype(np.float64)
+        for first, second in ((noise[:, step:], noise[:, :-step]), (noise[step:], noise[:-step])):
+            products += float((first * second).sum())
+            squares += float((first**2).sum() + (second**2).sum()) / 2
+            count += first.size
+    return (products / squares, 1 / count**0.5) if squares > 0 else (0.0, float("inf"))
 
 
 def _trimmed_mean(values: np.ndarray) -> float:

@@ -18,6 +18,7 @@ from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
+from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 
@@ -53,9 +54,12 @@ def merge(
         The merged pictures in the order of the lamps, and the radiometry.
 
     Raises:
-        FitError: no lamp position has a frame that can be read.
+        FitError: no lamp position has a frame that can be read, or the frames were sharpened and nobody accepted that.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
+    sharpened = next((one for one in radiometry.remarks if one.code == "sharpened"), None)
+    if sharpened is not None and not capture.settings["camera"]["accept_processed"]:
+        raise FitError(f"{sharpened.text}, or accept these with camera.accept_processed = true")
     pictures = []
     for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
         pictures.append(picture)
@@ -87,7 +91,7 @@ def _kept_pictures(
 ) -> Iterator[MergedPicture]:
     """Yield merged pictures, those that were kept from disk."""
     known = radiometry.to_dict()
-    del known["remarks"], known["lamp_output"]
+    del known["remarks"], known["lamp_output"], known["reference_between"]
     flat = radiometry.flat
     levels = [value for one in radiometry.darkness.values() for value in (one.level, one.hot)]
     about = fingerprint(

@@ -28,6 +28,7 @@ from matcam.acquisition.exposure_ratios import (
 from matcam.acquisition.light.bracket_reading import BracketReading, in_order
 from matcam.acquisition.light.flat_field import FlatField, measure_flat
 from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.light.reference_frames import SeenReference, in_own_frames, in_sample_frames, scatter_between
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
@@ -59,6 +60,8 @@ class Radiometry:
             there is no reference. Merged values are not divided by it: it is the prior of a picture's gain.
         reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN where it
             is clipped.
+        reference_between: standard deviation of the change of the lamp's light between a picture of the reference and one of
+            the sample, relative; 0 where one frame shows both.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
         misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
@@ -77,6 +80,7 @@ class Radiometry:
     read_noise: Stated
     lamp_output: dict[str, Stated]
     reference_light: dict[str, tuple[Stated, ...]]
+    reference_between: float
     linearity: np.ndarray
     misfit: float
     darkness: dict[str, Darkness]
@@ -106,6 +110,7 @@ class Radiometry:
             "gain_dn_per_electron": list(self.gain),
             "read_noise_dn": list(self.read_noise),
             "lamp_output": {name: list(value) for name, value in self.lamp_output.items()},
+            "reference_between": self.reference_between,
             "linearity": self.linearity.tolist(),
             "misfit": self.misfit,
             "channels": list(self.channels),
@@ -225,13 +230,19 @@ def measure_radiometry(
     remarks += exposure_remarks(names, ratios, nominal)
     remarks += clip_remarks(clip, names, samples)
     remarks += linearity_remarks(ratios)
-    output = lamp_output(capture, samples, value, gain, noise)
     scale = gain.value if math.isfinite(gain.value) else 1.0
+    shown, between = in_sample_frames(samples), 0.0
+    if capture.reference_apart:
+        shown, said = in_own_frames(reader, capture, list(used), names, darkness, clip.threshold)
+        remarks += said
+        between = _between(capture, shown, value, gain, noise, remarks)
+    elif capture.of("reference"):
+        text = "the pictures in reference/ are not read: state a [reference] with apart = true, or leave them out"
+        remarks.append(Remark("reference-unread", text))
+    output = lamp_output(capture, shown, value, gain, noise, between)
     flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
     remarks += said
-    seen = reference_light(
-        samples, value, gain, noise, np.ones(len(reader.channels)) if flat is None else flat.reference
-    )
+    seen = reference_light(shown, value, gain, noise, np.ones(len(reader.channels)) if flat is None else flat.reference)
     return Radiometry(
         {name: Stated(float(v), float(e)) for name, v, e in zip(names, value, error, strict=True)},
         names[reference],
@@ -240,6 +251,7 @@ def measure_radiometry(
         Stated(noise, noise * _noise_error(darkness)),
         output,
         seen,
+        between,
         ratios.curve,
         ratios.misfit,
         darkness,
@@ -249,6 +261,31 @@ def measure_radiometry(
         tuple(remarks),
         flat,
     )
+
+
+def _between(
+    capture: Capture,
+    shown: Sequence[SeenReference],
+    exposures: np.ndarray,
+    gain: Stated,
+    noise: float,
+    remarks: list[Remark],
+) -> float:
+    """Return how much the light changes between a picture of the reference and one of the sample, as stated or as seen."""
+    stated = capture.settings["reference"]["between_std"]
+    if stated is not None:
+        return float(stated)
+    scale = gain.value if math.isfinite(gain.value) else 1.0
+    found = scatter_between(shown, exposures, scale, noise, lamp_output(capture, shown, exposures, gain, noise))
+    if math.isfinite(found):
+        return found
+    if any(one.light.size for one in shown):
+        text = (
+            "the pictures in reference/ are too few to tell how the light changes between them and the sample's: what "
+        )
+        text += "lamp.gain_std states of it was taken; take two at each lamp position, or state reference.between_std"
+        remarks.append(Remark("reference-once", text))
+    return float(capture.settings["lamp"]["gain_std"])
 
 
 def _frame_levels(

@@ -14,8 +14,9 @@ from matcam.core.remark import Remark, gathered
 
 _WRONG_TIME = 0.02
 """Relative error of a nominal exposure time that is remarked."""
-_CORRELATED = 0.06
-"""Correlation of neighbouring pixels' noise beyond which a frame was processed."""
+_CORRELATED, _SHARPENED = 0.06, -0.015
+"""Correlation of neighbouring pixels' noise beyond which a frame was smoothed (noise of whole rows correlates, too), and below
+which it was sharpened (little else makes it negative)."""
 
 
 def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:
@@ -79,11 +80,21 @@ def correlation_remarks(path: Path, light: np.ndarray, step: int, noise: float) 
         step: distance of the nearest pixel of the same colour, px.
         noise: read noise, DN.
     """
-    correlation, std = noise_correlation(light, same_colour_neighbours(light, step), noise)
-    if abs(correlation) < max(_CORRELATED, 5 * std):
+    return processing_remarks(str(path), *noise_correlation(light, same_colour_neighbours(light, step), noise))
+
+
+def processing_remarks(where: str, correlation: float, std: float) -> list[Remark]:
+    """Return whether neighbouring pixels' noise says that it was sharpened or smoothed.
+
+    Args:
+        where: whose noise it is.
+        correlation: of neighbouring pixels' noise.
+        std: its standard deviation.
+    """
+    if _SHARPENED < correlation < _CORRELATED or abs(correlation) < 5 * std:
         return []
     what = "sharpened: highlights overshoot and read too narrow" if correlation < 0 else "smoothed or demosaiced"
-    text = f"{path}: neighbouring pixels' noise correlates by {correlation:+.2f}: the frames were probably {what}"
+    text = f"{where}: neighbouring pixels' noise correlates by {correlation:+.2f}: the frames were probably {what}"
     return [Remark("sharpened" if correlation < 0 else "smoothed", f"{text}; use raw frames")]
 
 

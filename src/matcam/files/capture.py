@@ -6,7 +6,7 @@
     dark/           lens covered, by exposure
     flat/           evenly lit, pairs of one exposure
     outline/        the sample before a bright field
-    reference/      a white or monitor picture for a lamp position
+    reference/      a white patch or a monitor in pictures of its own, for a lamp position
 
 docs/capture.md lists the fields, `json_schema()` is the published schema (docs/capture-v1.schema.json). Bad settings are an
 error; a bad picture is left out and named in `Capture.problems`. Nothing outside of the folder is read.
@@ -119,7 +119,19 @@ class Capture:
     def reference_region(self) -> Region | None:
         """Return where the reference stands in every frame; None: it is not in the frames."""
         section = self.settings["reference"]
+        return None if section is None or section["apart"] else self.reference_place
+
+    @property
+    def reference_place(self) -> Region | None:
+        """Return where the reference stands in the frames that show it, the sample's or its own; None: not stated."""
+        section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
+
+    @property
+    def reference_apart(self) -> bool:
+        """Say whether the reference stands in pictures of its own, in reference/."""
+        section = self.settings["reference"]
+        return section is not None and bool(section["apart"])
 
     @property
     def region(self) -> Region | None:

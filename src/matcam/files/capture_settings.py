@@ -108,6 +108,8 @@ class _Reference(_Strict):
     depth_mm: _Either | None = None
     tilt_std_deg: Annotated[FiniteFloat, Field(ge=0, le=45)] = 1.0
     region_px: _Box | None = None
+    apart: bool = False
+    between_std: Annotated[FiniteFloat, Field(ge=0, lt=1)] | None = None
 
 
 class _Outline(_Strict):

@@ -49,11 +49,13 @@ intensity = "constant"               # reference | constant | table
 gain_std = 0.005                     # how well a picture's light is known, relative
 direction_std_deg = 1.0              # how well angle_deg and azimuth_deg of frames.csv are known
 
-# [reference]                        # something in every frame whose light is known
+# [reference]                        # something whose light is known, in every frame or in pictures of its own
 # kind = "diffuse"                   # diffuse: a white patch that faces the camera | monitor: light that follows the lamp's
 # reflectance = [0.98, 0.003]        # of a diffuse one: F is then absolute
 # depth_mm = [0, 2]                  # of a diffuse one: how far it stands before the sphere's centre, towards the camera
 # region_px = [10, 10, 60, 60]       # first column, first row, width, height, in the whole frame
+# apart = false                      # true: it stands in the pictures in reference/, one or more for each lamp position
+# between_std = 0.001                # apart: scatter of the lamp's light between its picture and the sample's; repeats tell it
 
 [outline]
 field_beyond_deg = 3.0               # by how much the bright field of outline frames reaches beyond the sphere's limb

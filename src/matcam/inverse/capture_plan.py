@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
@@ -95,7 +96,8 @@ def plan_capture(
     take half of it.
 
     Args:
-        rig: camera with a Gaussian lens, and a `Sphere`; its distances count for the lamp angles.
+        rig: camera with a Gaussian lens, a `Sphere` and a lamp, distant or near; the distances count in radii, which stay as
+            the sphere is tried larger or smaller in the picture.
         roughness: alpha of a GGX lobe, no unit.
         accuracy: wanted standard deviation of F at `last` over F at small angles, relative. Default: 0.01.
         last: largest theta_d at which F is wanted, rad, [0.2, 1.5]. Default: 75 degrees.
@@ -130,7 +132,7 @@ def plan_capture(
     for factor in _RADII:
         size = factor * radius
         found = limits(
-            Rig(rig.camera, Sphere(size)),
+            _enlarged(rig, size),
             roughness=[roughness],
             noise=noise or PixelNoise(picture_gain=0.01),
             workspace=workspace,
@@ -144,7 +146,7 @@ def plan_capture(
     sensor = rig.camera.sensor
     # brightest: the recorded peak at the last angle; dimmest: its hundredth at the first one
     ends = np.array([theta_d[0], last])
-    peaks = np.asarray(peak_response(Rig(rig.camera, Sphere(at)), GGX(roughness), ends)) / np.cos(ends)
+    peaks = np.asarray(peak_response(_enlarged(rig, at), GGX(roughness), ends)) / np.cos(ends)
     ratio = 100 * peaks[1] / peaks[0] * reflectance(last) / reflectance(float(theta_d[0]))
     full = 1e4 if sensor is None else float(sensor.saturation) / max(_FLOOR * float(sensor.read_noise), 1.0)
     exposures = 1 + max(0, math.ceil(math.log(max(ratio / full, 1.0)) / math.log(_STEP_OF_EXPOSURE)))
@@ -161,3 +163,8 @@ def plan_capture(
         share,
         slope,
     )
+
+
+def _enlarged(rig: Rig, radius: float) -> Rig:
+    """Return the rig with a sphere of another radius in the picture, px, at the same distances in radii."""
+    return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, np.inf if rig.sample.distant else rig.sample.distance))

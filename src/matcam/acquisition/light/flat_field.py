@@ -167,7 +167,7 @@ def _beside(
     reader: MosaicReader, capture: Capture, frame: CaptureFrame, darkness: dict[str, Darkness]
 ) -> np.ndarray | None:
     """Return the mean light of a flat frame where the reference stands in the others, by channel."""
-    region = capture.reference_region
+    region = capture.reference_place
     if region is None:
         return None
     codes = reader.read(frame, region)

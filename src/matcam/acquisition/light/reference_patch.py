@@ -1,4 +1,6 @@
-"""The unit of merged values, and each picture's light, from a white patch beside the sphere that faces the camera.
+"""The unit of merged values, and each picture's light, from a white patch that faces the camera.
+
+It stands beside the sphere, or in pictures of its own.
 
 A patch of reflectance R at p, with normal n, sends the radiance R/pi E g under a lamp that makes the irradiance E at the
 sphere's centre: g = n.w / |w|^3, w = l - p/Q, l the lamp's direction and Q its distance (docs/model.md 10). So its recorded
@@ -17,7 +19,7 @@ import numpy as np
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.files.capture import Region, Stated
 
-_GRAZING = 0.2
+GRAZING = 0.2
 """Cosine of the light on the patch below which it is not used."""
 _STEP = 1e-5
 _UNKNOWN_DEPTH = Stated(0.0, 0.5)
@@ -96,6 +98,7 @@ def patch_light(
     lamp_std: np.ndarray,
     gain_std: float,
     exposure_std: float = 0.0,
+    between: float = 0.0,
 ) -> PatchLight | None:
     """Return the pictures' light and the unit of their values from the patch in them.
 
@@ -108,6 +111,8 @@ def patch_light(
         lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
         gain_std: scatter of a picture's light by what is stated of the lamp, relative.
         exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
+        between: standard deviation of the change of light between a picture of the patch and one of the sphere, relative.
+            Default: 0, one frame shows both.
 
     Returns:
         Gains, their covariance, and units; None where the patch can be used in no picture.
@@ -119,11 +124,11 @@ def patch_light(
     def log_of(lamps: np.ndarray, depth: float, right: float, up: float, nearness: float) -> np.ndarray:
         geometry, cosine = patch_geometry(lamps, nearness, patch.place(ball, depth), (right, up))
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(cosine > _GRAZING / 2, np.log(geometry), np.nan)
+            return np.where(cosine > GRAZING / 2, np.log(geometry), np.nan)
 
     start = np.array([patch.depth.value, 0.0, 0.0, lamp_nearness.value])
     _, cosine = patch_geometry(lamps, start[3], patch.place(ball, start[0]))
-    used = np.isfinite(value).all(1) & (value > 3 * std).all(1) & (cosine > _GRAZING)
+    used = np.isfinite(value).all(1) & (value > 3 * std).all(1) & (cosine > GRAZING)
     if not used.any():
         return None
     mean = value[used].mean(1)
@@ -131,7 +136,7 @@ def patch_light(
     at = lamps[used]
     usual = log_of(at, *start)
     slopes = [(log_of(at, *(start + s)) - log_of(at, *(start - s))) / (2 * _STEP) for s in _STEP * np.eye(4)]
-    own = noise**2
+    own = noise**2 + between**2
     for tangent in _tangents(at):
         own = own + (lamp_std[used] * (log_of(_turned(at, tangent), *start) - usual) / _STEP) ** 2
     # unknowns: ln G of every picture, the patch's and the lamp's common errors, ln U

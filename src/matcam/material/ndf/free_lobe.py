@@ -88,8 +88,19 @@ def slope_of_knot(place: np.ndarray) -> np.ndarray:
     return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
 
 
+@jax.custom_jvp
 def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
     return combined(bends, bend_basis(slope2))
+
+
+@_bend.defjvp
+def _bend_slopes(
+    values: tuple[jax.Array, jax.Array], changes: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    """Differentiate by the chain rule: the functions and their derivatives once, not along every direction asked for."""
+    bends, slope2 = values
+    basis, by_slope2 = jax.jvp(bend_basis, (slope2,), (jnp.ones_like(slope2),))
+    return combined(bends, basis), combined(changes[0], basis) + combined(bends, by_slope2) * changes[1]
 
 
 def shadow_basis(cos: ArrayLike) -> jax.Array:

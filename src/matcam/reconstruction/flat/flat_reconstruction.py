@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -167,10 +167,12 @@ def reconstruct_flat(
         elif not usable(one):
             lost.append(f"{one.name} has {one.clipped.mean():.1%} of its pixels clipped in every exposure")
         else:
-            output = radiometry.lamp_output.get(one.name)
-            known = output is not None and np.isfinite(output.value) and output.value > 0
-            std = output.std / output.value if known and output is not None else capture.settings["lamp"]["gain_std"]
-            pictures.append(FlatPicture(one, tilts[one.name], towards, float(std)))
+            output, std = radiometry.lamp_output[one.name], float(capture.settings["lamp"]["gain_std"])
+            if output.value > 0 and radiometry.reference_between < std:
+                # by the reference: the gain of each picture is then 1 within the reference's error
+                one = replace(one, values=one.values / output.value, std=one.std / output.value)
+                std = output.std / output.value
+            pictures.append(FlatPicture(one, tilts[one.name], towards, std))
     remarks.extend(Remark("picture-left-out", f"{text}; left out") for text in lost)
     if len(pictures) < _FEWEST:
         raise FitError(

@@ -51,7 +51,7 @@ def gains_of(
     """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
     stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
-    reference, region = capture.settings["reference"], capture.reference_region
+    reference, region = capture.settings["reference"], capture.reference_place
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
         found = patch_light(
             _patch(capture, region),
@@ -62,6 +62,7 @@ def gains_of(
             lamp_std=np.full(count, min(capture.direction_std, _SEEN)),
             gain_std=drift,
             exposure_std=max(one.std / one.value for one in radiometry.exposures.values()),
+            between=radiometry.reference_between,
         )
         if found is None:
             text = "the diffuse reference is dark, clipped or lit at grazing in every picture: F is relative"
@@ -73,6 +74,10 @@ def gains_of(
     output = [radiometry.lamp_output.get(name) for name in names]
     known = np.array([one is not None and np.isfinite(one.value) and one.value > 0 for one in output])
     if not known.any():
+        return stated
+    if radiometry.reference_between >= drift:
+        text = f"the light changes by {radiometry.reference_between:.1%} between a picture of the reference and the sample's: "
+        remarks.append(Remark("reference-unsteady", f"{text}what lamp.gain_std states of it was kept"))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(

@@ -1,0 +1,192 @@
+"""The reference as frames show it: in those of the sample, or in pictures of its own (reference/).
+
+A picture of its own is taken before or after the sample's, so that the lamp's light may have changed between the two. By how
+much is stated, or read off the repeated pictures of one lamp position, or off how the light changes from one lamp position to
+the next: they lie further apart in time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.bracket_sample import BracketSample
+from matcam.acquisition.darkness import Darkness
+from matcam.acquisition.light.reference_patch import GRAZING
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.errors import FileFormatError
+from matcam.core.remark import Remark, some_of
+from matcam.files.capture import Capture, Region, Stated
+from matcam.files.capture_frames import CaptureFrame
+
+_UNEVEN = 1.5
+"""Ratio of two quarters of the region from which it is said to reach beyond the reference."""
+_FEWEST = 3
+"""Degrees of freedom from which a scatter is estimated."""
+_STEADY = 0.001
+"""Relative change of light that no weight of a step is below."""
+
+
+class SeenReference(NamedTuple):
+    """Hold the reference in the frames of one lamp position.
+
+    Attributes:
+        lamp: name of the lamp position.
+        exposures: index of each frame's exposure among all, (k,); repeated where frames are.
+        light: mean over the reference in each frame and channel without dark, (k, channels), DN; NaN: none, or clipped.
+        pixels: how many pixels of each channel it is the mean of, (channels,).
+    """
+
+    lamp: str
+    exposures: np.ndarray
+    light: np.ndarray
+    pixels: np.ndarray
+
+
+def in_sample_frames(samples: Sequence[BracketSample]) -> list[SeenReference]:
+    """Return the reference as the sample's frames show it.
+
+    Args:
+        samples: of all lamp positions.
+    """
+    return [SeenReference(one.lamp, one.exposures, one.reference, one.reference_pixels) for one in samples]
+
+
+def in_own_frames(
+    reader: MosaicReader,
+    capture: Capture,
+    lamps: Sequence[str],
+    exposures: Sequence[str],
+    darkness: Mapping[str, Darkness],
+    threshold: float,
+) -> tuple[list[SeenReference], list[Remark]]:
+    """Return the reference as its own pictures show it, and what cannot be used of them.
+
+    Args:
+        reader: how frames are read.
+        capture: where they lie.
+        lamps: names of the lamp positions that are wanted.
+        exposures: names of the sample's exposures, the shortest first.
+        darkness: of each exposure.
+        threshold: code from which a pixel is clipped, DN.
+    """
+    region, remarks = capture.reference_place, list[Remark]()
+    if region is None:
+        text = "reference.region_px is not stated: the pictures in reference/ were not read"
+        return [_unseen(lamp, len(reader.channels)) for lamp in lamps], [Remark("no-reference", text)]
+    wrong: dict[str, list[str]] = {}
+    found: dict[str, list[tuple[int, np.ndarray]]] = {lamp: [] for lamp in lamps}
+    pixels = np.zeros(len(reader.channels), int)
+    diffuse = capture.settings["reference"]["kind"] == "diffuse"
+    # a white patch says nothing of a lamp at grazing
+    grazing = {lamp: diffuse and math.cos(capture.lamps[lamp].angle) <= GRAZING for lamp in lamps}
+    for frame in capture.of("reference"):
+        if frame.lamp and frame.lamp in capture.lamps and frame.lamp not in found:
+            continue
+        why = ""
+        if not frame.lamp or frame.lamp not in capture.lamps:
+            why = "no frame of the sample has their lamp"
+        elif frame.exposure not in exposures:
+            why = "no frame of the sample has their exposure"
+        if why:
+            wrong.setdefault(why, []).append(frame.file)
+            continue
+        try:
+            codes = reader.read(frame, region)
+        except FileFormatError as error:
+            remarks.append(Remark("bad-frame", str(error)))
+            continue
+        of = reader.channel_map((codes.shape[0], codes.shape[1]), (region[1], region[0])).ravel()
+        pixels = np.bincount(of, minlength=len(pixels))
+        if not pixels.all() or not np.isfinite(codes).all():
+            wrong.setdefault("the region holds no pixel of some colour, or no number", []).append(frame.file)
+        elif codes.max() >= threshold:
+            wrong.setdefault("the reference is clipped", []).append(frame.file)
+        else:
+            level = float(np.mean(darkness[frame.exposure].level))
+            light = np.bincount(of, codes.ravel().astype(np.float64), len(pixels)) / pixels - level
+            found[frame.lamp].append((list(exposures).index(frame.exposure), light))
+            if not grazing[frame.lamp]:
+                remarks += _uneven(capture, frame, codes - level, region)
+    remarks += [
+        Remark("reference-left-out", f"{capture.folder}: {why}: {some_of(files, 3)}; left out")
+        for why, files in wrong.items()
+    ]
+    lacking = [lamp for lamp, seen in found.items() if not seen and not grazing[lamp]]
+    if lacking:
+        text = f"lamp{'s' * (len(lacking) > 1)} {some_of(lacking)}: no usable picture in reference/"
+        remarks.append(Remark("reference-missing", f"{text}; what lamp.gain_std states of the light stands"))
+    return [
+        SeenReference(lamp, np.array([k for k, _ in seen]), np.array([light for _, light in seen]), pixels)
+        if seen
+        else _unseen(lamp, len(pixels))
+        for lamp, seen in found.items()
+    ], remarks
+
+
+def scatter_between(
+    seen: Sequence[SeenReference], exposures: np.ndarray, gain: float, noise: float, output: Mapping[str, Stated]
+) -> float:
+    """Return the standard deviation of the change of light between two pictures of one lamp position, relative.
+
+    Args:
+        seen: the reference of each lamp position, in the order in which they were taken.
+        exposures: light of each exposure, relative.
+        gain: DN per electron.
+        noise: read noise, DN.
+        output: light of each lamp position by the reference, with what is uncertain of it but for such changes.
+
+    Returns:
+        The standard deviation; NaN where too few pictures tell it.
+
+    Source:
+        Twice the variance of repeats, each lamp position and exposure with a mean of its own; else the mean square of the steps
+        from one lamp position to the next (von Neumann 1941), which is no less where the light drifts. Both are widened
+        as Student's distribution is.
+    """
+    rows, values, variances = [], [], []
+    lamps = [one for one in seen if len(one.exposures) > 1]
+    for number, one in enumerate(lamps):
+        total = one.light @ one.pixels
+        for exposure, light in zip(one.exposures, total, strict=True):
+            row = np.zeros(len(lamps) + len(exposures))
+            row[[number, len(lamps) + exposure]] = 1.0
+            rows.append(row)
+            values.append(math.log(max(light, 1e-9) / exposures[exposure]))
+            variances.append((max(light, 0.0) * gain + noise**2 * one.pixels.sum()) / max(light, 1e-9) ** 2)
+    if rows:
+        design, value = np.array(rows), np.array(values)
+        solution, _, rank, _ = np.linalg.lstsq(design, value, rcond=None)
+        free = len(value) - int(rank)
+        if free >= _FEWEST:
+            square = float(((value - design @ solution) ** 2).sum()) / free
+            return math.sqrt(2 * max(square - float(np.mean(variances)), 0.0) * free / (free - 2))
+    known = [output[one.lamp] for one in seen if math.isfinite(output[one.lamp].value)]
+    if len(known) <= _FEWEST:
+        return math.nan
+    steps = np.array([math.log(b.value / a.value) for a, b in pairwise(known)])
+    error = np.array([(a.std / a.value) ** 2 + (b.std / b.value) ** 2 for a, b in pairwise(known)])
+    weight = 1 / (error + _STEADY**2)
+    square = float((weight * (steps**2 - error)).sum() / weight.sum())
+    return math.sqrt(max(square, _STEADY**2 / 2) * len(steps) / (len(steps) - 2))
+
+
+def _unseen(lamp: str, channels: int) -> SeenReference:
+    return SeenReference(lamp, np.zeros(0, int), np.zeros((0, channels)), np.zeros(channels, int))
+
+
+def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Region) -> list[Remark]:
+    """Return whether the light over the region changes by more than a near lamp's on one patch."""
+    half = light.shape[0] // 2, light.shape[1] // 2
+    parts = [light[: half[0]], light[half[0] :], light[:, : half[1]], light[:, half[1] :]]
+    levels = [float(part.mean()) for part in parts if part.size]
+    low, high = min(levels), max(levels)
+    chance = 10 * float(light.std()) / np.sqrt(light.size / 2)
+    if high < _UNEVEN * max(low, 0.0) or high - low < chance:
+        return []
+    text = f"{capture.folder / frame.file}: one half of reference.region_px is {low:.0f} DN bright, the other {high:.0f} DN"
+    return [Remark("reference-uneven", f"{text}: does {list(region)} reach beyond the reference?")]
