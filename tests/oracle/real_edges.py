@@ -210,8 +210,14 @@ def drawn(rng, flaw, size=SIZE):
 
 def ghosted_half(sigma, degrees, share, offset):
     """MTF50 of a lens with a ghost, which is a second, weaker edge `offset` px to the right."""
+    return doubled_half(sigma, degrees, share, offset, sigma)
+
+
+def doubled_half(sigma, degrees, share, offset, blur):
+    """MTF50 of a lens with a second one, of another blur, `offset` px to the right along the rows."""
     a = np.radians(degrees)
     f = np.linspace(0, 1.5, 150001)
-    core = np.exp(-2 * (np.pi * sigma * f) ** 2) * np.sinc(f * np.cos(a)) * np.sinc(f * np.sin(a))
-    mtf = np.abs(core * ((1 - share) + share * np.exp(-2j * np.pi * f * offset * np.cos(a))))
+    first, second = (np.exp(-2 * (np.pi * s * f) ** 2) for s in (sigma, blur))
+    both = (1 - share) * first + share * second * np.exp(-2j * np.pi * f * offset * np.cos(a))
+    mtf = np.abs(both * np.sinc(f * np.cos(a)) * np.sinc(f * np.sin(a)))
     return float(f[np.argmax(mtf < 0.5)])

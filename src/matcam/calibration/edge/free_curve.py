@@ -7,6 +7,7 @@ deviation of P's line spread function, so that one setting serves every blur:
 
 - core: pairs of Gaussian bumps of the line spread function, 0.6 s wide and 0.6 s apart, to 3.9 s on both sides. Their even
   combinations B_k carry the MTF, their odd ones O_k a lens that is not symmetric (coma). The last O_k moves the edge.
+- ghosts: three more pairs of bumps, 0.7 s wide and 0.6 s apart, at a distance that is found, used where there is one;
 - tail: a Cauchy line spread function, which falls as 1/d^2 as that of every lens with an edge to its pupil does;
 - glare: a wide Gaussian, used where it is found.
 
@@ -27,11 +28,15 @@ from matcam.core.jax import AnyArray, jax, jnp
 PAIRS = 7
 PLACES = 0.6 * (np.arange(PAIRS) + 0.5)
 """Places of the bumps, in s."""
-EVEN = PAIRS + 2
-"""Strengths that shape the MTF: the core's, the tail's, the glare's."""
+GHOSTS = np.arange(PAIRS, PAIRS + 3)
+"""Indices of the ghosts' strengths, among the even ones and the odd ones."""
+GHOST_STEP, GHOST_WIDTH = 0.6, 0.7
+"""Distance and width of the ghosts' bumps, in s."""
+EVEN = PAIRS + GHOSTS.size + 2
+"""Strengths that shape the MTF: the core's, the ghosts', the tail's, the glare's."""
 GLARE = EVEN - 1
 """Index of the last of them."""
-ODD = PAIRS + 1
+ODD = PAIRS + GHOSTS.size + 1
 FREQUENCIES = np.arange(81) / 64
 """cycles/px, at which an MTF is tabulated."""
 _WIDTH = 0.6  # s
@@ -47,12 +52,14 @@ class CoreShape(NamedTuple):
         angle: rad, of the edge's normal to the grid.
         half_width: px, of the pixel.
         radius: px, standard deviation of the glare.
+        apart: px, of the nearer ghosts from the edge.
     """
 
     sigma: jax.Array
     angle: jax.Array
     half_width: jax.Array
     radius: jax.Array
+    apart: jax.Array
 
 
 class Basis(NamedTuple):
@@ -68,7 +75,7 @@ class FreeCurve(NamedTuple):
 
     Attributes:
         shape: of the basis.
-        even: (EVEN,) strengths, relative to the step; the last one, glare's, is 0 where none was found.
+        even: (EVEN,) strengths, relative to the step; ghosts and glare are 0 where none was found.
         odd: (ODD,).
         levels: (SHIFT,) dark, bright, and the light: `State.linear` of the fit.
         covariance: (EVEN + ODD + 1,) squared, of the even strengths, the odd ones, and ln of the glare's radius.
@@ -104,7 +111,7 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
     places, width = _bumps(shape)
     blurred = jnp.sqrt(shape.sigma**2 + spread)
     pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
-    wide = jnp.sqrt(width**2 + spread)
+    wide = jnp.sqrt(width[:, None] ** 2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
     # no Gaussian: for the spread its second derivative has to do
@@ -129,7 +136,7 @@ def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
         return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
 
     pilot, moved = jax.jvp(line, (distance,), (jnp.broadcast_to(line_width(shape), distance.shape),))
-    right, left = (normal(distance, sign * places[:, None], width) for sign in (1, -1))
+    right, left = (normal(distance, sign * places[:, None], width[:, None]) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
     tail = reach / (jnp.pi * (distance**2 + reach**2))
     even = jnp.concatenate([(right + left) / 2, tail[None], normal(distance, 0.0, shape.radius)[None]])
@@ -145,7 +152,7 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
     gauss = lambda std: jnp.exp(-2 * (jnp.pi * std * f) ** 2)  # noqa: E731
     box = 2 * shape.half_width * f
     pilot = gauss(shape.sigma) * jnp.sinc(box * jnp.cos(shape.angle)) * jnp.sinc(box * jnp.sin(shape.angle))
-    turn, bump = 2 * jnp.pi * f * places[:, None], gauss(width)
+    turn, bump = 2 * jnp.pi * f * places[:, None], gauss(width[:, None])
     tail = jnp.exp(-2 * jnp.pi * _TAIL * line_width(shape) * jnp.abs(f))
     moved = 2 * jnp.pi * f * line_width(shape) * pilot
     even = jnp.concatenate([bump * jnp.cos(turn), tail[None], gauss(shape.radius)[None]])
@@ -184,6 +191,32 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
     return _modulus(total, odd), _modulus(core, SampledCurve(odd.value / (1 - share), odd.std / (1 - share)))
 
 
+class Ghost(NamedTuple):
+    """Hold what one side of an edge has of a second, weaker one beyond what the other side has: numbers, or (n,).
+
+    Attributes:
+        share: of the step.
+        std: its standard deviation.
+        place: px from the edge.
+        bright: whether it lies on the bright side.
+    """
+
+    share: np.ndarray
+    std: np.ndarray
+    place: np.ndarray
+    bright: np.ndarray
+
+
+def ghost_of(curve: FreeCurve) -> Ghost:
+    """Return the ghost of a fitted curve, or of n of them; its share is 0 where none was found."""
+    odd, at = -np.asarray(curve.odd)[..., GHOSTS], EVEN + GHOSTS
+    share, covariance = odd.sum(-1), np.asarray(curve.covariance)[..., at[:, None], at]
+    step = GHOST_STEP * np.asarray(line_width(curve.shape))[..., None] * np.arange(GHOSTS.size)
+    weight = np.maximum(odd * np.sign(share)[..., None], 0.0)
+    place = np.asarray(curve.shape.apart) + (weight * step).sum(-1) / np.maximum(weight.sum(-1), 1e-300)
+    return Ghost(np.abs(share), np.sqrt(np.maximum(covariance.sum((-1, -2)), 0.0)), place, share > 0)
+
+
 def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
     """Return the lowest frequency at which an MTF is one half.
 
@@ -203,9 +236,11 @@ def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve
 
 
 def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
-    """Return the places of the right-hand bumps, and their width, px."""
+    """Return the places of the right-hand bumps, and their widths, px."""
     s = line_width(shape)
-    return jnp.asarray(PLACES) * s, _WIDTH * s
+    ghosts = shape.apart + GHOST_STEP * s * jnp.arange(GHOSTS.size)
+    widths = jnp.concatenate([jnp.full(PAIRS, _WIDTH), jnp.full(GHOSTS.size, GHOST_WIDTH)])
+    return jnp.concatenate([jnp.asarray(PLACES) * s, ghosts]), widths * s
 
 
 def _step(t: jax.Array) -> jax.Array:

@@ -5,6 +5,9 @@ falling off with the distance, because that is where a lens that is not Gaussian
 estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior, not the wider one of a belief: it is what repeated pictures
 show. What the priors bias stands in docs/edge.md, by test.
 
+A ghost is a second, weaker edge. Pairs of bumps are tried at a row of distances on what the free curve leaves; where they raise
+the likelihood enough, they join the fit. So does a lens's wing that the core does not reach.
+
 Glare is a wide Gaussian. A row of radii is tried on what the free curve leaves; where one raises the likelihood by 5 sigma,
 the radius is refined and joins the fit. Free glare that is not there would cost every MTF50 half of its accuracy.
 """
@@ -17,6 +20,9 @@ import numpy as np
 
 from matcam.calibration.edge.free_curve import (
     EVEN,
+    GHOST_STEP,
+    GHOST_WIDTH,
+    GHOSTS,
     GLARE,
     ODD,
     PLACES,
@@ -33,11 +39,19 @@ from matcam.numerics.linalg import FLOOR, scaled_inverse
 
 FOUND = 25.0
 """Rise of 2 ln likelihood, 5 sigma, that glare must bring to be believed."""
+GHOST_FOUND = 24.0
+"""Rise of 2 ln likelihood that the six strengths of a ghost must bring: at one place once in 2,000 by chance."""
 _PRIOR, _REACH = 0.1, 1.6  # of the step, on strengths of the core; falls off as a Gaussian of 1.6 s
 _PRIOR_ODD = 0.03  # of the step, at most
 _PRIOR_TAIL = 0.3  # of the step
 _PRIOR_GLARE = 0.1  # of the step
+_PRIOR_GHOST = 0.3  # of the step
+_FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0  # s; s and px, whichever is more: where ghosts are looked for
+_GHOST_PLACES, _GHOST_ROOM = 24, 0.3  # of the region's width
 _MISFIT = 2e-4  # of the step: what bumps of 0.6 s cannot describe; weighs only in pictures with less noise than that
+VEIL = 0.25
+"""Of a region's width, beyond which glare and uneven light look alike."""
+_VEIL_COST = 4.0  # of 2 ln likelihood: by so much such glare is cheaper than the light that looks like it
 _LEAST_COST = 10.8  # 2 ln likelihood that a parameter of the light must bring at least: once in 1,000 by chance
 _LEVELS = SHIFT
 _COLUMN = _LEVELS + GLARE
@@ -58,7 +72,7 @@ class LinearFit(NamedTuple):
         levels: (LINEAR,) `State.linear` about which the columns stand.
         used: (LINEAR,) which of them are free.
         weight: (n,).
-        noisy: (n,) weight^2 times the variance of a cell.
+        variance: (n,) of a pixel.
         columns: (p, n) levels and light, even strengths, odd strengths.
         inverse: (p, p) A^-1.
         normal: (p, p) what the cells alone say.
@@ -76,7 +90,7 @@ class LinearFit(NamedTuple):
     levels: jax.Array
     used: jax.Array
     weight: jax.Array
-    noisy: jax.Array
+    variance: jax.Array
     columns: jax.Array
     inverse: jax.Array
     normal: jax.Array
@@ -85,6 +99,11 @@ class LinearFit(NamedTuple):
     strength: jax.Array
     chi2: jax.Array
     degrees: jax.Array
+
+    @property
+    def noisy(self) -> jax.Array:
+        """Return weight^2 times the variance of a cell (n,)."""
+        return self.weight**2 * self.variance / jnp.maximum(self.cells.pixels, 1.0)
 
 
 class Structure(NamedTuple):
@@ -124,15 +143,18 @@ class _Columns(NamedTuple):
     step: jax.Array
 
 
-def linear_fit(cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape) -> LinearFit:
+def linear_fit(
+    cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape, ghost: jax.Array | float = 0.0
+) -> LinearFit:
     """Fit the free curve, and choose how much the light may vary.
 
-    at: Gaussian model about which the curve is fitted, in light of all orders.
+    at: Gaussian model about which the curve is fitted, in light of all orders. ghost: 1 where there is one, or 0.
     """
     state = at.state
     cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
     basis = edge_basis(shape, cells.distance, cells.spread)
-    even, odd = (basis.even - basis.pilot).at[GLARE].set(0.0), basis.odd
+    even = (basis.even - basis.pilot).at[GLARE].set(0.0).at[GHOSTS].multiply(ghost)
+    odd = basis.odd.at[GHOSTS].multiply(ghost)
     variance = noise.variance(at.value, cells.dim)
     weight = cells.pixels / (variance + cells.pixels * (_MISFIT * (state.linear[1] - state.linear[0])) ** 2)
 
@@ -168,7 +190,7 @@ def linear_fit(cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape) 
         levels=levels,
         used=used,
         weight=weight,
-        noisy=weight**2 * variance / jnp.maximum(cells.pixels, 1.0),
+        variance=variance,
         columns=columns,
         inverse=inverse,
         normal=normal,
@@ -178,6 +200,57 @@ def linear_fit(cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape) 
         chi2=(cells.pixels / variance * left**2).sum(),
         degrees=degrees,
     )
+
+
+def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return whether there is a ghost, and its likeliest place, px from the edge.
+
+    known: whether the noise is; else it is what the fit leaves. What glare explains is no ghost.
+    """
+    glare = glare_candidate(fit)
+    beside = _with_glare(fit, _column(fit, glare.log_radius))
+    beside = jax.tree.map(lambda a, b: jnp.where(glare.rise > FOUND, a, b), beside, fit)
+    first = _FIRST_GHOST * line_width(fit.shape)
+    last = jnp.minimum(jnp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
+    places = jnp.linspace(first, last, _GHOST_PLACES)
+
+    def rise(place: jax.Array) -> jax.Array:
+        columns = _ghosts(beside, place)
+        weighted = columns * beside.weight
+        cross, score = weighted @ beside.columns.T, weighted @ beside.left
+        alone = weighted @ columns.T - cross @ beside.inverse @ cross.T + _PRIOR_GHOST**-2 * jnp.eye(len(columns))
+        return score @ jnp.linalg.solve(alone, score)
+
+    rises = jax.vmap(rise)(places)
+    best = jnp.argmax(rises)
+    left = (beside.chi2 - rises[best]) / beside.degrees
+    found = rises[best] > GHOST_FOUND * jnp.where(known, 1.0, jnp.maximum(left, 1.0))
+    return found & (first < last), places[best]
+
+
+def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
+    """Return the fit with glare, what it is asked for by `ghost_found`."""
+    columns = fit.columns.at[_COLUMN].set(column)
+    normal = (columns * fit.weight) @ columns.T
+    inverse = scaled_inverse(normal + jnp.diag(_PRECISIONS))
+    left = fit.residual - (inverse @ (columns @ (fit.weight * fit.residual))) @ columns
+    return fit._replace(
+        columns=columns, inverse=inverse, left=left, chi2=(fit.cells.pixels / fit.variance * left**2).sum()
+    )
+
+
+def _ghosts(fit: LinearFit, place: jax.Array) -> jax.Array:
+    """Return what ghosts of full strength would change (4, n): even pairs, odd pairs."""
+    s = line_width(fit.shape)
+    at = place + GHOST_STEP * s * jnp.arange(GHOSTS.size)[:, None]
+    right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
+    return jnp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2]) * fit.step
+
+
+def _width(cells: EdgeCells) -> jax.Array:
+    """Return how far the region reaches across the edge, px."""
+    distance = jnp.where(cells.pixels > 0, cells.distance, 0.0)
+    return distance.max() - distance.min()
 
 
 def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
@@ -194,6 +267,7 @@ def _chosen_light(
     that glares look alike, and neither may be taken for the other.
     """
     radii = _radii(shape)
+    unlikely = jnp.where(jnp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
     glare = (jax.vmap(lambda r: glare_edge(jnp.exp(r), cells.distance, cells.spread))(radii) - pilot) * full.step
     score = full.columns @ (weight * full.residual)
     by_glare = (glare * weight) @ full.residual
@@ -219,8 +293,8 @@ def _chosen_light(
         mine, shared = solved[:, 0], solved[:, 1:]
         chi2 = before + 2 * score @ given + given @ towards - mine @ mine
         left = by_glare + cross @ given - mine @ shared
-        rise = jnp.max(jnp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)))
-        return chi2, rise
+        rise = jnp.max(jnp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
+        return chi2, jnp.maximum(rise, 0.0)
 
     lights = jnp.asarray(LIGHTS)
     chi2, rise = jax.vmap(judged)(lights)
@@ -354,9 +428,10 @@ def _precisions() -> np.ndarray:
 
     Levels, light and the edge's place have none.
     """
-    core = _PRIOR * np.exp(-((PLACES / _REACH) ** 2) / 2)
+    core, ghosts = _PRIOR * np.exp(-((PLACES / _REACH) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, _PRIOR_ODD)
-    return np.concatenate([np.zeros(_LEVELS), core**-2, [_PRIOR_TAIL**-2, _PRIOR_GLARE**-2], odd**-2, [0.0]])
+    even = np.concatenate([core, ghosts, [_PRIOR_TAIL, _PRIOR_GLARE]])
+    return np.concatenate([np.zeros(_LEVELS), even**-2, odd**-2, ghosts**-2, [0.0]])
 
 
 _PRECISIONS = _precisions()

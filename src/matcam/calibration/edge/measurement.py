@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from matcam.calibration.edge import free_curve, free_fit, geometry, start
 from matcam.calibration.edge.doubt import Unexplained, misfit_of
-from matcam.calibration.edge.free_curve import FREQUENCIES, CoreShape, FreeCurve, SampledCurve
+from matcam.calibration.edge.free_curve import FREQUENCIES, GHOSTS, CoreShape, FreeCurve, SampledCurve
 from matcam.calibration.edge.geometry import AlignedRows, EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
     LINEAR,
@@ -35,6 +35,9 @@ _LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
 _LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
 _ROBUST, _LARGE = 4, 20.0  # rounds; of the mean square, above which a difference counts as so much
 _EXPECTED = 1.4  # chi2 per degree of freedom of some 200 cells: 4 sigma
+
+
+_Fits = TypeVar("_Fits", bound=tuple[Any, ...])
 
 
 class LensFit(NamedTuple):
@@ -115,8 +118,8 @@ class EdgeFits(NamedTuple):
     misfit: jax.Array
 
 
-class _Stage(NamedTuple):
-    """Hold what has been found of an edge before glare is considered."""
+class _Pilot(NamedTuple):
+    """Hold what has been found of an edge before ghosts and glare are considered."""
 
     crossing: jax.Array
     known: jax.Array
@@ -127,10 +130,20 @@ class _Stage(NamedTuple):
     cells: EdgeCells
     model: EdgeModel
     free: free_fit.LinearFit
+    ghost: jax.Array
+    place: jax.Array
+    outliers: jax.Array
+
+
+class _Stage(NamedTuple):
+    """Hold what has been found of an edge before glare is considered."""
+
+    pilot: _Pilot
+    model: EdgeModel
+    free: free_fit.LinearFit
     structure: free_fit.Structure
     glare: free_fit.GlareCandidate
     scatter: jax.Array
-    outliers: jax.Array
 
     @property
     def glares(self) -> jax.Array:
@@ -191,7 +204,8 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
     tested = edge_model(found.cells, fitted, seen.profile)
     at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
-    fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape)
+    ghost = (found.free.even[GHOSTS] != 0).any()
+    fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, ghost)
     doubt = Unexplained(found.roughness, found.misfit)
     return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
 
@@ -205,7 +219,8 @@ def _program(function: Callable[..., EdgeFits], *, once: bool) -> Callable[..., 
 def _fits_of_one(
     value: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
 ) -> EdgeFits:
-    stage = _stage(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
+    pilot = _pilot(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
+    stage = _stage(pilot, jax.lax.cond(pilot.ghost, _with_ghost, lambda pilot: pilot.free, pilot))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
     curve = jax.lax.cond(stage.glares, free_fit.curve_with_glare, plain, stage.free, stage.glare)
     return _edge_fits(stage, curve, jnp.asarray(half_width))
@@ -214,10 +229,16 @@ def _fits_of_one(
 def _fits_of_stack(
     values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
 ) -> EdgeFits:
-    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Stage:
-        return _stage(Rows(value, y, start, step), noise, half_width, turns)
+    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Pilot:
+        return _pilot(Rows(value, y, start, step), noise, half_width, turns)
 
-    stages = jax.vmap(of_one)(values, y, start)
+    def with_ghosts(pilots: _Pilot) -> free_fit.LinearFit:
+        return _where(pilots.ghost, jax.vmap(_with_ghost)(pilots), pilots.free)
+
+    pilots = jax.vmap(of_one)(values, y, start)
+    # under vmap both sides of a condition are computed: ask once for all of them
+    frees = jax.lax.cond(jnp.any(pilots.ghost), with_ghosts, lambda pilots: pilots.free, pilots)
+    stages = jax.vmap(_stage)(pilots, frees)
     found = stages.glares
 
     def without(stages: _Stage) -> FreeCurve:
@@ -225,15 +246,19 @@ def _fits_of_stack(
 
     def some(stages: _Stage) -> FreeCurve:
         plain, glaring = without(stages), jax.vmap(free_fit.curve_with_glare)(stages.free, stages.glare)
-        return jax.tree.map(lambda a, b: jnp.where(found.reshape(-1, *[1] * (a.ndim - 1)), a, b), glaring, plain)
+        return _where(found, glaring, plain)
 
-    # under vmap both sides of a condition are computed: ask once for all of them
     curves = jax.lax.cond(jnp.any(found), some, without, stages)
     return jax.vmap(lambda stage, curve: _edge_fits(stage, curve, half_width))(stages, curves)
 
 
-def _stage(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Stage:
-    """Fit curve, Gaussian lens and free curve."""
+def _where(which: jax.Array, some: _Fits, others: _Fits) -> _Fits:
+    """Return some of n fits, and others."""
+    return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), some, others)
+
+
+def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pilot:
+    """Fit curve, Gaussian lens and free curve, and look for a ghost."""
     length = geometry.half_length(rows)
     to_slope = geometry.to_mean_slope(length)
     first_curve, crossing = start.first_curve(rows)
@@ -268,31 +293,45 @@ def _stage(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Sta
     _, turns = jax.lax.scan(turn, (first_curve, first), uses)
     curve, cells, at, moved = jax.tree.map(lambda a: a[-1], turns)
     seen = seen_along(curve)
-    shape = CoreShape(jnp.exp(at.state.profile[0]), seen.angle, half_width, jnp.ones(()))
+    one = jnp.ones(())
+    shape = CoreShape(jnp.exp(at.state.profile[0]), seen.angle, half_width, radius=one, apart=one)
     free = free_fit.linear_fit(cells, at, noise, shape)
-    chosen = at.state._replace(linear=at.state.linear * free.used, used=free.used)
-    at = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
+    ghost, place = free_fit.ghost_found(free, known)
+    return _Pilot(crossing, known, noise, curve, to_slope, moved, cells, at, free, ghost, place, outliers)
+
+
+def _with_ghost(pilot: _Pilot) -> free_fit.LinearFit:
+    """Fit the free curve again, with the ghost: if nobody knows of it, it passes for light."""
+    shape = pilot.free.shape._replace(apart=pilot.place)
+    return free_fit.linear_fit(pilot.cells, pilot.model, pilot.noise, shape, 1.0)
+
+
+def _stage(pilot: _Pilot, free: free_fit.LinearFit) -> _Stage:
+    """Fit the Gaussian lens in the light that was chosen, and look for glare."""
+    seen = LensAtEdge(Gaussian(), free.shape.angle, free.shape.half_width)
+    chosen = pilot.model.state._replace(linear=pilot.model.state.linear * free.used, used=free.used)
+    state = _climb(pilot.cells, chosen, seen, pilot.noise, _STEPS)
+    at = edge_model(pilot.cells, state, seen.profile)
     structure = free_fit.structure(free, at)
     candidate = free_fit.glare_candidate(free)
     # glare is judged by what is left with it
     left = (free.weight * free.left**2).sum() - candidate.rise
-    scatter = jnp.where(known, 1.0, jnp.maximum(left / free.degrees, 1.0))
-    return _Stage(
-        crossing, known, noise, curve, to_slope, moved, cells, at, free, structure, candidate, scatter, outliers
-    )
+    scatter = jnp.where(pilot.known, 1.0, jnp.maximum(left / free.degrees, 1.0))
+    return _Stage(pilot, at, free, structure, candidate, scatter)
 
 
 def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFits:
     """Read everything off the fits."""
+    pilot = stage.pilot
     # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
     by_glare = jnp.where(stage.glares, stage.glare.rise, 0.0)
     scatter = (stage.free.chi2 - by_glare) / stage.free.degrees
     excess = jnp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
-    slope = stage.to_slope @ stage.curve
+    slope = pilot.to_slope @ pilot.curve
     seen = LensAtEdge(Gaussian(), jnp.arctan(slope), half_width)
     misfit = misfit_of(stage.free, free, excess)
-    doubt = Unexplained(stage.moved.roughness, misfit)
+    doubt = Unexplained(pilot.moved.roughness, misfit)
 
     def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
         total, core = free_curve.transfer(free, f)
@@ -300,25 +339,25 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
 
     mtf, core = transfer(jnp.asarray(FREQUENCIES))
     return EdgeFits(
-        curve=stage.curve,
+        curve=pilot.curve,
         slope=slope,
-        slope_std=jnp.sqrt(excess * (stage.to_slope @ stage.moved.covariance @ stage.to_slope)),
+        slope_std=jnp.sqrt(excess * (pilot.to_slope @ pilot.moved.covariance @ pilot.to_slope)),
         angle=seen.angle,
-        crossing=stage.crossing,
-        noise=stage.noise,
-        residual=stage.moved.residual,
-        parametric=_lens_fit(stage.cells, stage.model, stage.noise, stage.structure, seen, excess, doubt),
+        crossing=pilot.crossing,
+        noise=pilot.noise,
+        residual=pilot.moved.residual,
+        parametric=_lens_fit(pilot.cells, stage.model, pilot.noise, stage.structure, seen, excess, doubt),
         free=free,
         mtf=mtf,
         mtf50=free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0]),
         core_mtf=core,
         core_mtf50=free_curve.half_frequency(core.value, lambda f: transfer(f)[1]),
         overshoot=_overshoot(free),
-        cells=stage.cells,
+        cells=pilot.cells,
         state=stage.model.state,
         excess=excess,
-        outliers=stage.outliers,
-        roughness=stage.moved.roughness,
+        outliers=pilot.outliers,
+        roughness=pilot.moved.roughness,
         misfit=misfit,
     )
 

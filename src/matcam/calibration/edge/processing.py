@@ -16,7 +16,9 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
-from matcam.calibration.edge.rows import CLEAR, VEIL, EdgeRegions, clearance
+from matcam.calibration.edge.free_curve import ghost_of
+from matcam.calibration.edge.free_fit import VEIL
+from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
 from matcam.core.jax import FloatArray, jax
 from matcam.core.remark import Remark
@@ -35,6 +37,7 @@ _SURER = 0.1  # of that, of a lens model
 _JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _LEAST_NOISE = 2e-4  # of the step
+_GHOST, _SURE_GHOST = 0.01, 4.0  # of the step; standard deviations, from which a ghost is remarked on
 
 
 class Traces(NamedTuple):
@@ -108,7 +111,7 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -
     share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
     veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1))
-    remarks = (*(remark for remark, _ in found), narrow, veiled)
+    remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))
     return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
 
 
@@ -133,6 +136,16 @@ def _veiled(stack: EdgeStack, i: int, width: float) -> tuple[Remark | None, floa
     share = _BY_GLARE * glare
     text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light: MTF50 with it may be too low by {share:.0%}"
     return Remark("wide-glare", text), share
+
+
+def _ghost(stack: EdgeStack, i: int) -> Remark | None:
+    """Return that there is a second, weaker edge, which is part of what was measured."""
+    ghost = ghost_of(jax.tree.map(lambda a: a[i], stack.fits.free))
+    if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
+        return None
+    side = "bright" if ghost.bright else "dark"
+    text = f"a second edge of {ghost.share:.1%} of the step lies {ghost.place:.1f} px away, on the {side} side"
+    return Remark("ghost", f"{text}: a ghost; it is part of the MTF")
 
 
 def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:

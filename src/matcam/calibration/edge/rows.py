@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from matcam.calibration.edge.free_curve import GLARE
+from matcam.calibration.edge.free_curve import GLARE, ghost_of
+from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
@@ -33,9 +34,8 @@ _REPEATED, _SURE = (
     1.5,
     5.0,
 )  # variance between neighbours over that 2 px apart: no sharpening makes it so large; deviations
+_SECOND = 0.3  # of the step: no ghost of a lens is so strong
 _UNEXPLAINED = 0.015  # of the step: misfit near the edge
-VEIL = 0.25
-"""Of a region's width, beyond which glare and uneven light look alike."""
 CLEAR = 4.6
 """Times its blur that an edge must stand off the region's borders; nearer, its levels are unsure."""
 _SOME = 0.1  # of the rows may be nearer to a border
@@ -155,6 +155,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     glare, clear = found.free.even[:, GLARE], clearance(found, region)
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
 
+    ghost = ghost_of(found.free)
+
     def refusal(i: int) -> Remark | None:
         if lost[i]:
             return Remark("no-edge", "no edge that crosses the region from one side to the other was found in it")
@@ -182,7 +184,12 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         if not accept_sharpened and veiled[i]:
             text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
             return Remark("unexplained", f"{text}: a ghost, a second edge or dirt lies in it: choose another region")
-        seen = what_is_seen(region.value[i]) if not accept_sharpened and found.misfit[i] > _SPOILT else ""
+        second = bool(ghost.share[i] > _SECOND)
+        odd = not accept_sharpened and (second or found.misfit[i] > _SPOILT)
+        seen = what_is_seen(region.value[i]) if odd else ""
+        if not accept_sharpened and second:
+            text = seen or f"there are 2 edges in it, {ghost.place[i]:.1f} px apart"
+            return Remark("unexplained", f"the region holds no single edge: {text}: choose another region")
         if seen or (not accept_sharpened and found.misfit[i] > _UNEXPLAINED):
             return Remark(
                 "unexplained",
