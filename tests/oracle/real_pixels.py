@@ -72,7 +72,7 @@ class RealTable:
     """Cells of some slices of a table. cells: for each theta_d (theta_h, phi_d), two arrays of one length. phase: of all
     pictures, (2,), or of each."""
 
-    def __init__(self, rule, phase, theta_d, cells, setup=None):
+    def __init__(self, rule, phase, theta_d, cells, setup=None, finest=0.0):
         setup = setup or sphere_cells.Setup()
         radius, self.theta_d = setup.radius, np.asarray(theta_d)
         self.share, self.index = [], []
@@ -88,7 +88,7 @@ class RealTable:
         most = max(len(th) for th, _ in columns)
         self.count = [len(th) for th, _ in columns]
         th, psi = (np.stack([np.pad(c[n], (0, most - len(c[n])), mode="edge") for c in columns]) for n in (0, 1))
-        self.rule = sphere_cells.Cells(th, self.theta_d, np.pi - psi, setup, turns=(0.0,))
+        self.rule = sphere_cells.Cells(th, self.theta_d, np.pi - psi, setup, turns=(0.0,), finest=finest)
 
     def pixels(self, lobe):
         """What every pixel's value is, (slices, pixels), 1/sr at F = 1."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.sparse import csr_matrix
-from scipy.special import erfc, gamma
+from scipy.special import erfc, gamma, j1, jn_zeros
 
 END = 4.5
 NEAR = 8.0
@@ -40,24 +40,41 @@ class EPD(NamedTuple):
         return p / (np.pi * b**2 * gamma(1 / p)) * np.exp(-((s2 / b**2) ** p))
 
     def smith(self, cos):
-        """Spline through the integral over slopes, in logarithms."""
-        mu = self.beta * np.geomspace(1e-3, 300, 260)
-        x, w = np.polynomial.legendre.leggauss(12)
-        cuts = np.concatenate([[-30], np.arange(-14, 5, 0.5)])
-        log_s = (cuts[:-1, None] + np.diff(cuts)[:, None] * (x + 1) / 2).ravel()
-        weight = (np.diff(cuts)[:, None] / 2 * w).ravel()
-        y = np.hypot(self.beta, mu[:, None]) * np.exp(log_s)  # y^2 = r^2 - mu^2, r dr = y dy
-        ratio = y / mu[:, None]
-        excess = np.where(ratio < 0.02, mu[:, None] * ratio**3 * (1 / 3 - ratio**2 / 5 + ratio**4 / 7),
-                          y - mu[:, None] * np.arctan(ratio))  # fmt: skip
-        value = 2 / mu * ((self.p22(mu[:, None] ** 2 + y**2) * excess * y**2) @ weight)
-        good = value > 1e-13
-        spline = CubicSpline(np.log(mu[good]), np.log(value[good]))
-        cot = cos / np.sqrt(np.maximum(1 - cos**2, 1e-30))
-        inside = np.exp(spline(np.log(np.clip(cot, mu[0], mu[good][-1]))))
-        # towards the horizon Lambda goes as 1 / mu
-        inside = np.where(cot < mu[0], inside * mu[0] / np.maximum(cot, 1e-300), inside)
-        return np.where(cot > mu[good][-1], 0.0, inside)
+        return _smith(self.p22, self.beta, cos)
+
+
+class Tails(NamedTuple):
+    """Student's t distribution of slopes: GGX at gamma = 2, longer tails below (Ribardiere et al. 2017)."""
+
+    alpha: float
+    gamma: float
+
+    def p22(self, s2):
+        return (self.gamma - 1) / (np.pi * self.alpha**2) * (1 + s2 / self.alpha**2) ** -self.gamma
+
+    def smith(self, cos):
+        return _smith(self.p22, self.alpha, cos, 30)
+
+
+def _smith(p22, width, cos, last=5):
+    """Lambda: spline through the integral over slopes, in logarithms. last: of the slope's over width's."""
+    mu = width * np.geomspace(1e-3, 300, 260)
+    x, w = np.polynomial.legendre.leggauss(12)
+    cuts = np.concatenate([[-30], np.arange(-14, last, 0.5)])
+    log_s = (cuts[:-1, None] + np.diff(cuts)[:, None] * (x + 1) / 2).ravel()
+    weight = (np.diff(cuts)[:, None] / 2 * w).ravel()
+    y = np.hypot(width, mu[:, None]) * np.exp(log_s)  # y^2 = r^2 - mu^2, r dr = y dy
+    ratio = y / mu[:, None]
+    excess = np.where(ratio < 0.02, mu[:, None] * ratio**3 * (1 / 3 - ratio**2 / 5 + ratio**4 / 7),
+                      y - mu[:, None] * np.arctan(ratio))  # fmt: skip
+    value = 2 / mu * ((p22(mu[:, None] ** 2 + y**2) * excess * y**2) @ weight)
+    good = value > 1e-13
+    spline = CubicSpline(np.log(mu[good]), np.log(value[good]))
+    cot = cos / np.sqrt(np.maximum(1 - cos**2, 1e-30))
+    inside = np.exp(spline(np.log(np.clip(cot, mu[0], mu[good][-1]))))
+    # towards the horizon Lambda goes as 1 / mu
+    inside = np.where(cot < mu[0], inside * mu[0] / np.maximum(cot, 1e-300), inside)
+    return np.where(cot > mu[good][-1], 0.0, inside)
 
 
 class Lobes(NamedTuple):
@@ -116,12 +133,24 @@ def coma(sigma=0.5, angle=0.0):
     return Setup(POINT, lens=tuple(zip(rows[:, 0], x, y, strict=True)))
 
 
+def airy(sigma=0.5):
+    """Diffraction by a round pupil up to its second dark ring (91 % of the light), of this standard deviation, scaled."""
+    x, w = np.polynomial.legendre.leggauss(14)
+    v = jn_zeros(1, 2)[1] * (1 + x) / 2
+    share = w * v * (2 * j1(v) / v) ** 2
+    share /= share.sum()
+    v *= np.sqrt(2 * (sigma**2 - POINT**2) / (share @ v**2))
+    turn = 2 * np.pi * np.arange(12) / 12
+    rings = [(s / 12, r, turn + 0.3 * n) for n, (s, r) in enumerate(zip(share, v, strict=True))]
+    return Setup(POINT, lens=tuple((s, r * np.cos(t), r * np.sin(t)) for s, r, angles in rings for t in angles))
+
+
 class Cells:
     """Cells (i, j, k as angles) of some pictures. theta_h, phi_d: (slices, cells); theta_d: (slices,). turns: of phi_d, for
-    each way that a cell is seen."""
+    each way that a cell is seen. finest: slope below which the lobe has no structure: it saves nodes."""
 
-    def __init__(self, theta_h, theta_d, phi_d, setup=None, turns=(0, np.pi)):
-        self.setup, self._table = setup or Setup(), None
+    def __init__(self, theta_h, theta_d, phi_d, setup=None, turns=(0, np.pi), finest=0.0):
+        self.setup, self._table, self._finest = setup or Setup(), None, finest
         r = self.setup.radius
         th, td, psi = theta_h[..., None], theta_d[:, None, None], np.pi - phi_d[..., None] + np.array(turns)
         self.theta_d = theta_d
@@ -147,6 +176,7 @@ class Cells:
 
     def _polar(self):
         graded = np.exp(np.concatenate([[-16, -13, -11], np.arange(-10, 0, 0.3)]))
+        graded = graded[graded > self._finest]
         even = np.arange(_PANEL_PX, 200, _PANEL_PX) / self.setup.radius
         cuts = np.concatenate([graded[graded * 0.3 < _PANEL_PX / self.setup.radius], even])
         cuts = np.unique(np.concatenate([[0], cuts[cuts < 1.45]]))
@@ -232,14 +262,23 @@ class Cells:
 
     def ways(self, lobe):
         """What is recorded one way and the other, 1/sr at F = 1: (slices, cells, 2), NaN where left out."""
+        return self._seen(
+            lambda s2, cos_i, cos_o: lobe.p22(s2) * (1 + s2) ** 2 / (1 + lobe.smith(cos_i) + lobe.smith(cos_o))
+        )
+
+    def body(self):
+        """The same of a Lambertian surface of albedo 1."""
+        return self._seen(lambda s2, cos_i, cos_o: 4 * cos_i * cos_o / np.pi)
+
+    def _seen(self, light):
+        """light: of (squared slope of the half vector, both cosines): the BRDF times 4 cos_i cos_o."""
         out = np.full(self.x.shape, np.nan)
         for j in range(self.theta_d.size):
             for chosen, (s2, cos_i, cos_o, weight), apply in (
                 (self.near[j], self.grids[j], lambda light, w, j=j: self.rows[j] @ (light * w)),
                 (self.far[j], self.far_nodes[j], lambda light, w: (light * w).sum((1, 2))),
             ):
-                light = lobe.p22(s2) * (1 + s2) ** 2 / (1 + lobe.smith(cos_i) + lobe.smith(cos_o))
-                out[j][chosen] = apply(light, weight)
+                out[j][chosen] = apply(light(s2, cos_i, cos_o), weight)
         return out / self.cos_i
 
     def pixel_numbers(self):

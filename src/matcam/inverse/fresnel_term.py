@@ -15,7 +15,7 @@ from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, samp
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
-from matcam.core.remark import Remark, to_attribute
+from matcam.core.remark import to_attribute
 from matcam.core.workspace import Workspace
 from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain
@@ -23,7 +23,7 @@ from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
-from matcam.inverse.picture_gain import picture_gain
+from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.material.optical_constants import metal as metal_index
@@ -134,7 +134,7 @@ def fresnel(
     term = _average(terms, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)
     term = term.with_gain(gain)
-    remarks = (*explained.remarks, *_gain_remarks(gain))
+    remarks = (*explained.remarks, *gain_remarks(gain))
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
@@ -340,15 +340,6 @@ def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
     if LENS not in found.params:
         return rig
     return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
-
-
-def _gain_remarks(gain: float) -> tuple[Remark, ...]:
-    if not gain:
-        return ()
-    text = (
-        f"F scatters from picture to picture by {gain:.1%}: a gain of each picture, which its standard deviation holds"
-    )
-    return (Remark("picture-gain", text),)
 
 
 @kept_program

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcam.core.remark import Remark
+
 _FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 _STEEP = np.radians(70.0)  # theta_d up to which F is smooth enough for its roughness to be the pictures'
 _CLEAR = 4.0  # 2 ln likelihood that a gain must bring to be believed
@@ -40,6 +42,25 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
     # as good as no prior: flat in the variance below the noise's, in its logarithm above
     weight = np.exp(log_likelihood[1:] - log_likelihood[1:].max()) * variance / (variance + noise)
     return float(np.sqrt(weight @ variance / weight.sum()))
+
+
+def strengths_gain(
+    theta_d: np.ndarray, strengths: np.ndarray, noise_covariance: np.ndarray, rig_covariance: np.ndarray
+) -> float:
+    """Return the same of a fit's strengths, (channels, slices), whose covariances are (channels, slices, slices)."""
+    divisor = np.where(np.isfinite(strengths), strengths, np.inf)
+    covariance = (noise_covariance + rig_covariance) / divisor[:, :, None] / divisor[:, None, :]
+    return picture_gain(theta_d, strengths, covariance)
+
+
+def gain_remarks(gain: float) -> tuple[Remark, ...]:
+    """Say that there is a gain, where there is."""
+    if not gain:
+        return ()
+    text = (
+        f"F scatters from picture to picture by {gain:.1%}: a gain of each picture, which its standard deviation holds"
+    )
+    return (Remark("picture-gain", text),)
 
 
 def _likelihood(curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:

@@ -26,6 +26,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.operator.sphere_view import sphere_view
+from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
 
@@ -146,9 +147,15 @@ class Correction:
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
         scattered = glare * _farthest_glare(brdf, rig, best)
-        left = found.without_camera.noise if held_back and found.no_blur else found.shape.noise
+        left, lit = found.shape.noise, best
+        if held_back and found.no_blur:
+            left, lit = found.without_camera.noise, found.blind
+        if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
+            left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
         table = _corrected_table(brdf, best, left, ratio, scattered, glare)
         remarks = found.remarks
+        if noise is None:
+            remarks = (*remarks, *gain_remarks(left.picture_gain))
         if found.no_blur and _matters(fitted):
             remarks = (*remarks, found.no_blur_remark)
         if said:
