@@ -187,7 +187,7 @@ BAD = [
     ("fresnel same.binary -o same.binary --force", "is the input itself"),
     ("fresnel MEASURED --normalise 50 20", "--normalise must be"),
     ("fresnel MEASURED --ndf phong", "'phong' is not one of"),
-    ("fresnel", "Missing argument 'file'"),
+    ("fresnel", "Missing argument 'file'"),  # some versions of typer write it in capitals
     ("predict -1", "No such option: -1"),
     ("predict --ndf epd", "--power must be given for epd"),
     ("predict --power 1", "--power belongs to epd and sgd, not to ggx, got 1"),
@@ -209,7 +209,7 @@ def test_bad_input_is_one_line_code_2_and_nothing_written(matcam, measured, bad_
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("matcam: ")
-    assert words in lines[0]
+    assert words.lower() in lines[0].lower()
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == bad_files
 
 

@@ -11,6 +11,7 @@ a channel of the BRDF. An empty value is missing. Numbers are written with all t
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -192,6 +193,8 @@ def _fill(path: Path, values: np.ndarray) -> int:
     """Fill the rows from the file's lines, some at a time, and return how many there were."""
     import pandas as pd
 
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # whose ordinary converter loses the last digit
+    exact: Any = {"float_precision": "round_trip"} if old else {}
     at = 0
     try:
         reader = pd.read_csv(
@@ -202,6 +205,7 @@ def _fill(path: Path, values: np.ndarray) -> int:
             chunksize=_LINES_AT_ONCE,
             index_col=False,
             on_bad_lines="error",
+            **exact,
         )
         with reader:
             for block in reader:
