@@ -181,7 +181,8 @@ def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark 
     """Return what overshoot and noise say together."""
     over, std = float(stack.overshoot[i]), max(float(stack.overshoot_std[i]), 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
-    if over < _OVERSHOOT or (over / std + apart) / np.sqrt(2) < _SURE:
+    # beside an edge JPEG rings
+    if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
     share = _PER_OVERSHOOT * over
     text = f"the edge overshoots by {over:.1%}, as in a sharpened picture: MTF50 may be too high by {share:.0%}"
