@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from matcam import calibrate
+from matcam.calibration.camera.lateral_colour import lateral_remark
 from tests.oracle import slanted_squares
 
 SHAPE = (420, 440)
@@ -29,13 +30,13 @@ def test_colours_of_different_size_are_told(found):
         truth = (LARGER[name] - 1) * half
         assert lateral.corner == pytest.approx(truth, abs=3 * lateral.corner_std + 0.003)
         assert lateral.corner_std < 0.03
-        assert lateral.count >= 12
+        assert lateral.edges >= 12
 
 
 def test_it_is_said_where_it_can_be_seen(found):
     said = [remark.text for remark in found.remarks if remark.code == "lateral-colour"]
     assert [text.split()[0] for text in said] == [
-        name for name, one in found.lateral_colour.items() if one.remark(name, "G")
+        name for name, one in found.lateral_colour.items() if lateral_remark(one, name, "G")
     ]
     assert any(text.startswith("R lies 0.3") and "further out" in text for text in said)
     assert found.to_dict()["lateral_colour"]["R"]["corner"] == found.lateral_colour["R"].corner

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
-from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour
+from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour, lateral_remark
 from matcam.calibration.camera.processed_pictures import doubt_of
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
@@ -216,7 +216,7 @@ def calibrate(
         measured.remarks += fit.remarks
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
     lateral = _lateral_colours(fits, {f.shape for f in findings if f.shape is not None})
-    measured.remarks += [r for name, found in lateral.items() if (r := found.remark(name, _REFERENCE))]
+    measured.remarks += [r for name, found in lateral.items() if (r := lateral_remark(found, name, _REFERENCE))]
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used), lateral)
 
 

@@ -29,7 +29,7 @@ class LateralColour(NamedTuple):
         corner_std: its standard deviation, px.
         scale: the same over half the diagonal, at the middle (no unit).
         scale_std: its standard deviation.
-        count: how many edges say so.
+        edges: how many edges say so (no unit).
 
     Example:
         >>> lateral = matcam.calibration.LateralColour(0.4, 0.02, 2e-4, 1e-5, 60)
@@ -41,17 +41,7 @@ class LateralColour(NamedTuple):
     corner_std: float
     scale: float
     scale_std: float
-    count: int
-
-    def remark(self, channel: str, reference: str) -> Remark | None:
-        """Return that colours differ in size; None where they do not, by 0.1 px and 5 standard deviations."""
-        if abs(self.corner) < max(_REMARKABLE, _SURE * self.corner_std):
-            return None
-        where = "further out" if self.corner > 0 else "further in"
-        text = (
-            f"{channel} lies {abs(self.corner):.2f} +- {self.corner_std:.2f} px {where} than {reference} in the corners"
-        )
-        return Remark("lateral-colour", f"{text}: lateral colour")
+    edges: int
 
 
 def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
@@ -97,3 +87,14 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
         float(np.sqrt(covariance[2, 2])) / unit,
         int(keep.sum()),
     )
+
+
+def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
+    """Return that two colours differ in size; None where they do not, by 0.1 px and 5 standard deviations."""
+    if abs(found.corner) < max(_REMARKABLE, _SURE * found.corner_std):
+        return None
+    where = "further out" if found.corner > 0 else "further in"
+    text = (
+        f"{channel} lies {abs(found.corner):.2f} +- {found.corner_std:.2f} px {where} than {reference} in the corners"
+    )
+    return Remark("lateral-colour", f"{text}: lateral colour")
