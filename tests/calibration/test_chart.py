@@ -21,8 +21,16 @@ def test_description_survives_its_file(tmp_path, kinds):
     assert read_chart(tmp_path / "chart.json") == chart
 
 
-def test_everything_lies_on_the_page_and_nothing_on_something_else():
-    chart = design_chart(KINDS, pixels_across=4000)
+DEFAULT = ("squares", "bars", "star", "dots")
+
+
+@pytest.mark.parametrize(
+    ("kinds", "pixels"), [(KINDS, 4000), *((DEFAULT, n) for n in (400, 450, 520, 700, 3000, 6000))]
+)
+def test_everything_lies_on_the_page_and_nothing_on_something_else(kinds, pixels):
+    chart = design_chart(kinds, pixels_across=pixels)
+    seen = {type(element) for element in chart.elements}
+    assert {Square, Grating, Star, Dots} <= seen
     boxes = []
     for element in chart.elements:
         if isinstance(element, Star):
@@ -40,6 +48,18 @@ def test_everything_lies_on_the_page_and_nothing_on_something_else():
     assert (high < chart.page).all()
     apart = ((low[:, None] >= high[None]) | (low[None] >= high[:, None])).any(-1)
     assert (apart | np.eye(len(low), dtype=bool)).all()
+
+
+@pytest.mark.parametrize("pixels", [400, 450, 500])
+def test_squares_and_gratings_of_small_pages_shrink(pixels):
+    chart = design_chart(pixels_across=pixels)
+    pixel = chart.page[0] / pixels
+    squares = [e for e in chart.elements if isinstance(e, Square)]
+    gratings = [e for e in chart.elements if isinstance(e, Grating)]
+    assert len(squares) == len(gratings) == 2
+    assert all(40 <= np.hypot(*np.subtract(*e.corners[:2])) / pixel < 80 for e in squares)
+    # a single frequency: one at which blur shows
+    assert all(0.15 < pixel / e.period < 0.3 for e in gratings)
 
 
 BAD = [

@@ -133,6 +133,42 @@ def test_noise_of_flat_parts():
     assert flat_noise(np.full((40, 40), 3.0), np.ones((40, 40), bool), np.zeros((40, 40), bool)).alike_std == np.inf
 
 
+def compressed(rng, snr, quality):
+    """A picture after JPEG, its sRGB undone, and MTF50 before."""
+    counts, half, level = next(drawn(rng, 1, snrs=(snr,)))
+    return 1e3 * software.decoded(software.jpeg(software.encoded(counts, WHITE * level), quality)), half
+
+
+def test_blocks_are_not_taken_for_denoising():
+    rng = np.random.default_rng(68)
+    x, y = oracle.grid(*oracle.SIZE)
+    for _ in range(6):
+        picture, _ = compressed(rng, 100, 80)
+        side = x * np.cos(np.radians(9)) + y * np.sin(np.radians(9))
+        noise = flat_noise(picture, side < -14, side > 14)
+        assert noise.compressed
+        assert not noise.denoised
+
+
+@pytest.mark.slow
+def test_errors_of_compressed_pictures():
+    """They are as wide as JPEG's own errors, and a little more: what it takes away is no noise."""
+    rng = np.random.default_rng(69)
+    inside = []
+    for quality in (80, 90, 95):
+        for snr in (40, 100):
+            pictures, truth = zip(*(compressed(rng, snr, quality) for _ in range(60)), strict=True)
+            stack = edge_mtf_stack(np.stack(pictures))
+            error, std = stack.mtf50 / np.array(truth) - 1, stack.mtf50_std / np.array(truth)
+            inside.append(np.mean(np.abs(error[stack.good]) < std[stack.good]))
+            print(
+                quality, snr, f"rms {np.sqrt(np.nanmean(error**2)):.2%} stated {np.nanmedian(std):.2%} {inside[-1]:.0%}"
+            )
+            assert np.nanmean(np.abs(error) < 2 * std) > 0.85
+            assert np.nanmedian(std) < 2.5 * np.sqrt(np.nanmean(error**2))
+    assert 0.62 < np.mean(inside) < 0.85
+
+
 def test_a_pile_at_the_lowest_value():
     rng = np.random.default_rng(67)
     dark, bright = rng.poisson(20, 3000).astype(float), rng.poisson(900, 3000).astype(float)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
+from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour, lateral_remark
 from matcam.calibration.camera.processed_pictures import doubt_of
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
@@ -32,6 +33,7 @@ from matcam.files.photographs import Photograph, open_photograph
 if TYPE_CHECKING:
     import xarray as xr
 
+_REFERENCE = "G"  # the colour whose picture has most sites
 Picture = str | Path | ArrayLike | Photograph | LinearImage
 
 
@@ -44,6 +46,7 @@ class Calibration:
         failed: pictures that could not be used, and why.
         remarks: what was assumed, and what a photographer should know.
         pictures: names of the pictures that were used.
+        lateral_colour: by how much red and blue are larger than green, by channel. Default: {}, not known.
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -58,6 +61,7 @@ class Calibration:
     failed: dict[str, str]
     remarks: tuple[Remark, ...]
     pictures: tuple[str, ...]
+    lateral_colour: dict[str, LateralColour] = field(default_factory=dict)
 
     @property
     def channel(self) -> str:
@@ -113,6 +117,7 @@ class Calibration:
                 "pictures": self.pictures,
                 "failed": self.failed,
                 "remarks": texts(self.remarks),
+                "lateral_colour": {name: found._asdict() for name, found in self.lateral_colour.items()},
             }
         )
 
@@ -210,7 +215,19 @@ def calibrate(
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         measured.remarks += fit.remarks
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
-    return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used))
+    lateral = _lateral_colours(fits, {f.shape for f in findings if f.shape is not None})
+    measured.remarks += [r for name, found in lateral.items() if (r := lateral_remark(found, name, _REFERENCE))]
+    return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used), lateral)
+
+
+def _lateral_colours(fits: Mapping[str, CameraFit], shapes: set[tuple[int, int]]) -> dict[str, LateralColour]:
+    """Return by how much other colours are larger than green, where edges of pictures of one shape say so."""
+    green = fits[_REFERENCE].edges if _REFERENCE in fits else None
+    if green is None or len(shapes) != 1:
+        return {}
+    others = {name: fit.edges for name, fit in fits.items() if name in ("R", "B")}
+    found = {name: lateral_colour(edges, green, *shapes) for name, edges in others.items() if edges is not None}
+    return {name: one for name, one in found.items() if one is not None}
 
 
 @dataclass

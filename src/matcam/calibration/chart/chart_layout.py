@@ -25,6 +25,10 @@ _SQUARE, _PATCH, _GAP = (
     76.0,
     1.4,
 )  # px: side of a square and of a grating; a grating with its paper over the grating
+_SPACING = 1.6  # sides of a square from one to the next
+_SMALLEST = (
+    0.5  # of a square or grating, to which it shrinks where a panel is small: still measured, with larger errors
+)
 _DOT, _PITCH = 1.3, 14.0  # px: radius and distance of dots; nothing of a neighbour's blur is left half way
 _LINES = 0.25  # bright share of a period
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
@@ -72,7 +76,8 @@ def design_chart(
     size = PAGES[checks.choice("page", page, tuple(PAGES))] if isinstance(page, str) else page
     width, height = (float(checks.within("page", side, 50, 5000, "mm")) for side in size)
     pixel = width / float(checks.within("pixels_across", pixels_across, 300, 100_000))
-    margin = max(0.045 * min(width, height), 14 * pixel)
+    # fiducials of less than 2.6 px in radius are lost where a lens blurs by 1 px
+    margin = max(0.045 * min(width, height), 17 * pixel)
     radius = margin / 6.5
     fiducials = tuple(_fiducials(width, height, margin, radius))
     strip = 0.06 * height
@@ -138,10 +143,21 @@ def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int
             yield row, column, first[0] + column * pitch, first[1] + row * pitch
 
 
+def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
+    """Return the side of squares in a panel: the usual one where at least so many fit, else the largest of which two do.
+
+    pitch: in sides, from one to the next.
+    """
+    if math.prod(int(side / (pitch * usual)) for side in size) >= least:
+        return usual
+    small, large = sorted(size)
+    return float(np.clip((1 - 1e-9) * min(small, large / 2) / pitch, _SMALLEST * usual, usual))
+
+
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
     """Fill a panel with slanted squares."""
-    side = _SQUARE * pixel
-    for _, _, x, y in _places(corner, size, 1.6 * side):
+    side = _fitting_side(size, _SQUARE * pixel, _SPACING, 1)
+    for _, _, x, y in _places(corner, size, _SPACING * side):
         points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
         a, b, c, d = ((float(px), float(py)) for px, py in points)
         yield Square((a, b, c, d), _DARK)
@@ -152,10 +168,12 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
     duty, bright = (_LINES if profile == "lines" else 0.5), (_SINE_BRIGHT if profile == "sine" else _BRIGHT)
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
-        side = _PATCH * pixel
+        side = _fitting_side(size, _PATCH * pixel, _GAP, 2)
         places = list(_places(corner, size, _GAP * side))
         count = min(len(places) // 2, len(_FREQUENCIES))
-        chosen = [_FREQUENCIES[i] for i in np.linspace(0, len(_FREQUENCIES) - 1, count).round().astype(int)]
+        # a single one is best where blur shows
+        first = 0 if count > 1 else len(_FREQUENCIES) // 2 - 1
+        chosen = [_FREQUENCIES[i] for i in np.linspace(first, len(_FREQUENCIES) - 1, count).round().astype(int)]
         wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
         for (_, _, x, y), (frequency, angle) in zip(places, wanted, strict=False):
             period = pixel / frequency

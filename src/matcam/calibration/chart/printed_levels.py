@@ -18,8 +18,13 @@ from matcam.core.jax import FloatArray
 from matcam.core.remark import Remark
 
 _FEWEST = 4  # patches
-_INSIDE = 0.3  # of a patch's sides, which borders and blur may see
-_BESIDE = (1.2, 1.35)  # of half a patch's size: paper, where the brighter of two pairs of sides is
+_CLEAR = 3.0  # px from a patch's border, which blur reaches
+_INSIDE = (0.3, 0.6)  # of half a patch's size: so much is left out at least, and at most where a patch is small
+_BESIDE = (
+    0.2,
+    0.45,
+)  # of the same: so far beyond the border begins the paper, where the brighter of two pairs of sides is
+_PAPER = 0.15  # of the same: how far it reaches
 _GRID = 16  # places along each side
 _KNOWN = 24  # pixels of a patch, and of the paper beside it
 _UNEVEN = 0.05  # of a patch's level: between its quarters, beyond noise
@@ -127,7 +132,9 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
             return None
         return float(seen.mean()), float(seen.std() / np.sqrt(seen.size))
 
-    inner = (1 - _INSIDE) * line
+    middle, *ends = projection(np.array([centre, centre + across, centre + along]))
+    shortest = max(min(float(np.hypot(*(end - middle))) for end in ends), 1e-9)
+    inner = (1 - np.clip(_CLEAR / shortest, *_INSIDE)) * line
     own = level(inner, inner)
     parts = [level(u, v) for u in (inner[: _GRID // 2], inner[_GRID // 2 :]) for v in (inner,)]
     if own is None or not own[0] > 0:
@@ -137,7 +144,7 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
         return None
     # what lies beyond a shorter side is as far away as beyond a longer one
     ratio = float(np.hypot(*across) / np.hypot(*along))
-    reach = np.linspace(*_BESIDE, _GRID // 2)
+    reach = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
     beside_u = 1 + (reach - 1) * min(1.0, 1 / ratio)
     beside_v = 1 + (reach - 1) * min(1.0, ratio)
     pairs = [

@@ -36,6 +36,7 @@ _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blur
 _SURER = 0.1  # of that, of a lens model
 _JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
+_PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out
 _LEAST_NOISE = 2e-4  # of the step
 _GHOST, _SURE_GHOST = 0.01, 4.0  # of the step; standard deviations, from which a ghost is remarked on
 
@@ -160,7 +161,9 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
         text = (
             f"{seen} and there are borders every 8 px: JPEG; whether it was denoised or sharpened before does not show"
         )
-        return [(Remark("compressed", text), 0.0)]
+        share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
+        more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
+        return [(Remark("compressed", text + more), share)]
     share = smoothing_doubt(blur, denoised=noise.denoised)
     name = "a denoised" if noise.denoised else "a demosaiced or denoised"
     seen += ", over several px" if noise.denoised else ""
@@ -181,7 +184,8 @@ def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark 
     """Return what overshoot and noise say together."""
     over, std = float(stack.overshoot[i]), max(float(stack.overshoot_std[i]), 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
-    if over < _OVERSHOOT or (over / std + apart) / np.sqrt(2) < _SURE:
+    # beside an edge JPEG rings
+    if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
     share = _PER_OVERSHOOT * over
     text = f"the edge overshoots by {over:.1%}, as in a sharpened picture: MTF50 may be too high by {share:.0%}"

@@ -22,6 +22,9 @@ _ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 a
 _WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG reach less far
 _BENT, _SURE_BENT = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
 _GRID = 1.4  # squared difference across a block's border over that within
+_BLOCKS_ALONE = (
+    4.0  # the same, from which the blocks alone have taken the noise: denoised pictures show less of a border
+)
 # px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
 _DENOISED, _DEMOSAICED = 0.2, 0.15
 _MOST = 0.4  # of MTF50
@@ -68,7 +71,8 @@ class FlatNoise(NamedTuple):
     @property
     def denoised(self) -> bool:
         """Say whether pixels further apart err alike, too."""
-        return self.smoothed and self.wide < (_WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE)
+        wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
+        return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:

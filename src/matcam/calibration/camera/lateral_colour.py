@@ -1,0 +1,100 @@
+"""Lateral colour: by how much a lens shows one colour larger than another, from where both see the same edges.
+
+An edge tells where it lies along its normal alone. Between colours it moves by a shift, and by a magnification that may change
+with the squared distance from the picture's middle.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from matcam.calibration.camera.evidence import EdgeTable
+from matcam.core.remark import Remark
+
+_SAME = 2.0  # px: middles of one edge in two colours
+_ALIKE = np.radians(3.0)  # between their normals
+_FEWEST, _MANY = 12, 24  # edges for a magnification; for one that changes over the field
+_FAR, _ROUNDS = 4.0, 3  # standard deviations: of an edge that is left out
+_REMARKABLE, _SURE = 0.1, 5.0  # px in the corners; standard deviations
+
+
+class LateralColour(NamedTuple):
+    """Hold how a colour's image differs in size from that of another.
+
+    Attributes:
+        corner: how far further out this colour lies in the picture's corners, px.
+        corner_std: its standard deviation, px.
+        scale: the same over half the diagonal, at the middle (no unit).
+        scale_std: its standard deviation.
+        edges: how many edges say so (no unit).
+
+    Example:
+        >>> lateral = matcam.calibration.LateralColour(0.4, 0.02, 2e-4, 1e-5, 60)
+        >>> lateral.corner
+        0.4
+    """
+
+    corner: float
+    corner_std: float
+    scale: float
+    scale_std: float
+    edges: int
+
+
+def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
+    """Return how a colour's edges lie to those of another; None where too few are seen in both.
+
+    shape: height and width of the pictures, px.
+    """
+    middle, unit = (np.array(shape[::-1]) - 1) / 2, float(np.hypot(*shape) / 2)
+    places, moved, normals = [], [], []
+    for source in dict.fromkeys(of.source.tolist()):
+        mine, theirs = np.flatnonzero(of.source == source), np.flatnonzero(reference.source == source)
+        if not theirs.size:
+            continue
+        here, there = (np.column_stack([a.x, a.y])[at] for a, at in ((of, mine), (reference, theirs)))
+        far, nearest = cKDTree(there).query(here)
+        turn = of.angle[mine] - reference.angle[theirs][nearest]
+        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * turn))) < _ALIKE)
+        angle = reference.angle[theirs][nearest][same]
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])
+        places.append(there[nearest][same])
+        normals.append(normal)
+        moved.append(((here - there[nearest])[same] * normal).sum(1))
+    if not places or sum(map(len, places)) < _FEWEST:
+        return None
+    at, normal, off = (np.concatenate(parts) for parts in (places, normals, moved))
+    from_middle = (at - middle) / unit
+    out = (from_middle * normal).sum(1)
+    columns = [normal[:, 0], normal[:, 1], out]
+    if len(off) >= _MANY:
+        columns.append(out * (from_middle**2).sum(1))
+    design, keep = np.column_stack(columns), np.ones(len(off), bool)
+    for _ in range(_ROUNDS):
+        found = np.linalg.lstsq(design[keep], off[keep], rcond=None)[0]
+        left = off - design @ found
+        keep = np.abs(left) < _FAR * max(1.4826 * float(np.median(np.abs(left[keep]))), 1e-9)
+    spare = max(int(keep.sum()) - design.shape[1], 1)
+    covariance = np.linalg.pinv(design[keep].T @ design[keep]) * float((left[keep] ** 2).sum()) / spare
+    corner = (np.arange(design.shape[1]) >= 2).astype(float)
+    return LateralColour(
+        float(corner @ found),
+        float(np.sqrt(corner @ covariance @ corner)),
+        float(found[2]) / unit,
+        float(np.sqrt(covariance[2, 2])) / unit,
+        int(keep.sum()),
+    )
+
+
+def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
+    """Return that two colours differ in size; None where they do not, by 0.1 px and 5 standard deviations."""
+    if abs(found.corner) < max(_REMARKABLE, _SURE * found.corner_std):
+        return None
+    where = "further out" if found.corner > 0 else "further in"
+    text = (
+        f"{channel} lies {abs(found.corner):.2f} +- {found.corner_std:.2f} px {where} than {reference} in the corners"
+    )
+    return Remark("lateral-colour", f"{text}: lateral colour")
