@@ -31,8 +31,10 @@ _EACH = 4.0
 _MUCH = 20.0
 """Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
 _TURNS = 3  # sources that may be wrong
-_MANY = 32
-"""Pictures beyond which the lobe is chosen by an even choice of them; all are fitted in the end."""
+_MANY, _SOME = 32, 16
+"""Pictures beyond which the lobe is chosen by an even choice of them, and how many these are; all are fitted in the end."""
+_HOPELESS = 1.5
+"""A lobe that leaves so much more unexplained than the best is not tried again under other priors."""
 _FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources that state something of each picture."""
@@ -102,7 +104,7 @@ def chosen_fit(
     remarks: list[Remark] = []
     few: ChosenFit | None = None
     if len(pictures) > _MANY:
-        some = np.unique(np.linspace(0, len(pictures) - 1, _MANY).round().astype(int)).tolist()
+        some = np.unique(np.linspace(0, len(pictures) - 1, _SOME).round().astype(int)).tolist()
         few = chosen_fit(
             [pictures[k] for k in some],
             part_of(scene, some),
@@ -110,7 +112,7 @@ def chosen_fit(
             family,
             masking=masking,
             diffuse=diffuse,
-            progress=lambda line: say(f"{_MANY} of {len(pictures)} pictures: {line}"),
+            progress=lambda line: say(f"{_SOME} of {len(pictures)} pictures: {line}"),
             fit_pictures=fit_pictures,
         )
         first, remarks = few.fit.kind.family, [one for one in few.remarks if one.code != "picture-left-out"]
@@ -129,16 +131,18 @@ def chosen_fit(
             **more,
         )
 
-    chosen: dict[str, object] = {}
+    chosen: dict[str, object] = {"rivals": CANDIDATES[1:]} if family == AUTO else {}
     if few is not None:
         chosen = {"start": few.fit, "bend": _BEND if few.fit.kind.bends else 0.0}
     best = fitted(first, scene, **chosen)
-    tried = {first: best.solution.unexplained}
+    tried = {best.kind.family: best.solution.unexplained}
 
     def rivalled(best: SphereFit) -> SphereFit:
         """Return the likeliest of a fit that noise alone does not explain and those of the other candidates."""
         for name in CANDIDATES:
             if family != AUTO or name == best.kind.family or _explained(best):
+                continue
+            if tried.get(name, 0.0) > _HOPELESS * best.solution.unexplained:
                 continue
             width = float(np.exp(best.solution.p[0]))
             other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]), rounds=1)
@@ -163,7 +167,7 @@ def chosen_fit(
         )
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
         scene = part_of(scene, keep)
-        best = fitted(first, scene, **(chosen or {"widths": np.exp(best.solution.p[:1])}))
+        best = fitted(first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None else chosen))
     if few is not None:
         return ChosenFit(best, few.tried, tuple(remarks), few.widened)
     widened: dict[str, float] = {}
