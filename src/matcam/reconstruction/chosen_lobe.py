@@ -23,7 +23,8 @@ _BEND = 1.0
 _FEWEST = 3
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
 """Unexplained share of the light, and mean squared residual, up to either of which the noise alone explains the pictures."""
-_CLEARLY = 0.9  # of the unexplained share: what a bent lobe must at least take away
+_CLEARLY, _AT_ONCE = 0.9, 0.5
+"""Of the unexplained share: below which a bent lobe must come in the end, and before anything else is blamed."""
 _CONTRADICTED = 2.5
 """Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
 _EACH = 4.0
@@ -152,9 +153,24 @@ def chosen_fit(
                 tried[name] = best.solution.unexplained
         return best
 
+    bends: list[SphereFit] = []
+
+    def bent(best: SphereFit, share: float) -> SphereFit:
+        """Return the fit bent smoothly, where that leaves less than a share of what is unexplained."""
+        name = f"{best.kind.family}, bent"
+        if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
+            return best
+        if not bends or bends[0] is not best:  # else it is the same fit, met again
+            bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
+        other = bends[1]
+        tried[name] = other.solution.unexplained
+        return other if tried[name] < share * best.solution.unexplained and _likelier(other, best) else best
+
     if few is None:
         # before anything is blamed: a wrong lobe makes pictures unexplained, and what is stated look wrong
-        best = rivalled(best)
+        best = bent(rivalled(best), _AT_ONCE)
+        if best.kind.bends:
+            chosen = {"start": best, "bend": _BEND}
     first, lost = best.kind.family, best.unexplained_pictures
     whole = pictures, scene, lamps
     if lost and len(pictures) - len(lost) >= _FEWEST:
@@ -167,7 +183,9 @@ def chosen_fit(
         )
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
         scene = part_of(scene, keep)
-        best = fitted(first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None else chosen))
+        best = fitted(
+            first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None and not best.kind.bends else chosen)
+        )
     if few is not None:
         return ChosenFit(best, few.tried, tuple(remarks), few.widened)
     widened: dict[str, float] = {}
@@ -179,33 +197,27 @@ def chosen_fit(
         widened[source] = widened.get(source, 1.0) * factor
         remarks = [*(one for one in remarks if one.code != remark.code), remark]
         scene = _widened(scene, source, factor)
-        best = fitted(first, scene, start=best)
+        best = fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
     if widened and len(pictures) < len(whole[0]):
         # what was stated was wrong: with that mended, the pictures left out may be explained, too
         kept = pictures, scene, lamps
         pictures, scene, lamps = whole
         for source, factor in widened.items():
             scene = _widened(scene, source, factor)
-        again = fitted(first, scene, widths=np.exp(best.solution.p[:1]))
+        again = fitted(first, scene, **(chosen if best.kind.bends else {"widths": np.exp(best.solution.p[:1])}))
         if again.unexplained_pictures:
             pictures, scene, lamps = kept
         else:
             best, remarks = again, [one for one in remarks if one.code != "picture-left-out"]
-    tried[first] = best.solution.unexplained
-    if len(pictures) < len(whole[0]) or widened:
-        # under other priors, or without what no lobe explained, another one may be likelier
-        best = rivalled(best)
-    if family == AUTO and not _explained(best):
-        bent = fitted(best.kind.family, scene, start=best, bend=_BEND)
-        tried[f"{best.kind.family}, bent"] = bent.solution.unexplained
-        if bent.solution.unexplained < _CLEARLY * best.solution.unexplained and _likelier(bent, best):
-            best = bent
-            remarks.append(
-                Remark(
-                    "lobe-bent",
-                    f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly",
-                )
-            )
+    tried[f"{first}, bent" if best.kind.bends else first] = best.solution.unexplained
+    if not best.kind.bends:
+        if len(pictures) < len(whole[0]) or widened:
+            # under other priors, or without what no lobe explained, another one may be likelier
+            best = rivalled(best)
+        best = bent(best, _CLEARLY)
+    if best.kind.bends:
+        text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
+        remarks.append(Remark("lobe-bent", text))
     return ChosenFit(best, tried, tuple(remarks), widened)
 
 
