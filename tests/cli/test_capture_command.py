@@ -5,10 +5,14 @@ import json
 import numpy as np
 import pytest
 
+from matcam import Sphere, limits, rigs
+from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import FitError
 from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.files.capture import read_capture, read_settings
 from matcam.forward import synthetic_capture
+from matcam.inverse.capture_plan import plan_capture
+from matcam.lamp.lamps import NearLamp
 from matcam.material.optical_constants import metal
 from tests.acquisition.drawn import small
 from tests.oracle.capture import MOSAICS
@@ -116,6 +120,22 @@ def test_a_plan_names_what_the_model_does(matcam):
     assert found["lamp_std_deg"] == pytest.approx(0.25, abs=0.02)
     assert found["outline_std_px"] * 400 / min(found["radius_px"] or 1600, 1600) == pytest.approx(0.15, abs=0.02)
     assert found["lamp_angle_deg"][-1] == pytest.approx(160)
+
+
+@pytest.mark.slow
+def test_a_plan_is_for_the_rigs_own_distances():
+    """A lamp at 3 radii: the bound is that of `limits` for this rig, and not that of a distant one."""
+    camera = rigs.merl().camera
+    near = rigs.Rig(camera, Sphere(400.0, 20.0), NearLamp(3.0))
+    needs = plan_capture(near, 0.02, 0.3, np.radians(60))
+    assert [size for size, _ in needs.fresnel_std] == [200.0]  # half of the rig's is enough
+    noise = PixelNoise(picture_gain=0.01)
+    bounds = []
+    for one in (rigs.Rig(camera, Sphere(200.0, 20.0), NearLamp(3.0)), rigs.Rig(camera, Sphere(200.0))):
+        found = limits(one, roughness=[0.02], noise=noise)
+        bounds.append(float(np.interp(np.radians(60), found["theta_d"].values, found["fresnel_std"].values[0])))
+    assert needs.fresnel_std[0][1] == pytest.approx(bounds[0], rel=1e-9)
+    assert abs(bounds[0] / bounds[1] - 1) > 0.02
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,8 @@ def merge(
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     sharpened = next((one for one in radiometry.remarks if one.code == "sharpened"), None)
     if sharpened is not None and not capture.settings["camera"]["accept_processed"]:
-        raise FitError(f"{sharpened.text}, or accept these with camera.accept_processed = true")
+        why = sharpened.text.removesuffix("; use raw frames")
+        raise FitError(f"{why}: give raw frames, or accept these with camera.accept_processed = true")
     pictures = []
     for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
         pictures.append(picture)

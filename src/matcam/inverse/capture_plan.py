@@ -167,4 +167,6 @@ def plan_capture(
 
 def _enlarged(rig: Rig, radius: float) -> Rig:
     """Return the rig with a sphere of another radius in the picture, px, at the same distances in radii."""
-    return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, np.inf if rig.sample.distant else rig.sample.distance))
+    assert isinstance(rig.sample, Sphere)
+    distance = np.inf if rig.sample.distant else rig.sample.distance
+    return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, distance))

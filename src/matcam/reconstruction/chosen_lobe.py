@@ -23,7 +23,8 @@ _BEND = 1.0
 _FEWEST = 3
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
 """Unexplained share of the light, and mean squared residual, up to either of which the noise alone explains the pictures."""
-_CLEARLY = 0.9  # of the unexplained share: what a bent lobe must at least take away
+_CLEARLY, _AT_ONCE = 0.9, 0.5
+"""Of the unexplained share: below which a bent lobe must come in the end, and before anything else is blamed."""
 _CONTRADICTED = 2.5
 """Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
 _EACH = 4.0
@@ -31,8 +32,10 @@ _EACH = 4.0
 _MUCH = 20.0
 """Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
 _TURNS = 3  # sources that may be wrong
-_MANY = 32
-"""Pictures beyond which the lobe is chosen by an even choice of them; all are fitted in the end."""
+_MANY, _SOME = 32, 16
+"""Pictures beyond which the lobe is chosen by an even choice of them, and how many these are; all are fitted in the end."""
+_HOPELESS = 1.5
+"""A lobe that leaves so much more unexplained than the best is not tried again under other priors."""
 _FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources that state something of each picture."""
@@ -102,7 +105,7 @@ def chosen_fit(
     remarks: list[Remark] = []
     few: ChosenFit | None = None
     if len(pictures) > _MANY:
-        some = np.unique(np.linspace(0, len(pictures) - 1, _MANY).round().astype(int)).tolist()
+        some = np.unique(np.linspace(0, len(pictures) - 1, _SOME).round().astype(int)).tolist()
         few = chosen_fit(
             [pictures[k] for k in some],
             part_of(scene, some),
@@ -110,7 +113,7 @@ def chosen_fit(
             family,
             masking=masking,
             diffuse=diffuse,
-            progress=lambda line: say(f"{_MANY} of {len(pictures)} pictures: {line}"),
+            progress=lambda line: say(f"{_SOME} of {len(pictures)} pictures: {line}"),
             fit_pictures=fit_pictures,
         )
         first, remarks = few.fit.kind.family, [one for one in few.remarks if one.code != "picture-left-out"]
@@ -129,16 +132,18 @@ def chosen_fit(
             **more,
         )
 
-    chosen: dict[str, object] = {}
+    chosen: dict[str, object] = {"rivals": CANDIDATES[1:]} if family == AUTO else {}
     if few is not None:
         chosen = {"start": few.fit, "bend": _BEND if few.fit.kind.bends else 0.0}
     best = fitted(first, scene, **chosen)
-    tried = {first: best.solution.unexplained}
+    tried = {best.kind.family: best.solution.unexplained}
 
     def rivalled(best: SphereFit) -> SphereFit:
         """Return the likeliest of a fit that noise alone does not explain and those of the other candidates."""
         for name in CANDIDATES:
             if family != AUTO or name == best.kind.family or _explained(best):
+                continue
+            if tried.get(name, 0.0) > _HOPELESS * best.solution.unexplained:
                 continue
             width = float(np.exp(best.solution.p[0]))
             other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]), rounds=1)
@@ -148,9 +153,24 @@ def chosen_fit(
                 tried[name] = best.solution.unexplained
         return best
 
+    bends: list[SphereFit] = []
+
+    def bent(best: SphereFit, share: float) -> SphereFit:
+        """Return the fit bent smoothly, where that leaves less than a share of what is unexplained."""
+        name = f"{best.kind.family}, bent"
+        if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
+            return best
+        if not bends or bends[0] is not best:  # else it is the same fit, met again
+            bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
+        other = bends[1]
+        tried[name] = other.solution.unexplained
+        return other if tried[name] < share * best.solution.unexplained and _likelier(other, best) else best
+
     if few is None:
         # before anything is blamed: a wrong lobe makes pictures unexplained, and what is stated look wrong
-        best = rivalled(best)
+        best = bent(rivalled(best), _AT_ONCE)
+        if best.kind.bends:
+            chosen = {"start": best, "bend": _BEND}
     first, lost = best.kind.family, best.unexplained_pictures
     whole = pictures, scene, lamps
     if lost and len(pictures) - len(lost) >= _FEWEST:
@@ -163,7 +183,9 @@ def chosen_fit(
         )
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
         scene = part_of(scene, keep)
-        best = fitted(first, scene, **(chosen or {"widths": np.exp(best.solution.p[:1])}))
+        best = fitted(
+            first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None and not best.kind.bends else chosen)
+        )
     if few is not None:
         return ChosenFit(best, few.tried, tuple(remarks), few.widened)
     widened: dict[str, float] = {}
@@ -175,33 +197,27 @@ def chosen_fit(
         widened[source] = widened.get(source, 1.0) * factor
         remarks = [*(one for one in remarks if one.code != remark.code), remark]
         scene = _widened(scene, source, factor)
-        best = fitted(first, scene, start=best)
+        best = fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
     if widened and len(pictures) < len(whole[0]):
         # what was stated was wrong: with that mended, the pictures left out may be explained, too
         kept = pictures, scene, lamps
         pictures, scene, lamps = whole
         for source, factor in widened.items():
             scene = _widened(scene, source, factor)
-        again = fitted(first, scene, widths=np.exp(best.solution.p[:1]))
+        again = fitted(first, scene, **(chosen if best.kind.bends else {"widths": np.exp(best.solution.p[:1])}))
         if again.unexplained_pictures:
             pictures, scene, lamps = kept
         else:
             best, remarks = again, [one for one in remarks if one.code != "picture-left-out"]
-    tried[first] = best.solution.unexplained
-    if len(pictures) < len(whole[0]) or widened:
-        # under other priors, or without what no lobe explained, another one may be likelier
-        best = rivalled(best)
-    if family == AUTO and not _explained(best):
-        bent = fitted(best.kind.family, scene, start=best, bend=_BEND)
-        tried[f"{best.kind.family}, bent"] = bent.solution.unexplained
-        if bent.solution.unexplained < _CLEARLY * best.solution.unexplained and _likelier(bent, best):
-            best = bent
-            remarks.append(
-                Remark(
-                    "lobe-bent",
-                    f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly",
-                )
-            )
+    tried[f"{first}, bent" if best.kind.bends else first] = best.solution.unexplained
+    if not best.kind.bends:
+        if len(pictures) < len(whole[0]) or widened:
+            # under other priors, or without what no lobe explained, another one may be likelier
+            best = rivalled(best)
+        best = bent(best, _CLEARLY)
+    if best.kind.bends:
+        text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
+        remarks.append(Remark("lobe-bent", text))
     return ChosenFit(best, tried, tuple(remarks), widened)
 
 

@@ -42,6 +42,8 @@ _ROUNDS = 4
 _HOPELESS = 20.0
 """Mean squared residual, of a picture and over that of the others, from which it is not explained at all."""
 _FEW = 6  # pictures in which the lobe is looked for
+_BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
+"""Widths, in the best of the first family, among which it is looked for again, and a rival family."""
 
 
 class LayProblem(Protocol):
@@ -151,6 +153,7 @@ def fit_sphere(
     progress: Callable[[str], None] | None = None,
     lay: LayProblem | None = None,
     stretched: bool = False,
+    rivals: Sequence[str] = (),
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere, or of another sample.
 
@@ -169,6 +172,7 @@ def fit_sphere(
         progress: is called with a line about each round. Default: None.
         lay: lays out the problem of another sample than a sphere. Default: None, a sphere.
         stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
+        rivals: families that take the place of `family` where their lattice explains more. Default: ().
     """
     if len(pictures) < 2:
         raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
@@ -176,13 +180,23 @@ def fit_sphere(
     lay = lay or sphere_problem
     kind = LobeKind(family, masking, KNOTS if bend else 0, stretched=stretched)
     channels = pictures[0].channels
-    layout = JointLayout(kind.size, len(channels), len(pictures))
     say = progress or (lambda _: None)
-    p = np.zeros(layout.size)
-    _write_scene(p, layout, scene)
     known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
     if start is None:
-        lobe = _searched(pictures, known, kind, widths, say, lay)
+        cost, lobe = _searched(pictures, known, kind, widths, lay)
+        if rivals:  # they are compared at widths that suit each
+            between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, lay)
+            cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
+        for rival in rivals:
+            other = LobeKind(rival, masking, kind.bends)
+            least, found_lobe = _searched(pictures, known, other, np.exp(lobe[0]) * _ABOUT, lay)
+            if least < cost:
+                cost, lobe, kind = least, found_lobe, other
+        say(f"start: {kind.family} of width {np.exp(lobe[0]):.4g}")
+    layout = JointLayout(kind.size, len(channels), len(pictures))
+    p = np.zeros(layout.size)
+    _write_scene(p, layout, scene)
+    if start is None:
         p[: lobe.size] = lobe
     else:
         old, q = start.layout, start.solution.p
@@ -269,10 +283,9 @@ def _searched(
     scene: SphereScene,
     kind: LobeKind,
     widths: np.ndarray,
-    say: Callable[[str], None],
     lay: LayProblem,
-) -> np.ndarray:
-    """Return the lobe of a lattice that explains a few pictures best, their strengths solved for."""
+) -> tuple[float, np.ndarray]:
+    """Return the lobe of a lattice that explains a few pictures best, their strengths solved for, and before it its cost."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
@@ -292,8 +305,7 @@ def _searched(
         if best is None or cost < best[0]:
             best = cost, p[: kind.size].copy()
     assert best is not None
-    say(f"start: width {np.exp(best[1][0]):.4g}")
-    return best[1]
+    return best
 
 
 def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
