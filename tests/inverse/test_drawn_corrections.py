@@ -115,7 +115,7 @@ FIRST, COUNT = 15, 7
 
 @pytest.mark.slow
 def test_random_tables():
-    """No draw is lost, of a thousand entries not one is harmed, and what is supported is right; figures that fall short stand in docs/correct.md."""
+    """No draw is lost, of a thousand entries not one is harmed, and what is supported is right (docs/correct.md)."""
     lines = [judged(number) for number in range(FIRST, FIRST + COUNT)]
     found = figures(lines)
     print("\n".join([*worst(lines), shown(found)]))
