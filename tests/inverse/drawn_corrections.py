@@ -5,6 +5,7 @@
 Draws FIRST to FIRST + COUNT - 1 are made; those that FILE holds are not made again. Each is a JSON line, printed and added to
 FILE. Then the figures of all lines stand there, by class. A draw holds the cells that a fit chooses in every sixth slice of
 theta_d, and 24 judged entries in each of these: a whole table would take a hundred times as long.
+Drawing takes 1 to 11 s of processor time, a whole draw 8 to 120 s, most about 40.
 """
 
 import json

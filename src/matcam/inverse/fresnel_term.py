@@ -127,7 +127,7 @@ def fresnel(
         blind = explained.blind_setup.with_(every=every).solve(start=explained.blind)
         terms.append(_FresnelTerm(blind, normalise))
     others = [
-        _FresnelTerm(explained.others_setup.with_(every=every).solve(start=other), normalise)
+        (_FresnelTerm(other.setup.with_(every=every).solve(start=other.fit), normalise), other.weight)
         for other in explained.others
     ]
     lobe, theta_d = found.ndf, found.theta_d
@@ -312,18 +312,20 @@ class _FresnelTerm:
         return self
 
 
-def _average(terms: list[_FresnelTerm], others: list[_FresnelTerm], weight: float, *, held_back: bool) -> _FresnelTerm:
+def _average(
+    terms: list[_FresnelTerm], others: list[tuple[_FresnelTerm, float]], weight: float, *, held_back: bool
+) -> _FresnelTerm:
     """Return F through the camera, or its mean with that of no camera, which has this weight.
 
-    What they differ in is uncertainty, as is what other lobes would make of it.
+    What they differ in is uncertainty, as is what other lobes, each with its weight, would make of it.
     """
     camera, *blind = terms
     result = blind[0] if held_back else camera
     variance = result.std_camera**2
     absolute = result.absolute_std**2
-    for other in others:
-        variance = variance + (other.normalised - camera.normalised) ** 2
-        absolute = absolute + np.nan_to_num(other.absolute - camera.absolute) ** 2
+    for other, share in others:
+        variance = variance + (share * (other.normalised - camera.normalised)) ** 2
+        absolute = absolute + (share * np.nan_to_num(other.absolute - camera.absolute)) ** 2
     if blind:
         share = 1.0 if held_back else weight * (1 - weight)
         apart = blind[0].normalised - camera.normalised

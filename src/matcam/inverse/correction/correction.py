@@ -23,6 +23,7 @@ from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.operator.sphere_view import sphere_view
@@ -152,7 +153,9 @@ class Correction:
             left, lit = found.without_camera.noise, found.blind
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
-        table = _corrected_table(brdf, best, left, ratio, scattered, glare)
+        table = _corrected_table(
+            brdf, best, left, noise_shares(sphere_view(rig), sampling_of(brdf)), ratio, scattered, glare
+        )
         remarks = found.remarks
         if noise is None:
             remarks = (*remarks, *gain_remarks(left.picture_gain))
@@ -320,11 +323,15 @@ def _corrected_table(
     brdf: xr.DataArray,
     found: MaterialFit,
     noise: PixelNoise,
+    noise_share: np.ndarray,
     ratio_of_lobes: LobeRatio,
     scattered: np.ndarray,
     glare: float,
 ) -> xr.Dataset:
-    """Return the corrected table. scattered: most light of the highlight, 1/sr, that glare adds to each entry."""
+    """Return the corrected table.
+
+    noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight, 1/sr, that glare adds to it.
+    """
     data, sampling = brdf.values, sampling_of(brdf)
     body, body_std = found.diffuse / np.pi, found.diffuse_std / np.pi
     seen = seen_cells(sampling)
@@ -347,7 +354,8 @@ def _corrected_table(
         camera = np.where(lobe, above * factor * ratio_of_lobes.std[rows, ..., None], 0.0) ** 2
         camera += (scattered[rows] ** 2 + (glare * recorded) ** 2) * factor**2
         camera += (body_std * (factor - 1)) ** 2 + (wanted[rows] - corrected[rows]) ** 2
-        pixels = ((noise.relative**2 + noise.picture_gain**2) * recorded**2 + (noise.floor * peak) ** 2) * factor**2
+        pixels = noise_share[rows, ..., None] * ((noise.relative * recorded) ** 2 + (noise.floor * peak) ** 2)
+        pixels = (pixels + (noise.picture_gain * recorded) ** 2) * factor**2
         camera_std, noise_std[rows] = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))
         with np.errstate(invalid="ignore", divide="ignore"):
             supported[rows] = known & (camera_std < SUPPORTED * corrected[rows])

@@ -94,6 +94,20 @@ class Doubt(NamedTuple):
         return {**self.fit.to_dict(), "contradicts": self.contradicts}
 
 
+class OtherLobe(NamedTuple):
+    """Hold another lobe through the same camera, whose difference counts as uncertainty.
+
+    Attributes:
+        fit: of it.
+        setup: of `fit`.
+        weight: how often the difference counts; the root of its probability where another lobe is likelier.
+    """
+
+    fit: MaterialFit
+    setup: FitSetup
+    weight: float
+
+
 def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = DOUBTED) -> tuple[Doubt, ...]:
     """Leave parameters of the rig free, one after the other. found: the solution of `setup`.
 

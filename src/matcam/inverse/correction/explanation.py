@@ -5,7 +5,8 @@ cells with F free in every slice and a Lambertian part.
 
 - The camera: its lens as the profile states it or as assumed, the shape of the lens's kernel uncertain, too.
 - Where no family explains the data two lobes may: a coat over a base, facets of two finishes.
-- A lobe that fails, too, is bent, where that explains the noise. Elsewhere what bending would change is uncertainty.
+- A lobe that fails, too, is bent, where that explains the noise. Elsewhere what bending would change is uncertainty. What two
+  lobes in place of the bent one would change is uncertainty as far as they are probable.
 - No camera: the same lobe as a perfect camera would have recorded it. If it makes the data clearly more probable, the data
   show no blur by this camera, whatever the rig says.
 - Shadowing: where no lobe explains the noise, neither with a camera nor without, each colour has a lobe of its own, and masking
@@ -27,6 +28,7 @@ from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.doubts import (
     DOUBTED,
     Doubt,
+    OtherLobe,
     ShapeCorrection,
     no_correction,
     rig_doubts,
@@ -56,6 +58,8 @@ _PROBABLE = 0.5
 """Probability from which something is taken to be so."""
 _UNLIKELY = 0.05
 """Probability of no camera down to which a lens that is a guess moves nothing."""
+_NEGLIGIBLE = 1e-3
+"""Probability below which another lobe counts for nothing."""
 _EVIDENCE = 0.1
 """Share of a difference of log likelihoods that is believed: what a model misses is the same in neighbouring cells."""
 
@@ -70,7 +74,6 @@ class Explanation(NamedTuple):
         fit: the lobe through the camera that explains the data best.
         shape: what is changed of its shape.
         others: other lobes through the same camera, whose difference is uncertainty.
-        others_setup: of `others`.
         doubts: fits with a parameter of the rig free.
         blind_setup: of `blind`.
         blind: the lobe without a camera.
@@ -83,8 +86,7 @@ class Explanation(NamedTuple):
     candidates: list[MaterialFit]
     fit: MaterialFit
     shape: ShapeCorrection
-    others: tuple[MaterialFit, ...]
-    others_setup: FitSetup
+    others: tuple[OtherLobe, ...]
     doubts: tuple[Doubt, ...]
     blind_setup: FitSetup
     blind: MaterialFit
@@ -167,14 +169,15 @@ def explain(
         view=sphere_view(rig), pixels=grid_of(rig), workspace=workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
+    few_two_lobes: OtherLobe | None = None
     if shape.family_fails and ndf == AUTO:
-        both = _two_lobes(setup.with_(ndf=TWO_LOBES), noise)
+        few_two_lobes = _few_two_lobes(setup)
+        both = _two_lobes(setup.with_(ndf=TWO_LOBES), few_two_lobes.fit, noise)
         if both is not None and both[0].log_likelihood > found.log_likelihood:
             found, shape = both
             candidates = [*candidates, found]
             setup, blind_setup = setup.with_(ndf=TWO_LOBES), blind_setup.with_(ndf=TWO_LOBES)
-    others: tuple[MaterialFit, ...] = ()
-    others_setup = setup
+    others: tuple[OtherLobe, ...] = ()
     if not shape.family_fails:
         blind, through_camera = blind_setup.solve(), found
     else:
@@ -190,8 +193,9 @@ def explain(
         blind = blind_setup.solve(start=plain)
         if _explains(through_camera, noise):
             found, setup, shape = through_camera, bent_setup, no_correction(through_camera, shape.scale)
+            others = _as_probable(few_two_lobes, through_camera)
         else:
-            others, others_setup, shape = (through_camera,), bent_setup, no_correction(found, shape.scale)
+            others, shape = (OtherLobe(through_camera, bent_setup, 1.0),), no_correction(found, shape.scale)
     no_camera = _probability(blind, through_camera)
     shadowed = None
     if not _explains(blind, noise) and (no_camera > _PROBABLE or not _explains(through_camera, noise)):
@@ -200,21 +204,34 @@ def explain(
         no_camera = max(no_camera, _probability(shadowed, through_camera))
     doubts = rig_doubts(setup, rig, found, doubted)
     return Explanation(
-        located, setup, candidates, found, shape, others, others_setup, doubts, blind_setup, blind, no_camera, shadowed
+        located, setup, candidates, found, shape, others, doubts, blind_setup, blind, no_camera, shadowed
     )
 
 
-def _two_lobes(setup: FitSetup, noise: PixelNoise | None) -> tuple[MaterialFit, ShapeCorrection] | None:
+def _few_two_lobes(setup: FitSetup) -> OtherLobe:
+    """Return the fit of two lobes to a few slices."""
+    few = setup.with_(ndf=TWO_LOBES, every=max(_BEND_EVERY, setup.every))
+    return OtherLobe(few.solve(), few, 1.0)
+
+
+def _two_lobes(
+    setup: FitSetup, start: MaterialFit, noise: PixelNoise | None
+) -> tuple[MaterialFit, ShapeCorrection] | None:
     """Return the fit of two lobes and what it leaves of their shape; None where two do not explain the data, either.
 
-    setup: of two lobes. Most tables that fail are refused by a few slices.
+    setup: of two lobes. start: the fit to a few slices, by which most tables that fail are refused.
     """
-    found = setup.with_(every=max(_BEND_EVERY, setup.every)).solve()
-    if shape_correction(found, noise).family_fails:
+    if shape_correction(start, noise).family_fails:
         return None
-    found = setup.solve(start=found)
+    found = setup.solve(start=start)
     shape = shape_correction(found, noise)
     return None if shape.family_fails else (found, shape)
+
+
+def _as_probable(other: OtherLobe | None, found: MaterialFit) -> tuple[OtherLobe, ...]:
+    """Weigh another lobe by its probability against the one that is corrected for; both are fits of the same slices."""
+    share = 0.0 if other is None else _probability(other.fit, found)
+    return () if other is None or share < _NEGLIGIBLE else (other._replace(weight=float(np.sqrt(share))),)
 
 
 def _shadowed(blind_setup: FitSetup, blind: MaterialFit) -> MaterialFit | None:

@@ -12,7 +12,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
-from matcam.inverse.correction.doubts import Doubt, ShapeCorrection, shape_records
+from matcam.inverse.correction.doubts import Doubt, OtherLobe, ShapeCorrection, shape_records
 from matcam.inverse.correction.harmless import LobeRatio
 from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
 from matcam.inverse.correction.response_lattice import (
@@ -39,13 +39,13 @@ class CorrectionFits(NamedTuple):
         fit: of the lobe that is corrected for.
         shape: what was changed of its shape.
         doubts: fits with a parameter of the rig free.
-        others: fits of other lobes through the same camera, whose difference counts as uncertainty.
+        others: other lobes through the same camera, whose difference counts as uncertainty.
     """
 
     fit: MaterialFit
     shape: ShapeCorrection
     doubts: Sequence[Doubt]
-    others: Sequence[MaterialFit] = ()
+    others: Sequence[OtherLobe] = ()
 
 
 def lobe_ratio(
@@ -61,7 +61,9 @@ def lobe_ratio(
     at = fits.fit.coordinates
     fine = response_lattice(rig, sampling, FINE, (), workspace)
     doubts = [doubt for doubt in fits.doubts if doubt.counted]
-    alternatives = [(doubt.fit, doubt.counted) for doubt in doubts] + [(other, 1.0) for other in fits.others]
+    alternatives = [(doubt.fit, doubt.counted) for doubt in doubts] + [
+        (other.fit, other.weight) for other in fits.others
+    ]
     axes = tuple(
         dict.fromkeys(axis for one in (fits.fit, *(fit for fit, _ in alternatives)) for axis in one.coordinates.axes)
     )

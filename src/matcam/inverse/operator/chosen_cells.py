@@ -132,6 +132,16 @@ def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: P
     return ChosenCells(slices, grid.theta_d[slices], i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
+def noise_shares(view: SphereView, sampling: Sampling) -> np.ndarray:
+    """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
+
+    It is half where the cell's two ways, on either side of their picture's highlight, are surely seen by two pixels.
+    """
+    grid = merl_grid(sampling)
+    x, y = view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d)
+    return np.where(2 * np.maximum(np.abs(x), np.abs(y)) >= 1, 0.5, 1.0)
+
+
 def _pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray) -> np.ndarray:
     """Return numbers of the pixels in which places fall."""
     return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
