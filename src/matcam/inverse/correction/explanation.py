@@ -225,7 +225,8 @@ def _two_lobes(
         return None
     found = setup.solve(start=start)
     shape = shape_correction(found, noise)
-    return None if shape.family_fails else (found, shape)
+    # free in two widths and a share, they bend to a lens that is wrong: what is left then is no pixel's noise
+    return (found, shape) if _explains(found, noise) and not shape.family_fails else None
 
 
 def _as_probable(other: OtherLobe | None, found: MaterialFit) -> tuple[OtherLobe, ...]:
