@@ -128,6 +128,7 @@ BAD_ROWS = {
     "missing": (row("frames/none.tif", "L1", "20", "90", "E1", "0.01"), "none.tif: no such file", False),
     "outside": (row("frames/../../x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
     "absolute": (row("/etc/x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
+    "the folder": (row(".", "L1", "20", "90", "E1", "0.01"), "file '.' has no name", False),
     "elsewhere": (row("other/x.tif", "L1", "20", "90", "E1", "0.01"), "lies in none of", True),
     "twice": (ROWS[0], "a.tif: is listed twice", True),
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
@@ -198,13 +199,15 @@ def test_links_out_of_the_folder_are_not_followed(tmp_path, what):
         (",".join(COLUMNS) + "\n", "no frame of the sample"),
         (",".join(COLUMNS) + "\nframes/a.tif,L1\n", "line 2 has 2 cells"),
         (",".join(COLUMNS) + '\n"frames/a.tif', "no frame|csv|line"),
+        ('file,lamp,"angle\n_deg",azimuth_deg\n', "got file,lamp,angle _deg,azimuth_deg$"),
     ],
 )
 def test_a_list_without_any_frame_is_refused(tmp_path, text, message):
     folder = write(tmp_path)
     (folder / "frames.csv").write_text(text)
-    with pytest.raises(FileFormatError, match=message):
+    with pytest.raises(FileFormatError, match=message) as error:
         read_capture(folder)
+    assert "\n" not in str(error.value)
 
 
 def test_no_folder_and_no_files(tmp_path):

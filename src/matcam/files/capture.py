@@ -261,7 +261,7 @@ def _inside(folder: Path, name: str) -> Path:
     """Return the path of a file of the folder; FileFormatError where it leads out of it."""
     pure = PurePosixPath(name)
     path = folder / name
-    if not name or not name.isprintable() or len(name) > 200:
+    if not pure.parts or not name.isprintable() or len(name) > 200:
         raise FileFormatError(f"{folder}: file {name[:40]!r} has no name that is plain text")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
         raise FileFormatError(f"{path}: leads out of the capture's folder: give a name inside it")
@@ -281,7 +281,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     except csv.Error as error:
         raise FileFormatError(f"{path}: line {reader.line_num}: {error}") from None
     if not lines or sorted(set(lines[0][1]) - {INTENSITY}) != sorted(COLUMNS):
-        got = ",".join(lines[0][1]) if lines else "nothing"
+        got = " ".join(",".join(lines[0][1]).split()) if lines else "nothing"  # a cell in quotes may have many lines
         raise FileFormatError(f"{path}: first line must be {','.join(COLUMNS)}, got {got:.100}")
     if len(lines) > _MOST:
         raise FileFormatError(f"{path}: {len(lines)} lines; a capture has at most {_MOST} frames")
