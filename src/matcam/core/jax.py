@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from functools import cache, wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,7 @@ jax.config.update("jax_enable_x64", True)
 __all__ = [
     "AnyArray",
     "FloatArray",
+    "Runs",
     "is_concrete",
     "jax",
     "jit_plainly",
@@ -40,6 +41,7 @@ FloatArray = npt.NDArray[np.float64]
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Runs = Literal["once", "some", "many"]
 
 
 _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
@@ -60,26 +62,26 @@ def placed(array: npt.ArrayLike) -> jax.Array:
         return jax.device_put(np.asarray(array))
 
 
-def plainly_compiled(*, once: bool) -> dict[str, Any] | None:
+def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
     """Return options for `jax.jit` with which XLA compiles a large program in less time.
 
-    once: for a program that runs once: a quarter of the time to compile, twice the time to run. Otherwise two thirds of the
-    time to compile, none of it lost in running.
+    runs: how often the program will run. "once": compiled in a quarter of the time, runs twice as long. "some": two thirds of
+        the time, and most programs run no longer. "many": three quarters, and none does.
     """
-    bare = once or jax.config.read("jax_disable_most_optimizations")
-    options: dict[str, Any] = {
-        "xla_cpu_use_fusion_emitters": False,
-        "xla_backend_optimization_level": 0 if bare else 1,
-    }
+    options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+    if runs == "once" or jax.config.read("jax_disable_most_optimizations"):
+        options["xla_backend_optimization_level"] = 0
+    elif runs == "some":
+        options["xla_backend_optimization_level"] = 1
     return {name: value for name, value in options.items() if _is_known(name, value)} or None
 
 
-def jit_plainly(function: Callable[P, T], *, once: bool = False, static: tuple[str, ...] = ()) -> Callable[P, T]:
+def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[str, ...] = ()) -> Callable[P, T]:
     """Compile a function as `jax.jit` does, with the options of `plainly_compiled`.
 
     It must not be called inside another compiled function: options are those of a whole program.
 
-    once: as in `plainly_compiled`. static: names of arguments that are no arrays.
+    runs: as in `plainly_compiled`. static: names of arguments that are no arrays.
     """
     programs: dict[bool, Callable[P, T]] = {}
 
@@ -87,7 +89,7 @@ def jit_plainly(function: Callable[P, T], *, once: bool = False, static: tuple[s
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         bare = jax.config.read("jax_disable_most_optimizations")
         if bare not in programs:  # the options ask the backend, which an import must not start
-            options = plainly_compiled(once=once)
+            options = plainly_compiled(runs)
             programs[bare] = jax.jit(function, static_argnames=static, compiler_options=options)
         return programs[bare](*args, **kwargs)
 

@@ -120,7 +120,7 @@ class _Kept(NamedTuple):
             else:
                 return program, result
         with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
-            options = plainly_compiled(once=False)
+            options = plainly_compiled()
             program = jax.jit(self._of_arrays(), compiler_options=options).lower(*_arrays(self.leaves)).compile()
         try:
             write_sealed(path, key, pack_program(program))

@@ -273,7 +273,7 @@ class PictureModel(eqx.Module):
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
     """Return a method of `PictureModel`, compiled once for all scenes of one shape."""
-    return jit_plainly(getattr(PictureModel, method))
+    return jit_plainly(getattr(PictureModel, method), runs="many")
 
 
 def _with_stds(blur: Blur, stds: jax.Array) -> Blur:

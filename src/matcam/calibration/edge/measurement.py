@@ -25,7 +25,7 @@ from matcam.calibration.edge.maximum_likelihood import (
 )
 from matcam.calibration.edge.outliers import without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
-from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
+from matcam.core.jax import AnyArray, Runs, jax, jit_plainly, jnp
 from matcam.numerics.linalg import scaled_inverse
 
 _START = -0.5  # ln px: sigma 0.6
@@ -175,7 +175,7 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    return _program(_fits_of_one, once=True)(value, y, start, noise, half_width, step=step, turns=turns)
+    return _program(_fits_of_one, "once")(value, y, start, noise, half_width, step=step, turns=turns)
 
 
 def edge_fits_of_stack(
@@ -193,7 +193,9 @@ def edge_fits_of_stack(
 
     value: (n, rows, columns). y and start: (n, rows). few: whether it is not asked often enough to be worth a long compilation.
     """
-    return _program(_fits_of_stack, once=few)(values, y, start, noise, half_width, step=step, turns=turns)
+    return _program(_fits_of_stack, "once" if few else "some")(
+        values, y, start, noise, half_width, step=step, turns=turns
+    )
 
 
 @jax.jit
@@ -211,9 +213,9 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
 
 
 @cache
-def _program(function: Callable[..., EdgeFits], *, once: bool) -> Callable[..., EdgeFits]:
+def _program(function: Callable[..., EdgeFits], runs: Runs) -> Callable[..., EdgeFits]:
     """Return a compiled function, of which little or much is asked."""
-    return jit_plainly(function, once=once, static=("step", "turns"))
+    return jit_plainly(function, runs=runs, static=("step", "turns"))
 
 
 def _fits_of_one(

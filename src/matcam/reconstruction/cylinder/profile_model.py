@@ -171,4 +171,4 @@ def _with_slopes(function: Callable[[jax.Array], Recorded], p: jax.Array) -> tup
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
     """Return a method of `ProfileModel`, compiled once for all scenes of one shape."""
-    return jit_plainly(getattr(ProfileModel, method))
+    return jit_plainly(getattr(ProfileModel, method), runs="many")
