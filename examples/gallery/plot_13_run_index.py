@@ -10,6 +10,7 @@ is done twice.
 import json
 import tempfile
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib.pyplot as plt
 
@@ -30,9 +31,10 @@ records = {name: record for name, record in records.items() if "verdict" in reco
 figure, axes = plt.subplots(figsize=(7, 3.4), layout="constrained")
 for name, record in records.items():
     lost = {float(angle): share for angle, share in record["peak_lost"].items() if share is not None}
-    axes.plot(lost.keys(), [100 * share for share in lost.values()], "o-", label=f"{name}: {record['verdict']}")
+    label = fill(f"{name}: {record['verdict']}", 60)
+    axes.plot(lost.keys(), [100 * share for share in lost.values()], "o-", label=label)
 axes.set(xlabel="difference angle, degrees", ylabel="peak lost, %", xlim=(0, 90), ylim=(0, 100))
-axes.legend()
+axes.legend(fontsize="small")
 plt.show()
 
 index = (outputs / "index.html").read_text()
