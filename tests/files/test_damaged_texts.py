@@ -22,3 +22,11 @@ def test_damaged_texts(tmp_path, name, count):
     )
     assert accepted > 0
     assert refused > count / 20 or name == "record"  # one that is damaged is no error: its material is done again
+
+
+def test_a_record_with_a_number_that_no_float_holds(tmp_path):
+    """As `make fuzz` found it."""
+    path = sound("record", tmp_path / "a")
+    path.write_text('{"fit": {"params": {"alpha": 1%s}}, "supported_share": 0.5}' % ("0" * 400))
+    labels = TEXTS["record"][2](path)
+    assert not any("alpha" in label for label in labels)

@@ -158,6 +158,9 @@ def _record(path: Path) -> dict[str, Any]:
     return document if isinstance(document, dict) else {}
 
 
+_LARGEST = 1e300
+
+
 def _label(name: str, record: dict[str, Any]) -> str:
     """Return a material's name, and in a few words what its run found."""
     fit = record.get("fit")
@@ -167,7 +170,9 @@ def _label(name: str, record: dict[str, Any]) -> str:
         if isinstance(params, dict)
         else {}
     )
-    width = next((f"{key} {numbers[key]:.3g}" for key in _WIDTHS if isinstance(numbers.get(key), int | float)), "")
+    widths = {key: numbers[key] for key in _WIDTHS if isinstance(numbers.get(key), int | float)}
+    # a whole number may be larger than any float
+    width = next((f"{key} {value:.3g}" for key, value in widths.items() if abs(value) < _LARGEST), "")
     share = record.get("supported_share")
     supported = f"{share:.0%} supported" if isinstance(share, float) and np.isfinite(share) else ""
     return " · ".join(part for part in (name, width, supported) if part)
