@@ -20,6 +20,7 @@ from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse, gaussian_over_interval, mean_over_interval
 from matcam.core.jax import jax, jnp
+from matcam.numerics.lengths import plane_length
 
 _SLIVER = 0.05  # short half width / std
 _THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
@@ -51,7 +52,7 @@ def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
 
 def transfer(optics: Optics, pixel: PixelResponse, fx: jax.Array, fy: jax.Array) -> jax.Array:
     """Return the total transfer function at (fx, fy) cycles/px."""
-    return optics.mtf(jnp.hypot(fx, fy)) * pixel.mtf(fx) * pixel.mtf(fy)
+    return optics.mtf(plane_length(fx, fy)) * pixel.mtf(fx) * pixel.mtf(fy)
 
 
 def transfer_along(optics: Optics, pixel: PixelResponse, f: jax.Array, angle: jax.Array) -> jax.Array:

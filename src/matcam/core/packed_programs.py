@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+from functools import cache
 from typing import Any
 
 from jax.experimental import serialize_executable
@@ -17,10 +18,11 @@ from matcam.core.jax import jax
 
 _LIBRARIES = ("jax", "jaxlib", "numpy")
 _NAMES = {
-    "AbstractMesh", "AllArgsInfo", "ArgInfo", "AxisType", "DebugInfo", "DeviceList", "DeviceLocalLayout", "Format",
-    "GSPMDSharding", "HloSharding", "Layout", "ManualAxisType", "MemorySpace", "Mesh", "NamedSharding", "OpSharding",
-    "P", "PartitionSpec", "ShapedArray", "SingleDeviceSharding", "Space", "UnloadedMeshExecutable", "UnspecifiedValue",
-    "_unpickle_named_sharding", "_unpickle_single_device_sharding", "dtype", "unpickle_pspec",
+    "AbstractMesh", "AllArgsInfo", "ArgInfo", "AutoLayout", "AutoLayoutSingleton", "AxisType", "DebugInfo", "DeviceList",
+    "DeviceLocalLayout", "Format", "GSPMDSharding", "HloSharding", "Layout", "ManualAxisType", "MemorySpace", "Mesh",
+    "NamedSharding", "OpSharding", "P", "PartitionSpec", "ShapedArray", "SingleDeviceSharding", "Space",
+    "UnloadedMeshExecutable", "UnspecifiedValue", "_unpickle_named_sharding", "_unpickle_single_device_sharding", "dtype",
+    "unpickle_pspec",
 }  # fmt: skip
 """What a program's description may name: kinds, shapes and places of arrays. None of them does anything but hold them."""
 
@@ -58,12 +60,19 @@ def unpack_program(packed: bytes) -> Any:
     Raises:
         Exception: the bytes are something else. What a backend may find wrong has no class of its own.
     """
+    _load_lapack()
     head, _, stored = packed.partition(b"\n")
     output = jax.tree.structure(_as_tuples(json.loads(head)))
     client = jax.devices()[0].client
     unloaded, infos, no_kwargs = _Unpickler(io.BytesIO(stored), client, client.devices()).load()
     inputs: Any = jax.tree.structure(((0,) * len(infos), {}))
     return jax.stages.Compiled(unloaded.load(), [], inputs.unflatten(infos), output, no_kwargs=no_kwargs)
+
+
+@cache
+def _load_lapack() -> None:
+    """Have JAX find LAPACK, which it does where it lowers a call: a program that calls it before that crashes."""
+    jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 
 def _as_tuples(value: Any) -> Any:

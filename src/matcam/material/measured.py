@@ -31,6 +31,7 @@ from matcam.core.grid import GRID_SHAPE, checked_table, sampling_of, theta_h_edg
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 from matcam.material.material import Material, above_horizon, theta_h_of
+from matcam.numerics.lengths import plane_length
 
 _HALF_PI = np.pi / 2
 
@@ -341,7 +342,7 @@ class Adaptive(Material):
 
     def _directions(self, shading: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Return angles and azimuths of light and half vector, within the tabulated range."""
-        slope = jnp.hypot(shading.slope_along, shading.slope_across)
+        slope = plane_length(shading.slope_along, shading.slope_across)
         none = slope == 0
         safe = jnp.where(none, 1.0, slope)
         c, s = jnp.where(none, 1.0, shading.slope_along / safe), jnp.where(none, 0.0, shading.slope_across / safe)
@@ -356,7 +357,7 @@ class Adaptive(Material):
             flip_y = jnp.where(i_y < 0, 1.0, -1.0)
             flip_x = jnp.where(i_x < 0, 1.0, -1.0) if self.mirrored == 4 else flip_y
             i_x, i_y, m_x, m_y = i_x * flip_x, i_y * flip_y, m_x * flip_x, m_y * flip_y
-        theta_i = jnp.arctan2(jnp.hypot(i_x, i_y), shading.cos_i)
+        theta_i = jnp.arctan2(plane_length(i_x, i_y), shading.cos_i)
         return theta_i, jnp.arctan2(i_y, i_x), theta_m, jnp.arctan2(m_y, m_x)
 
     @property

@@ -8,6 +8,7 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.numerics.lengths import plane_length
 from matcam.sample.shape import (
     Curved,
     Element,
@@ -73,7 +74,7 @@ class Sphere(Curved):
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
         """Return the point at which the line of sight meets the sphere."""
         q = self.nearness
-        n_z, hits = depth_of(jnp.hypot(x, y) / self.stretch, q)
+        n_z, hits = depth_of(plane_length(x, y) / self.stretch, q)
         depth = 1 - q * n_z
         normal = x / self.stretch * depth, y / self.stretch * depth, n_z
         view, length, _ = self.line_of_sight(normal, normal[1])

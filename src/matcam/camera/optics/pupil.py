@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, piecewise_rule, psf_by_quadrature, reach_of
 from matcam.core import checks
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.numerics.lengths import plane_length
 
 _TRACED_BAND = 8.0
 _WIDEST = 1000.0  # px
@@ -73,7 +74,7 @@ class DiffractionOptics(Optics):
 
         (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
         """
-        r = jnp.hypot(checks.number("x", x), checks.number("y", y))
+        r = plane_length(checks.number("x", x), checks.number("y", y))
         return jnp.pi / 4 * self.cutoff**2 * _jinc(jnp.pi * self.cutoff * r, reach_of(r) * self.band()) ** 2
 
     def lsf(self, x: ArrayLike) -> jax.Array:
