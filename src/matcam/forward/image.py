@@ -11,15 +11,19 @@ from collections.abc import Callable, Iterator
 from itertools import groupby, islice
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.optics.optics import Optics
 from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.forward.band_limited import BandLimit, band_limit, filtered, fine_line
 from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer, turned_cylinder
 from matcam.forward.integral.integrals import Scene, Turn, highlight_x
@@ -33,6 +37,8 @@ from matcam.sample.shape import Curved
 
 _PLACES = 1 << 20
 """Pixels times points of a lamp that are recorded at once: they fit into 1 GiB."""
+_AT_ONCE = 1 << 18
+"""Places of a fine record that are recorded at once."""
 _FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
 
 
@@ -68,14 +74,15 @@ def picture(
         shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
             none.
         error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
-            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak).
+            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak). Of no effect by frequencies.
         exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
         seed: seed of the raw picture's noise, a whole number or a JAX key. Default: None, allowed for radiance only.
         time: exposure time of the raw picture, s, in which dark current gathers. Default: 0.
 
     Returns:
         Radiance, 1/sr, or digital values, DN, (row, column, channel); (row, column) behind a colour mosaic. Coordinates `x`
-        and `y`, px, count from the optical axis, y upwards. Attribute `kernel_error`: see `measure`.
+        and `y`, px, count from the optical axis, y upwards. Attribute `kernel_error`: see `measure`. Attribute `route`:
+        "frequencies" where a finer picture was filtered as the lens does, "space" where the lens is a sum of Gaussians.
 
     Raises:
         ArgumentError: an argument is out of its range, the lamp lights nothing that is seen or stands in the camera, the
@@ -97,7 +104,7 @@ def picture(
         right, down = (float(checks.within(f"shift[{k}]", one, -1e4, 1e4, "px")) for k, one in enumerate(shift))
         view = view._replace(x=view.x - right, y=view.y + down)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
-    if error is None:
+    if error is None or view.lens is not None:
         values = _exact_record(material, view)
     else:
         values = _record_within(
@@ -120,7 +127,8 @@ def picture(
             "lamp_angle": view.lamp_angle,
             "lamp_azimuth": view.azimuth,
             "rig": repr(rig),
-            "kernel_error": kernel_error(rig),
+            "kernel_error": kernel_error(rig) if view.lens is None else view.lens.limit.error,
+            "route": "space" if view.lens is None else "frequencies",
         },
     )
 
@@ -170,6 +178,7 @@ class _View(NamedTuple):
         points: the lamp's points, each of one angle and azimuth.
         x: places of the columns, px.
         y: places of the rows, px.
+        lens: what a fine record is filtered by; None: the lens is a part of the imaging.
     """
 
     imaging: Imaging
@@ -178,6 +187,14 @@ class _View(NamedTuple):
     points: list[LampPoint]
     x: np.ndarray
     y: np.ndarray
+    lens: _Filter | None
+
+
+class _Filter(NamedTuple):
+    """A lens that a fine record is filtered by, and how."""
+
+    optics: Optics
+    limit: BandLimit
 
 
 def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape: tuple[int, int] | None) -> _View:
@@ -189,9 +206,14 @@ def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Curved):
         raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
-    angle = checked_lamp_angle(lamp[0], rig.lamp, rig.sample.distance)
+    # a cylinder goes on beyond any picture, and its light with it
+    limit, lens = band_limit(rig.camera) if isinstance(rig.sample, Sphere) else None, None
+    if limit is not None:
+        lens = _Filter(rig.camera.optics, limit)
+        rig = eqx.tree_at(lambda one: one.camera.optics, rig, GaussianOptics(limit.sigma))
+    angle = checked_lamp_angle(lamp[0], rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
     azimuth, imaging = checked_azimuth(lamp[1]), imaging_of(rig)
-    reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample))
+    reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
     if isinstance(rig.sample, Sphere):
         fineness = disc_fineness(rig, imaging, np.array(angle), material)
@@ -199,7 +221,7 @@ def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape
     else:
         points = [LampPoint(np.array(angle), np.array(turned_cylinder(rig, azimuth)), 1.0, 1.0)]
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
-    return _View(imaging, angle, azimuth, points, x, y)
+    return _View(imaging, angle, azimuth, points, x, y, lens)
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
@@ -216,8 +238,31 @@ def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tup
 
 
 def _exact_record(material: Material, view: _View) -> jax.Array:
+    if view.lens is not None:
+        return _filtered_record(material, view, view.lens)
     x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(view.x, view.y))
     return _record_pixels(material, view, x, y).reshape(view.y.size, view.x.size, -1)
+
+
+def _filtered_record(material: Material, view: _View, lens: _Filter) -> jax.Array:
+    """Record all that sends light at several places a pixel, and filter it as the lens does."""
+    per_px = lens.limit.per_px
+    reach = max(group.scale.reach for group in groups_of(view.imaging.blur, view.imaging.sample))
+    side = float(jax.lax.stop_gradient(view.imaging.sample.radius)) + reach
+    across, along = (fine_line(one, -side, side, per_px) for one in (view.x, view.y))
+    x, y = np.meshgrid(across.at, along.at)
+    lit = np.flatnonzero(np.hypot(x, y).ravel() < side)
+    parts = [
+        _record_pixels(material, view, x.ravel()[some], y.ravel()[some])
+        for some in np.split(lit, range(_AT_ONCE, lit.size, _AT_ONCE))
+    ]
+    values = jnp.concatenate(parts)
+    whole = jnp.zeros((x.size, values.shape[-1])).at[lit].set(values).reshape(*x.shape, -1)
+    picture = filtered(whole, lens.optics, lens.limit)
+    rows, columns = (
+        first + per_px * np.arange(one.size) for first, one in ((along.first, view.y), (across.first, view.x))
+    )
+    return picture[rows[:, None], columns]
 
 
 def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray) -> jax.Array:

@@ -256,8 +256,8 @@ CHROMIUM_WIDTH = 0.002
 def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int) -> xr.DataArray:
     """Add to a table the noise of the pixels behind its cells.
 
-    Each theta_d slice is one picture. Cells that share a pixel share its noise. Negative results stay negative: clipping
-    would bias faint cells.
+    Each theta_d slice is one picture. Cells that share a pixel share its noise; a mean of pixels has that of their mean.
+    Negative results stay negative: clipping would bias faint cells.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr.
@@ -286,7 +286,10 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     sampling = sampling_of(checked_table(table))
-    phases = None if rig.pixel_phase is None else phase_of_slices(rig.pixel_phase)
+    phase = rig.pixel_phase
+    if phase is None and rig.cell_value == "mean" and rig.sample.distant:
+        phase = 0.0, 0.0  # as good as any
+    phases = None if phase is None else phase_of_slices(phase)
     pixels = cell_pixels(rig.sample, sampling) if phases is None else None
     azimuth = float(table.attrs.get("lamp_azimuth", 0.0))
     values = table.values.copy()
