@@ -54,13 +54,13 @@ class Rig(eqx.Module):
         crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: all that the sample
             needs.
         cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there; "mean", that of the pixels
-            inside; "nearest", the pixel whose centre is nearest to the cell's place; "bilinear", the interpolation between
-            four pixels; "unknown", whichever of these a table shows that is fitted, and as "centre" where it shows none or is
-            written. Default: "centre".
+            inside, or the nearest where there is none; "nearest", the pixel whose centre is nearest to the cell's place;
+            "bilinear", the interpolation between four pixels; "unknown", whichever of these a table shows
+            that is fitted, and as "centre" where it shows none or is written. Default: "centre".
         pixel_phase: where the real pixels lie that "nearest", "bilinear" and "mean" look up: their centres are whole numbers
             plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of each
-            slice of theta_d. Default: None. A fit finds the phase of
-            "nearest" and "bilinear" from the table; "mean" is that of pixels of any phase.
+            slice of theta_d. Default: None: a fit finds it from the table, and takes a "mean" that shows no pixels for that
+            of pixels of any phase.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.

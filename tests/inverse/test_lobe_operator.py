@@ -141,7 +141,7 @@ def test_rigs_that_cannot_be_fitted_are_refused():
     for bad, words in (
         (Rig(camera, Cylinder(100)), "recorded from a Sphere"),
         (Rig(camera, Sphere(256, 20), cell_value="nearest"), "before near ones each cell has a picture of its own"),
-        (Rig(camera, Sphere(256), cell_value="mean"), "one pixel"),
+        (Rig(camera, Sphere(256, 20), cell_value="mean"), "before near ones each cell has a picture of its own"),
         (camera, "must be a Rig"),
     ):
         with pytest.raises(ArgumentError, match=words):

@@ -33,7 +33,10 @@ class Behind(NamedTuple):
 
 
 def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0):
-    """The pixels behind both places of each cell; theta_h and phi_d: (cells,). Those that show no light are left out."""
+    """The pixels behind both places of each cell; theta_h and phi_d: (cells,). Those that show no light are left out.
+    "mean" is that of all pixels whose directions fall into the cell, of the nearest where there are none."""
+    if rule == "mean":
+        return all_within(phase, theta_h, theta_d, phi_d, radius)
     places, shares = [], []
     offsets = np.array([(a, b) for a in range(-2, 4) for b in range(-2, 4)])
     for turn in (0, np.pi):
@@ -53,6 +56,32 @@ def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0):
     share = np.where(inside & (light_cosine(place, theta_d, radius) > 0), share, 0)
     total = share.sum(1, keepdims=True)
     return Behind(place, share / np.where(total > 0, total, 1))
+
+
+def cell_of(theta_h, psi):
+    """Which cell of the grid holds directions: one number. Both azimuths of a pair of directions are one cell."""
+    ring = np.floor(90 * np.sqrt(theta_h / (np.pi / 2)))
+    return 180 * ring + np.floor(np.degrees(np.mod(np.pi - psi, np.pi)))
+
+
+def all_within(phase, theta_h, theta_d, phi_d, radius):
+    nearest = behind("nearest", phase, theta_h, theta_d, phi_d, radius)
+    line = np.arange(-int(radius) - 1, int(radius) + 2)
+    place = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + phase
+    place = place[np.hypot(*place.T) < radius]
+    lit = place[light_cosine(place, theta_d, radius) > 0]
+    lit = lit[np.argsort(cell_of(*angles_of(lit, theta_d, radius)), kind="stable")]
+    numbers = cell_of(*angles_of(lit, theta_d, radius))
+    first, last = (np.searchsorted(numbers, cell_of(theta_h, np.pi - phi_d), side) for side in ("left", "right"))
+    most = max(2, (last - first).max())
+    places = np.repeat(nearest.place[:, :1], most, axis=1)
+    shares = np.zeros((len(theta_h), most))
+    for n, (a, b) in enumerate(zip(first, last, strict=True)):
+        if a == b:
+            places[n, :2], shares[n, :2] = nearest.place[n], nearest.share[n]
+        else:
+            places[n, : b - a], shares[n, : b - a] = lit[a:b], 1 / (b - a)
+    return Behind(places, shares)
 
 
 def light_cosine(place, theta_d, radius=256.0):

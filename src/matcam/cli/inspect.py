@@ -100,8 +100,10 @@ def _print_cells(cells: dict[str, Any]) -> None:
     if cells["rule"] is None:
         show.say("cells: nothing shows that they were looked up in shared pixels")
         return
+    from matcam.inverse.operator.pixel_phase import READ_FROM
+
     share = f"{cells['repeated_share']:.0%} of neighbours near the highlight hold one value"
-    how = "read from the nearest pixel" if cells["rule"] == "nearest" else "interpolated between pixels"
+    how = READ_FROM[cells["rule"]]
     if cells["phase_px"] is None:
         where = f"no grid of pixels on a sphere of {cells['radius_px']:g} px fits: try another --radius"
     else:

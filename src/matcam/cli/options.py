@@ -124,10 +124,11 @@ Sampling = Annotated[
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
 ]
 RealPixels = Annotated[
-    Literal["nearest", "bilinear"] | None,
+    Literal["nearest", "bilinear", "mean"] | None,
     typer.Option(
         "--cell",
-        help="How cells were looked up in real pixels. Default: as the table shows; else each has a pixel of its own.",
+        help="How cells were looked up in real pixels; mean: that of the pixels inside. Default: as the table shows; else each "
+        "has a pixel of its own.",
     ),
 ]
 PixelPhase = Annotated[

@@ -189,10 +189,10 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean over
           channels; None where there is no lobe.
         - `camera`: see `camera_trace`.
-        - `cells`: `rule` by which cells were read from real pixels, "nearest" or "bilinear", None where none shows; the pixels'
-          `phase_px`, or one for each slice, with `phase_std_px`, None where no grid on a sphere of `radius_px` fits; the
-          share of neighbours near the highlight that hold one value, `repeated_share`; and `distinct_values` there, mean
-          over slices.
+        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None where none
+          shows; the pixels' `phase_px`, or one for each slice, with `phase_std_px`, None where no grid on a sphere of
+          `radius_px` fits; the share of neighbours near the highlight that hold one value, `repeated_share`; and
+          `distinct_values` there, mean over slices.
     """
     sampling = sampling_of(table)
     values = table.values

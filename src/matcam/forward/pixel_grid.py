@@ -29,16 +29,17 @@ class PixelGrid(NamedTuple):
     """Say how cells are looked up in a real grid of pixels.
 
     Attributes:
-        rule: "nearest" or "bilinear".
-        phase: of the grid, px; one for all pictures, or one for the picture of each slice of theta_d.
+        rule: "nearest", "bilinear" or "mean".
+        phase: of the grid, px; one for all pictures, or one for the picture of each slice of theta_d. None: a "mean" of
+            pixels of any phase.
     """
 
     rule: CellValue
-    phase: PixelPhase
+    phase: PixelPhase | None
 
     def of_slices(self, slices: np.ndarray) -> np.ndarray:
-        """Return the phase of each slice's picture, (slices, 2), px."""
-        return phase_of_slices(self.phase)[slices]
+        """Return the phase of each slice's picture, (slices, 2), px; 0 where none is known."""
+        return phase_of_slices(self.phase or (0.0, 0.0))[slices]
 
 
 def phase_of_slices(phase: PixelPhase) -> np.ndarray:
@@ -48,7 +49,7 @@ def phase_of_slices(phase: PixelPhase) -> np.ndarray:
 
 def grid_of(rig: Rig) -> PixelGrid | None:
     """Return the grid that a rig's cells are looked up in; None: each has a pixel of its own, or nobody knows the grid."""
-    if rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None:
+    if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase)
     return None
 

@@ -16,13 +16,13 @@ from scipy.interpolate import PchipInterpolator, RectBivariateSpline
 from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
-from matcam.forward.pixel_grid import PixelGrid, PlacePixels, looked_up, phase_of_slices, pixel_angles
+from matcam.forward.pixel_grid import PixelGrid, pixel_angles
 from matcam.inverse.correction.doubts import ShapeCorrection
 from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, seen_cells
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
-from matcam.inverse.operator.chosen_cells import cell_places
 from matcam.inverse.operator.lobe_operator import LobeOperator
+from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
 from matcam.material.ndf.free_lobe import bend_basis
 
 _CUBIC = 3
@@ -56,17 +56,16 @@ def pixel_log_ratio(
         change = _record(coarse, at, fitted, none) - _record(coarse, at, np.zeros(fitted.size), none)
         splines.append(_splines(coarse, change))
     grid = merl_grid(fine.sampling)
-    seen, phases = seen_cells(fine.sampling), phase_of_slices(pixels.phase)
+    seen = seen_cells(fine.sampling)
     log, variance = np.zeros(GRID_SHAPE), np.zeros(GRID_SHAPE)
     for j, theta_d in enumerate(grid.theta_d):
         i, k = np.nonzero(seen[:, j])
         if not i.size:
             continue
-        place = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
         theta_h = np.repeat(grid.theta_h[i][:, None], 2, axis=1)
         psi = np.pi - grid.phi_d[k][:, None] + np.array([0.0, np.pi])
         own = [one[j] for one in splines]
-        behind = looked_up(pixels.rule, phases[j], place.x, place.y)
+        behind = pixels_behind(pixels, radius, theta_d, j, i, k)
         recorded = _log_behind(own, radius, theta_d, behind)
         log[i, j, k] = np.log(_recorded(own, theta_h, psi).mean(axis=-1)) - recorded
         if std:  # which pixel a cell was read from is known by its value
@@ -75,12 +74,12 @@ def pixel_log_ratio(
     return log, variance
 
 
-def _log_behind(splines: list[RectBivariateSpline], radius: float, theta_d: float, pixels: PlacePixels) -> np.ndarray:
-    """Return the logarithm of what the pixels behind cells record, mean of both ways; 0 where none shows light."""
+def _log_behind(splines: list[RectBivariateSpline], radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
+    """Return the logarithm of what the pixels behind cells record; 0 where none shows light."""
     angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
     weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
-    value = (weight * _recorded(splines, angles.theta_h, angles.psi)).sum(axis=(-2, -1))
-    total = weight.sum(axis=(-2, -1))
+    value = (weight * _recorded(splines, angles.theta_h, angles.psi)).sum(axis=-1)
+    total = weight.sum(axis=-1)
     return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), 1.0))
 
 

@@ -13,9 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import PixelGrid, looked_up, pixel_angles
-from matcam.inverse.operator.sphere_view import BOTH_WAYS, SphereView
-from matcam.rigs import CellValue
+from matcam.forward.pixel_grid import PixelGrid, pixel_angles
+from matcam.inverse.operator.pixels_behind import (
+    CellPlaces,
+    PixelsBehind,
+    cell_places,
+    pixel_counts,
+    pixel_numbers,
+    pixels_behind,
+)
+from matcam.inverse.operator.sphere_view import BOTH_WAYS, SphereView, sphere_view
+from matcam.rigs import Rig
 
 NEAR_RINGS = 12
 NEAR_COSINE, FAR_COSINE = 0.06, 0.17
@@ -26,8 +34,6 @@ _CELLS = 112
 """Most cells of a slice: one shape for all."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
-_STRIDE = 1 << 16
-"""Pixels per row in a pixel's number."""
 
 
 class RealPixels(NamedTuple):
@@ -91,22 +97,6 @@ class ChosenCells(NamedTuple):
         return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
 
-class CellPlaces(NamedTuple):
-    """Hold the two places of a sphere that show a cell, on a last axis.
-
-    Attributes:
-        x: px from the optical axis, the lamp towards +x.
-        y: the same across.
-        cos_i: cosine of the light.
-        cos_o: cosine of the view.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    cos_i: np.ndarray
-    cos_o: np.ndarray
-
-
 def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
     """Choose cells in every `every`-th slice of a table recorded from a sphere.
 
@@ -114,50 +104,36 @@ def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: P
     """
     grid = merl_grid(sampling)
     slices = np.arange(every // 2, GRID_SHAPE[1], every)
-    columns: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for j in slices:
-        one = None if pixels is None else pixels._replace(phase=tuple(pixels.of_slices(slices)[len(columns)].tolist()))
-        columns.append(_slice_cells(view, grid.theta_h, grid.theta_d[j], grid.phi_d, one))
-    i, k, valid = (np.stack(part) for part in zip(*columns, strict=True))
+    columns = [_slice_cells(view, sampling, int(j), pixels) for j in slices]
+    i, k, valid = (np.stack([getattr(column, name) for column in columns]) for name in ("i", "k", "valid"))
     theta_h, phi_d = grid.theta_h[i], grid.phi_d[k]
-    x, y, cos_i, cos_o = places_in(view, theta_h, grid.theta_d[slices, None], phi_d)
-    shift = np.zeros(2) if pixels is None else pixels.of_slices(slices)[:, None, None]
-    numbers = _pixel_numbers(x, y, shift)
+    theta_d = grid.theta_d[slices]
+    x, y, cos_i, cos_o = places_in(view, theta_h, theta_d[:, None], phi_d)
+    shift = np.zeros((slices.size, 2)) if pixels is None else pixels.of_slices(slices)
+    numbers = pixel_numbers(x, y, shift[:, None, None])
     one_pixel = numbers[..., 0] == numbers[..., 1]
     real = None
     if pixels is not None:
-        real, x, y, cos_i, cos_o = _in_pixels(view.radius, grid.theta_d[slices, None], x, y, pixels.rule, shift)
-        for cosine in (cos_i, cos_o):  # of cells that only fill up a slice
-            cosine[~valid] = 1.0
-    return ChosenCells(slices, grid.theta_d[slices], i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
+        x, y, weight, noise_share = (np.stack(parts) for parts in zip(*(c.behind for c in columns), strict=True))
+        at = pixel_angles(view.radius, theta_d[:, None, None], x, y)
+        real = RealPixels(at.theta_h, at.psi, weight, noise_share)
+        # of cells that only fill up a slice, and of places that only fill up a cell
+        cos_i, cos_o = (np.where(valid[..., None] & (weight > 0), c, 1.0) for c in (at.cos_i, at.cos_o))
+    return ChosenCells(slices, theta_d, i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
-def noise_shares(view: SphereView, sampling: Sampling) -> np.ndarray:
+def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
 
-    It is half where the cell's two ways, on either side of their picture's highlight, are surely seen by two pixels.
+    It is half where the cell's two ways, on either side of their picture's highlight, are surely seen by two pixels; of cells
+    that are means, one over the count of their pixels.
     """
-    grid = merl_grid(sampling)
+    grid, view = merl_grid(sampling), sphere_view(rig)
     x, y = view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d)
-    return np.where(2 * np.maximum(np.abs(x), np.abs(y)) >= 1, 0.5, 1.0)
-
-
-def _pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Return numbers of the pixels in which places fall."""
-    return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
-
-
-def _in_pixels(
-    radius: float, theta_d: np.ndarray, x: np.ndarray, y: np.ndarray, rule: CellValue, phase: np.ndarray
-) -> tuple[RealPixels, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pixels that two places of each cell are looked up in, and their x, y, cos_i, cos_o."""
-    found = looked_up(rule, phase, x, y)
-    x, y, weight = (a.reshape(*a.shape[:-2], -1) for a in (found.x, found.y, found.weight / 2))
-    at = pixel_angles(radius, theta_d[..., None], x, y)
-    numbers = _pixel_numbers(x, y, phase)
-    same = numbers[..., :, None] == numbers[..., None, :]
-    noise_share = np.einsum("...a,...ab,...b->...", weight, same, weight)
-    return RealPixels(at.theta_h, at.psi, weight, noise_share), x, y, at.cos_i, at.cos_o
+    shares = np.where(2 * np.maximum(np.abs(x), np.abs(y)) >= 1, 0.5, 1.0)
+    if rig.cell_value == "mean":
+        shares = np.minimum(shares, 1 / np.maximum(pixel_counts(view.radius, grid.theta_d), 1.0))
+    return shares
 
 
 def places_in(view: SphereView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
@@ -169,48 +145,60 @@ def places_in(view: SphereView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d:
     return far._replace(x=near.x, y=near.y)  # type: ignore[arg-type]
 
 
-def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
-    """Return the two places where a distant camera and lamp show each cell (docs/model.md 3)."""
-    psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
-    th, td = theta_h[..., None], theta_d[..., None]
-    mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
-    x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
-    return CellPlaces(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
+class _SliceCells(NamedTuple):
+    """Hold the chosen cells of a slice, filled up to one length.
+
+    Attributes:
+        i: indices of theta_h.
+        k: indices of phi_d.
+        valid: False where they only fill up.
+        behind: the real pixels behind each; None: there are none.
+    """
+
+    i: np.ndarray
+    k: np.ndarray
+    valid: np.ndarray
+    behind: PixelsBehind | None
 
 
-def _slice_cells(
-    view: SphereView, theta_h: np.ndarray, theta_d: float, phi_d: np.ndarray, grid: PixelGrid | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (i, k, valid) of one slice, rings from the highlight outwards.
+def _slice_cells(view: SphereView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
+    """Return the cells of one slice, rings from the highlight outwards.
 
     A cell is refused if one of its pixels belongs to another cell.
     """
-    shift = np.zeros(2) if grid is None else np.asarray(grid.phase)
-    radius = view.radius
-    rings = [_ring_azimuths(ring, radius * theta_h[ring], theta_d, phi_d.size) for ring in _RINGS]
+    theta_h, theta_d, phi_d = merl_grid(sampling)
+    td, radius = theta_d[slice_], view.radius
+    rings = [_ring_azimuths(ring, radius * theta_h[ring], td, phi_d.size) for ring in _RINGS]
     i, k = np.repeat(_RINGS, [one.size for one in rings]), np.concatenate(rings)
-    x, y, cos_i, cos_o = places_in(view, theta_h[i], np.full(k.size, theta_d), phi_d[k])
+    x, y, cos_i, cos_o = places_in(view, theta_h[i], np.full(k.size, td), phi_d[k])
     seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
-    if grid is not None:  # the pixels themselves must be there, too
-        _, _, _, cos_i, cos_o = _in_pixels(radius, np.full(k.size, theta_d), x, y, grid.rule, shift)
-        seen &= (np.minimum(cos_i, cos_o) > NEAR_COSINE).all(axis=-1)
-    numbers = _pixel_numbers(x, y, shift).tolist()
+    shift, behind = np.zeros(2), None
+    if pixels is not None:  # the pixels themselves must be there, too
+        shift = pixels.of_slices(np.array([slice_]))[0]
+        behind = pixels_behind(pixels, radius, td, slice_, i, k)
+        at = pixel_angles(radius, td, behind.x, behind.y)
+        seen &= ((np.minimum(at.cos_i, at.cos_o) > NEAR_COSINE) | (behind.weight == 0)).all(axis=-1)
+        if pixels.rule == "mean":  # the pixels inside, which are not those of the cell's two places
+            x, y = behind.x, behind.y
+    numbers = pixel_numbers(x, y, shift).tolist()
     occupied: set[float] = set()
-    chosen: list[tuple[int, int]] = []
+    chosen: list[int] = []
     first = 0
     for ring, azimuths in zip(_RINGS, rings, strict=True):
         wanted = 5 if ring < NEAR_RINGS else _MOST_IN_RING if ring < 26 else 3
         # in an order that spreads over the ring even where not all cells fit
         for n in first + np.argsort((np.arange(azimuths.size) * 0.618) % 1):
-            pixels = set(numbers[n])
-            if wanted and seen[n] and not pixels & occupied and len(chosen) < _CELLS:
-                occupied |= pixels
-                chosen.append((int(ring), int(k[n])))
+            own = set(numbers[n])
+            if wanted and seen[n] and not own & occupied and len(chosen) < _CELLS:
+                occupied |= own
+                chosen.append(int(n))
                 wanted -= 1
         first += azimuths.size
     valid = np.arange(_CELLS) < len(chosen)
-    padded = np.array(chosen + [(0, 0)] * (_CELLS - len(chosen)))
-    return padded[:, 0], padded[:, 1], valid
+    rows = np.array(chosen + [0] * (_CELLS - len(chosen)))
+    if behind is not None:
+        behind = PixelsBehind(*(part[rows] for part in behind))
+    return _SliceCells(np.where(valid, i[rows], 0), np.where(valid, k[rows], 0), valid, behind)
 
 
 def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:

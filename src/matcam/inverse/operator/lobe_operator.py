@@ -231,15 +231,10 @@ def check_rig(rig: Rig) -> None:
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"a fit needs a table recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
-    if rig.cell_value in ON_REAL_PIXELS and not sphere_view(rig).distant:
+    if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sphere_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
             "cell_value must be 'centre' or 'edge'"
-        )
-    if rig.cell_value == "mean":
-        raise ArgumentError(
-            "a fit needs cells that stand for one pixel, or are interpolated between four: cell_value 'centre', 'edge', "
-            "'nearest' or 'bilinear', not 'mean'"
         )
 
 

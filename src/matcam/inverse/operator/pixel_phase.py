@@ -4,12 +4,16 @@ Cells that were read from the nearest pixel repeat its value, to the last digit.
 the border of a pixel. Near the highlight cells lie a twentieth of a pixel apart, so that the borders of a few slices give the
 grid's phase to some thousandths of a pixel, whatever the material and its noise.
 
+Cells that are means of the pixels inside are mostly too small to hold one, and repeat the nearest as well; those that do hold
+one show it alone, of whichever side, and so have borders of their own.
+
 Cells that were interpolated are linear in the values of few pixels: a grid of the right phase explains hundreds of cells by
 a few dozen values, without any rest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,36 +22,42 @@ import xarray as xr
 from scipy.optimize import minimize
 
 from matcam.core.errors import FitError
-from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid, sampling_of
+from matcam.core.grid import GRID_SHAPE, sampling_of
 from matcam.core.remark import Remark
 from matcam.forward.pixel_grid import looked_up
-from matcam.inverse.operator.chosen_cells import cell_places
+from matcam.inverse.operator.pixel_borders import (
+    RINGS,
+    SLICES,
+    Borders,
+    MeanBorders,
+    Repeats,
+    repeats,
+    shown_places,
+)
 from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
-_RINGS = 16
-"""Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
 _LEAST_REPEATS = 0.3
 """Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
-_LEAST_OUTWARDS = 0.1
 _COMMON = 0.02
 """Share of borders that a phase may miss that is common to all pictures; where it misses more each has its own."""
 _MOST_OF_A_SLICE = 0.5
 _COARSE, _FINE = 0.0625, 5e-4
 """px; first and last step of the search."""
-_UNKNOWN_STD = 0.3
-"""px; of a phase that may lie anywhere in a pixel."""
 _MOST_REPEATS = 0.95
 _MOST_WRONG = 0.1
 """Share of the borders between values that a grid may miss."""
-_EQUAL = 1e-9
 _STRIDE = 1 << 16
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
 _MOST_REST = 1e-6
 """Share of the variance of interpolated cells that a grid may leave."""
-_SLICES = np.arange(3, 84, 6)
+READ_FROM: dict[CellValue, str] = {
+    "nearest": "read from the nearest pixel",
+    "bilinear": "interpolated between pixels",
+    "mean": "the means of the pixels inside, of the nearest where none is",
+}
 
 
 class FoundPhase(NamedTuple):
@@ -65,7 +75,7 @@ class FoundPhase(NamedTuple):
 
     def remark(self, rule: CellValue) -> Remark:
         """Say what a reader should know of it."""
-        how = "read from the nearest pixel" if rule == "nearest" else "interpolated between pixels"
+        how = READ_FROM[rule]
         return Remark(
             "real-pixels-found", f"cells were {how}, whose centres {self.words}, as the cells themselves show"
         )
@@ -95,46 +105,14 @@ class LocatedRig(NamedTuple):
     unexplained: bool = False
 
 
-class Repeats(NamedTuple):
-    """Hold which neighbouring cells near the highlight hold one value. Shapes: s slices, r rings, k azimuths.
-
-    Attributes:
-        outwards: (s, r - 1, k), 1 where a cell repeats its outer neighbour's, 0 where not, -1 where there is none.
-        around: (s, r, k - 1), the same along phi_d.
-    """
-
-    outwards: np.ndarray
-    around: np.ndarray
-
-    @property
-    def share(self) -> float:
-        """Return the share of neighbours that hold one value; 0 where rings repeat alone, as smooth lobes do."""
-        known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
-        outwards = self.outwards[self.outwards >= 0]
-        if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
-            return 0.0
-        return float(known[known >= 0].mean())
-
-
-def repeats(table: xr.DataArray, slices: np.ndarray = _SLICES) -> Repeats:
-    """Return which neighbouring cells near the highlight of a table hold one value."""
-    values = table.values[:_RINGS][:, slices].transpose(1, 0, 2, 3)
-
-    def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        with np.errstate(invalid="ignore"):
-            there = (np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)).any(axis=-1)
-            different = (np.abs(a - b) > _EQUAL * np.abs(a)).any(axis=-1)
-        return np.where(there, np.where(different, 0, 1), -1)
-
-    return Repeats(same(values[:, :-1], values[:, 1:]), same(values[:, :, :-1], values[:, :, 1:]))
-
-
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
     """Return a rig that says what cells stand for: as it states, or as the table shows.
 
     FitError where the cells are not what the rig says.
     """
-    if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, UNKNOWN):
+    if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, "mean", UNKNOWN):
+        return LocatedRig(rig)
+    if rig.cell_value == "mean" and repeats(table).share < _LEAST_REPEATS:  # pixels of any phase
         return LocatedRig(rig)
     if not sphere_view(rig).distant:  # each cell has a picture of its own
         return LocatedRig(_with_cells(rig, sampling_of(table), None))
@@ -147,7 +125,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
             return LocatedRig(_with_cells(rig, sampling_of(table), None), 0.0, remarks, bool(remarks))
         rule = shown
     else:
-        found = nearest_phase(table, radius) if rule == "nearest" else bilinear_phase(table, radius)
+        found = _PHASES[rule](table, radius)
     return LocatedRig(_with_cells(rig, rule, found.phase), found.std, (found.remark(rule),))
 
 
@@ -176,16 +154,16 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
             "highlight do: state pixel_phase, or another cell_value"
         )
     sampling = sampling_of(table)
-    common = _best_phase(_Borders(radius, sampling, _SLICES, shown))
+    common = _common_phase("nearest", table, radius, shown)
     if common.unexplained <= _COMMON:
-        return _upright(common, _near_cells(table, radius, _SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS))
+        return common
     every = np.arange(GRID_SHAPE[1])
     shown = repeats(table, every)
     own: dict[int, FoundPhase] = {}
     for j in every:
         one = Repeats(shown.outwards[j : j + 1], shown.around[j : j + 1])
         if (one.around >= 0).mean() > _MOST_OF_A_SLICE:
-            found = _best_phase(_Borders(radius, sampling, every[j : j + 1], one))
+            found = _best_phase(Borders(radius, sampling, every[j : j + 1], one))
             own[int(j)] = _upright(found, _near_cells(table, radius, every[j : j + 1], _SIGN_RINGS, _SIGN_AZIMUTHS))
     unexplained = float(np.median([found.unexplained for found in own.values()])) if own else 1.0
     if unexplained > _MOST_WRONG:
@@ -199,36 +177,28 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     return FoundPhase(tuple(own[j].phase for j in nearest), std, unexplained)  # type: ignore[misc]
 
 
-class _Borders:
-    """Count the borders between values of some slices that a grid of pixels does not have where the table has them."""
-
-    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats):
-        self.places = _places(radius, sampling, slices, np.arange(_RINGS), 1)
-        self.shown = shown
-        self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
-
-    def wrong(self, x: float, y: float) -> int:
-        """Return the count of a grid of this phase, px."""
-        column, row = (np.rint(a - b) for a, b in zip(self.places, (x, y), strict=True))
-        number = column * _STRIDE + row
-        low, high = number.min(axis=-1), number.max(axis=-1)
-        total = 0
-        for axis, one in ((1, self.shown.outwards), (2, self.shown.around)):
-            same = (np.diff(low, axis=axis) == 0) & (np.diff(high, axis=axis) == 0)
-            total += int(((one >= 0) & (one != same)).sum())
-        return total
-
-    def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
-        """Return by how far a phase may be off before clearly more borders are missed."""
-        limit = fewest + 3 + np.sqrt(fewest)
-        for size in step * 2.0 ** np.arange(10):
-            turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
-            if all(self.wrong(best[0] + u, best[1] + v) > limit for u, v in turns):
-                return float(size)
-        return _UNKNOWN_STD
+def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
+    """Return the phase of a table whose cells are means of the pixels inside; one for all pictures."""
+    shown = repeats(table)
+    found = _common_phase("mean", table, radius, shown)
+    if shown.share < _LEAST_REPEATS or found.unexplained > _COMMON:
+        raise FitError(
+            f"no grid of pixels on a sphere of radius {radius:g} px, averaged in cells, has the borders that the values show "
+            f"({found.unexplained:.0%} of them differ): state pixel_phase and the sphere's radius, or another cell_value"
+        )
+    return found
 
 
-def _best_phase(borders: _Borders) -> FoundPhase:
+def _common_phase(rule: CellValue, table: xr.DataArray, radius: float, shown: Repeats) -> FoundPhase:
+    """Return the phase that serves all pictures best."""
+    found = _best_phase(_BORDERS[rule](radius, sampling_of(table), SLICES, shown))
+    return _upright(found, _near_cells(table, radius, SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS))
+
+
+_BORDERS: dict[CellValue, type[Borders]] = {"nearest": Borders, "mean": MeanBorders}
+
+
+def _best_phase(borders: Borders) -> FoundPhase:
     """Return the phase that misses fewest borders: by a coarse grid, and ever finer steps about its best."""
     line = np.arange(-8, 8) * _COARSE
     fewest, *best = min((borders.wrong(u, v), u, v) for u in line for v in line)
@@ -263,7 +233,7 @@ class _NearCells(NamedTuple):
 
 def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: int, every: int) -> list[_NearCells]:
     """Return cells of the slices that show most of them, in the brightest channel."""
-    places = _places(radius, sampling_of(table), slices, np.arange(rings), every)
+    places = shown_places(radius, sampling_of(table), slices, np.arange(rings), every)
     values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
     channel = int(np.argmax(np.nan_to_num(values).max(axis=(0, 1, 2))))
     found = []
@@ -281,7 +251,7 @@ def _rest(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) 
 
 def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Return the phase of a table whose cells were interpolated between pixels."""
-    cells = _near_cells(table, radius, _SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
+    cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
     def rest(phase: np.ndarray) -> float:
         return _rest("bilinear", (phase[0], phase[1]), cells)
@@ -325,17 +295,6 @@ def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, 
     return float((left**2).sum() / (own**2).sum())
 
 
-def _places(
-    radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places of cells, (slices, rings, azimuths, 2)."""
-    grid = merl_grid(sampling)
-    theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")
-    found = cell_places(radius, theta_h, grid.theta_d[slices][:, None, None], phi_d)
-    x, y = np.broadcast_arrays(found.x, found.y)
-    return x, y
-
-
 def _wrapped(phase: tuple[float, float]) -> tuple[float, float]:
     """Return the same grid's phase in [-0.5, 0.5] px."""
     x, y = (float(np.round(p - np.rint(p), 6)) for p in phase)
@@ -346,7 +305,7 @@ class CellRule(NamedTuple):
     """Say how a table's cells look to have been read from pixels.
 
     Attributes:
-        rule: "nearest" or "bilinear"; None: nothing shows that cells share pixels.
+        rule: "nearest", "bilinear" or "mean"; None: nothing shows that cells share pixels.
         found: the pixels' phase; None: no grid on a sphere of that radius fits.
         repeated: share of neighbouring cells near the highlight that hold one value.
         values: distinct values near the highlight, mean over slices; of the nearest pixel, pairs of pixels.
@@ -366,17 +325,25 @@ def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
     repeated, values = repeats(table).share, _distinct(table)
     if repeated > _MOST_REPEATS:  # a constant is no highlight
         return CellRule(None, None, repeated, values)
-    rule: CellValue = "bilinear" if repeated < _LEAST_REPEATS else "nearest"
-    try:
-        found = bilinear_phase(table, radius) if rule == "bilinear" else nearest_phase(table, radius)
-    except FitError:
-        # what repeats is read from pixels, whatever the sphere's radius is
-        return CellRule(rule if rule == "nearest" else None, None, repeated, values)
-    return CellRule(rule, found, repeated, values)
+    rules: tuple[CellValue, ...] = ("bilinear",) if repeated < _LEAST_REPEATS else ("mean", "nearest")
+    if repeated >= _LEAST_REPEATS and _common_phase("nearest", table, radius, repeats(table)).unexplained <= _COMMON:
+        rules = ("nearest",)
+    for rule in rules:
+        try:
+            return CellRule(rule, _PHASES[rule](table, radius), repeated, values)
+        except FitError:
+            continue
+    # what repeats is read from pixels, whatever the sphere's radius is
+    return CellRule("nearest" if "nearest" in rules else None, None, repeated, values)
+
+
+_PHASES: dict[CellValue, Callable[[xr.DataArray, float], FoundPhase]] = {
+    "nearest": nearest_phase, "bilinear": bilinear_phase, "mean": mean_phase,
+}  # fmt: skip
 
 
 def _distinct(table: xr.DataArray) -> float:
     """Return the number of distinct values near the highlight, mean over the slices that show any."""
-    values = table.values[:_RINGS][:, _SLICES, :, 0].transpose(1, 0, 2).reshape(_SLICES.size, -1)
+    values = table.values[:RINGS][:, SLICES, :, 0].transpose(1, 0, 2).reshape(SLICES.size, -1)
     counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
     return float(np.mean([count for count in counts if count] or [0]))

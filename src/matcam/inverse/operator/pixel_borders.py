@@ -1,0 +1,132 @@
+"""Where the values of neighbouring cells change near the highlight, and where a grid of pixels would make them change.
+
+Cells near the highlight lie a twentieth of a pixel apart. Those that were read from one pixel hold one value, to the last
+digit, so that borders between values are borders of pixels (`pixel_phase`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
+from matcam.forward.pixel_grid import pixel_angles
+from matcam.inverse.operator.pixels_behind import cell_places
+
+RINGS = 16
+"""Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
+SLICES = np.arange(3, 84, 6)
+UNKNOWN_STD = 0.3
+"""px; of a phase that may lie anywhere in a pixel."""
+_LEAST_OUTWARDS = 0.1
+_EQUAL = 1e-9
+_SIGNATURES = np.random.default_rng(0).random((64, 64))
+"""Values by which neighbouring pixels, and means of them, are told apart."""
+
+
+class Repeats(NamedTuple):
+    """Hold which neighbouring cells near the highlight hold one value. Shapes: s slices, r rings, k azimuths.
+
+    Attributes:
+        outwards: (s, r - 1, k), 1 where a cell repeats its outer neighbour's, 0 where not, -1 where there is none.
+        around: (s, r, k - 1), the same along phi_d.
+    """
+
+    outwards: np.ndarray
+    around: np.ndarray
+
+    @property
+    def share(self) -> float:
+        """Return the share of neighbours that hold one value; 0 where rings repeat alone, as smooth lobes do."""
+        known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
+        outwards = self.outwards[self.outwards >= 0]
+        if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
+            return 0.0
+        return float(known[known >= 0].mean())
+
+
+def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
+    """Return which neighbouring cells near the highlight of a table hold one value."""
+    values = table.values[:RINGS][:, slices].transpose(1, 0, 2, 3)
+
+    def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            there = (np.isfinite(a) & np.isfinite(b) & (a > 0) & (b > 0)).any(axis=-1)
+            different = (np.abs(a - b) > _EQUAL * np.abs(a)).any(axis=-1)
+        return np.where(there, np.where(different, 0, 1), -1)
+
+    return Repeats(same(values[:, :-1], values[:, 1:]), same(values[:, :, :-1], values[:, :, 1:]))
+
+
+class Borders:
+    """Count the borders between values of some slices that a grid of pixels does not have where the table has them."""
+
+    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats):
+        self.places = shown_places(radius, sampling, slices, np.arange(RINGS), 1)
+        self.shown = shown
+        self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
+
+    def wrong(self, x: float, y: float) -> int:
+        """Return the count of a grid of this phase, px."""
+        values = self._values(x, y)
+        total = 0
+        for axis, one in ((1, self.shown.outwards), (2, self.shown.around)):
+            total += int(((one >= 0) & (one != (np.abs(np.diff(values, axis=axis)) < _EQUAL))).sum())
+        return total
+
+    def _values(self, x: float, y: float) -> np.ndarray:
+        """Return what cells read from pixels of random values, (slices, rings, azimuths)."""
+        column, row = (np.rint(a - b).astype(int) for a, b in zip(self.places, (x, y), strict=True))
+        return _signature(column, row).mean(axis=-1)
+
+    def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
+        """Return by how far a phase may be off before clearly more borders are missed."""
+        limit = fewest + 3 + np.sqrt(fewest)
+        for size in step * 2.0 ** np.arange(10):
+            turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
+            if all(self.wrong(best[0] + u, best[1] + v) > limit for u, v in turns):
+                return float(size)
+        return UNKNOWN_STD
+
+
+class MeanBorders(Borders):
+    """Count the same of cells that are means of the pixels inside."""
+
+    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats):
+        super().__init__(radius, sampling, slices, shown)
+        self.radius, self.theta_d = radius, merl_grid(sampling).theta_d[slices][:, None, None]
+        middle = np.rint(radius * np.sin(self.theta_d)).astype(int)
+        side = int(np.ceil(max(np.abs(self.places[0] - middle[..., None]).max(), np.abs(self.places[1]).max()))) + 1
+        line = np.arange(-side, side + 1)
+        self.columns, self.rows = np.broadcast_arrays(middle + line[:, None], line)
+
+    def _values(self, x: float, y: float) -> np.ndarray:
+        whole = super()._values(x, y)
+        at = pixel_angles(self.radius, self.theta_d, self.columns + x, self.rows + y)
+        n_h, _, n_p = GRID_SHAPE
+        ring = (n_h * np.sqrt(at.theta_h / (np.pi / 2))).astype(int)
+        around = np.minimum((np.mod(np.pi - at.psi, np.pi) / np.pi * n_p).astype(int), n_p - 1)
+        inside = (ring < RINGS) & (at.cos_i > 0) & (at.cos_o > 0)
+        picture = np.broadcast_to(np.arange(len(self.theta_d))[:, None, None], ring.shape)
+        cell = np.ravel_multi_index((picture[inside], ring[inside], around[inside]), whole.shape)
+        count = np.bincount(cell, minlength=whole.size)
+        total = np.bincount(cell, _signature(self.columns, self.rows)[inside], whole.size)
+        mean = total / np.maximum(count, 1)
+        return np.where(count > 0, mean, whole.ravel()).reshape(whole.shape)
+
+
+def _signature(column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    return _SIGNATURES[np.mod(column, 64), np.mod(row, 64)]
+
+
+def shown_places(
+    radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places of cells, (slices, rings, azimuths, 2)."""
+    grid = merl_grid(sampling)
+    theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")
+    found = cell_places(radius, theta_h, grid.theta_d[slices][:, None, None], phi_d)
+    x, y = np.broadcast_arrays(found.x, found.y)
+    return x, y

@@ -1,0 +1,174 @@
+"""The pixels behind the cells of one picture of a distant sphere, few of each cell (docs/model.md 3, *Cells on real pixels*).
+
+A fit reads a cell as a weighted mean over eight places of the picture at most, four on either side of the plane of light and
+view. Cells that are read from the nearest pixel, or interpolated between four, are such means. A cell that is the mean of the
+pixels inside holds from none to some dozens. Where it holds more than four on one side, four places with the same mean and the
+same covariance stand for them: the sum is right for all that is quadratic over the cell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.grid import GRID_SHAPE, merl_grid, theta_h_edges
+from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, slice_pixels
+from matcam.inverse.operator.sphere_view import BOTH_WAYS
+
+_STRIDE = 1 << 16
+"""Pixels per row in a pixel's number."""
+_POINTS = 4
+"""Places that stand for the pixels of a cell on one side."""
+_GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
+"""Two Gauss-Legendre points along a side of a cell."""
+
+
+class CellPlaces(NamedTuple):
+    """Hold the two places of a sphere that show a cell, on a last axis.
+
+    Attributes:
+        x: px from the optical axis, the lamp towards +x.
+        y: the same across.
+        cos_i: cosine of the light.
+        cos_o: cosine of the view.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    cos_i: np.ndarray
+    cos_o: np.ndarray
+
+
+class PixelsBehind(NamedTuple):
+    """Hold the pixels behind cells; the last axis is over the pixels of a cell, of both ways.
+
+    Attributes:
+        x: centres, px from the sphere's centre, the lamp towards +x.
+        y: the same across.
+        weight: share of each in its cell's value; 0 fills up.
+        noise_share: variance of a cell over that of a pixel, no last axis.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    noise_share: np.ndarray
+
+
+def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
+    """Return the two places where a distant camera and lamp show each cell (docs/model.md 3)."""
+    psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
+    th, td = theta_h[..., None], theta_d[..., None]
+    mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
+    x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
+    return CellPlaces(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
+
+
+def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Return numbers of the pixels in which places fall."""
+    return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
+
+
+def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
+    """Return how many pixels show light of each cell of some slices, both ways, on average over phases: (90, slices, 1)."""
+    edges = theta_h_edges()
+    theta_h = (edges[1:] + edges[:-1]) / 2
+    solid = np.sin(theta_h) * np.diff(edges) * np.pi / GRID_SHAPE[2]
+    return radius**2 * (2 * solid * np.cos(theta_h))[:, None, None] * np.cos(theta_d)[:, None]
+
+
+def pixels_behind(
+    pixels: PixelGrid, radius: float, theta_d: float, j: int, i: np.ndarray, k: np.ndarray
+) -> PixelsBehind:
+    """Return the pixels behind cells of a slice.
+
+    Args:
+        pixels: how cells are looked up.
+        radius: of the sphere, px.
+        theta_d: of the slice, rad.
+        j: index of the slice.
+        i: (cells,), indices of theta_h.
+        k: (cells,), indices of phi_d.
+    """
+    if pixels.phase is None:
+        return _anywhere_in(radius, theta_d, i, k)
+    phase = phase_of_slices(pixels.phase)[j]
+    if pixels.rule == "mean":
+        return _inside(phase, radius, theta_d, i, k)
+    grid = merl_grid("centre")
+    place = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
+    found = looked_up(pixels.rule, phase, place.x, place.y)
+    x, y, weight = (a.reshape(i.size, -1) for a in (found.x, found.y, found.weight / 2))
+    numbers = pixel_numbers(x, y, phase)
+    same = numbers[:, :, None] == numbers[:, None, :]
+    return PixelsBehind(x, y, weight, np.einsum("ca,cab,cb->c", weight, same, weight))
+
+
+def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray) -> PixelsBehind:
+    """Return places that stand for pixels of any phase inside cells: Gauss-Legendre points, by the area that shows them."""
+    n_h, _, n_p = GRID_SHAPE
+    share = (i[:, None, None, None] + _GAUSS[:, None, None]) / n_h
+    theta_h = share**2 * np.pi / 2
+    phi_d = (k[:, None, None, None] + _GAUSS[:, None]) / n_p * np.pi + BOTH_WAYS
+    theta_h, phi_d = np.broadcast_arrays(theta_h, phi_d)
+    place = cell_places(radius, theta_h, np.array(theta_d), phi_d)
+    x, y = place.x[..., 0], place.y[..., 0]
+    cos_i, cos_o = place.cos_i[..., 0], place.cos_o[..., 0]
+    weight = np.where((cos_i > 0) & (cos_o > 0), cos_o * share * np.sin(theta_h), 0.0)
+    count = pixel_counts(radius, np.array([theta_d]))[i, 0, 0]
+    x, y, weight = (a.reshape(i.size, -1) for a in (x, y, weight))
+    total = weight.sum(axis=1, keepdims=True)
+    weight = weight / np.where(total > 0, total, 1.0)
+    middle = np.rint(x) * _STRIDE + np.rint(y)
+    alone = (middle == middle[:, :1]).all(axis=1)
+    return PixelsBehind(x, y, weight, np.minimum(np.where(alone, 1.0, 0.5), 1 / np.maximum(count, 1.0)))
+
+
+def _inside(phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray) -> PixelsBehind:
+    """Return the pixels of one grid inside cells, of the nearest where there are none."""
+    n_p = GRID_SHAPE[2]
+    whole = slice_pixels("mean", phase, radius, theta_d)
+    rows = whole.share[i * n_p + k]
+    cell = np.repeat(np.arange(i.size), np.diff(rows.indptr))
+    x, y, share = whole.x[rows.indices], whole.y[rows.indices], rows.data
+    noise_share = np.bincount(cell, share**2, i.size)
+    side = 2 * cell + (y < 0)
+    order = np.argsort(side, kind="stable")
+    side, x, y, share = (a[order] for a in (side, x, y, share))
+    count = np.bincount(side, minlength=2 * i.size)
+    rank = np.arange(side.size) - np.repeat(np.cumsum(count) - count, count)
+    grid = merl_grid("centre")
+    own = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
+    found = [np.repeat(a.reshape(-1, 1), _POINTS, axis=1) for a in (own.x, own.y, np.zeros((i.size, 2)))]
+    few = count[side] <= _POINTS
+    for target, values in zip(found, (x, y, share), strict=True):
+        target[side[few], rank[few]] = values[few]
+    many = np.flatnonzero(count > _POINTS)
+    if many.size:
+        for target, values in zip(found, _same_moments(side, x, y, share, count), strict=True):
+            target[many] = values[many]
+    x, y, weight = (a.reshape(i.size, -1) for a in found)
+    return PixelsBehind(x, y, weight, np.where(noise_share > 0, noise_share, 1.0))
+
+
+def _same_moments(
+    side: np.ndarray, x: np.ndarray, y: np.ndarray, share: np.ndarray, count: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x, y and weight of four places for each side, (sides, 4), that have the mean and covariance of its pixels."""
+    sides = count.size
+    total = np.bincount(side, share, sides)
+    safe = np.where(total > 0, total, 1.0)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(side, share * values, sides) / safe
+
+    middle = np.stack([mean(x), mean(y)], axis=-1)
+    dx, dy = x - middle[side, 0], y - middle[side, 1]
+    covariance = np.stack(
+        [np.stack([mean(dx * dx), mean(dx * dy)], -1), np.stack([mean(dx * dy), mean(dy * dy)], -1)], -1
+    )
+    variances, axes = np.linalg.eigh(covariance)
+    reach = axes * np.sqrt(2 * np.maximum(variances, 0))[:, None, :]
+    places = middle[:, :, None] + np.concatenate([reach, -reach], axis=-1)
+    return places[:, 0], places[:, 1], np.repeat(total[:, None] / _POINTS, _POINTS, axis=1)
