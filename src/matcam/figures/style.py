@@ -67,7 +67,7 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
     with styled():
         figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
     with replacing(path, force=force) as temporary:
-        temporary.write_bytes(drawn.getbuffer())
+        temporary.write_bytes(drawn.getvalue())  # an open view of it, kept by an error, brings Python 3.12 down
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:

@@ -368,7 +368,7 @@ def _frame(
 def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[Remark]) -> list[Remark]:
     """Name the pictures of the folder that frames.csv does not list."""
     listed = {frame.file for frame in frames}
-    texts = " ".join(str(problem) for problem in problems)
+    named = {str(problem).partition(": ")[0] for problem in problems}
     extra: list[str] = []
     for kind in KINDS:
         place = folder / kind
@@ -376,7 +376,7 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
             continue
         for path in sorted(place.iterdir()):
             name = f"{kind}/{path.name}"
-            if path.suffix.lower() in PICTURES and name not in listed and str(path) not in texts:
+            if path.suffix.lower() in PICTURES and name not in listed and str(path) not in named:
                 extra.append(name)
     if not extra:
         return []
