@@ -6,6 +6,7 @@ import pytest
 from matcam import edge_mtf_stack
 from matcam.calibration.edge.processing import crushed_share
 from matcam.calibration.photograph.flat_noise import flat_noise
+from matcam.calibration.photograph.slight_sharpening import effect_on_half, noise_score
 from tests.oracle import processed_pictures as software
 from tests.oracle import real_edges as oracle
 
@@ -104,6 +105,86 @@ def test_clean_edges_are_not_suspected():
 @pytest.mark.slow
 def test_clean_edges_are_not_suspected_at_length():
     assert false_alarms(600, 64) <= 3
+
+
+def disc(diameter, degrees):
+    """Edge response of a defocused lens, a disc, with a little blur: a semicircle of displaced edges."""
+    k = np.arange(1, 16) * np.pi / 16
+    along_row = np.cos(k) * diameter / 2 / np.cos(np.radians(degrees))
+    weights = np.sin(k) ** 2 / (np.sin(k) ** 2).sum()
+    return sum(w * oracle.response(0.3, degrees, offset=x) for w, x in zip(weights, along_row, strict=True))
+
+
+def ghosted(share, offset, degrees):
+    return (1 - share) * oracle.response(0.5, degrees) + share * oracle.response(0.5, degrees, offset=offset)
+
+
+LENSES = {
+    **{f"gaussian {s}": lambda a, s=s: oracle.response(s, a) for s in (0.3, 0.5, 0.7, 1.5)},
+    **{f"disc {d}": lambda a, d=d: disc(d, a) for d in (1.5, 3.0, 5.0)},
+    **{f"ghost {q} {x}": lambda a, q=q, x=x: ghosted(q, x, a) for q, x in ((0.05, 3), (0.1, -4), (0.2, 5))},
+}
+
+
+def said_to_be_sharpened(many, amount, snr, seed):
+    """For every lens, the share of pictures behind an unsharp mask of `amount` that are said to be sharpened, or refused."""
+    rng = np.random.default_rng(seed)
+    report = {}
+    for name, lens in LENSES.items():
+        pictures = []
+        for k in range(many):
+            if k % 5 == 0:
+                scene = oracle.levels(lens(rng.uniform(3.5, 12)))
+            pictures.append(software.unsharp(oracle.exposed(scene, snr, rng), amount))
+        stack = edge_mtf_stack(np.stack(pictures))
+        report[name] = 1 - np.mean(["sharpened" not in traces(stack, i) for i in stack.good]) * stack.good.size / many
+    return report
+
+
+def test_slight_sharpening_is_said():
+    seen = said_to_be_sharpened(5, 0.1, 100, 68)
+    assert min(seen[name] for name in ("gaussian 0.3", "gaussian 0.5", "disc 1.5")) >= 0.6
+    clean = said_to_be_sharpened(5, 0.0, 100, 69)
+    assert sum(clean.values()) == 0
+
+
+@pytest.mark.slow
+def test_slight_sharpening_at_length():
+    for snr in (100, 40):
+        seen, clean = (said_to_be_sharpened(100, amount, snr, 70) for amount in (0.1, 0.0))
+        for name, share in seen.items():
+            print(f"{name:14s} SNR {snr}: {share:6.1%} of masks of 10 %, {clean[name]:6.1%} of clean ones")
+        assert np.mean(list(clean.values())) < 0.01
+        if snr == 100:
+            assert min(seen[name] for name in ("gaussian 0.3", "gaussian 0.5", "disc 1.5")) >= 0.9
+            assert min(seen[name] for name in ("gaussian 0.7", "disc 3.0")) >= 0.4
+
+
+def test_noise_behind_a_mask_errs_apart():
+    rng = np.random.default_rng(71)
+    dark = np.zeros((100, 120), bool)
+    dark[:, :60] = True
+    light = np.where(dark, 1000.0, 4000.0) * (1 + 0.3 * np.indices(dark.shape)[0] / 100)
+    flat = np.roll(dark, -5, 1) & dark, np.roll(~dark, 5, 1) & ~dark
+    scores = {0.0: [], 0.1: []}
+    for _ in range(40):
+        counts = rng.poisson(light).astype(float)
+        for amount, of in scores.items():
+            of.append(noise_score(software.unsharp(counts, amount), flat))
+    # in this many pixels the mask is worth 3 standard deviations
+    assert abs(np.mean(scores[0.0])) < 0.6
+    assert np.std(scores[0.0]) == pytest.approx(1, abs=0.35)
+    assert np.mean(scores[0.1]) == pytest.approx(3, abs=0.8)
+    assert noise_score(np.full((50, 50), 3.0), (np.ones((50, 50), bool), np.zeros((50, 50), bool))) == 0
+
+
+def test_what_a_mask_does_to_mtf50():
+    f = np.arange(81) / 64
+    lens = np.exp(-2 * (np.pi * 0.5 * f) ** 2) * np.sinc(f)
+    behind = lens * (1.1 - 0.1 * np.exp(-2 * (np.pi * f) ** 2))
+    halves = [np.interp(-0.5, -mtf[:50], f[:50]) for mtf in (behind, lens)]
+    assert effect_on_half(f, behind) == pytest.approx(halves[0] / halves[1] - 1, rel=1e-6)
+    assert effect_on_half(f, np.ones(81)) == 0
 
 
 def test_errors_grow_as_one_scale_of_frequency():

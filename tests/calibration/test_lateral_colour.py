@@ -5,6 +5,7 @@ import pytest
 
 from matcam import calibrate
 from matcam.calibration.camera.lateral_colour import lateral_remark
+from matcam.figures.calibration import calibration_figure
 from tests.oracle import slanted_squares
 
 SHAPE = (420, 440)
@@ -40,6 +41,15 @@ def test_it_is_said_where_it_can_be_seen(found):
     ]
     assert any(text.startswith("R lies 0.3") and "further out" in text for text in said)
     assert found.to_dict()["lateral_colour"]["R"]["corner"] == found.lateral_colour["R"].corner
+
+
+def test_maps_are_drawn(found):
+    image = np.zeros((*SHAPE, 3))
+    titles = [axes.get_title(loc="left") for axes in calibration_figure(found, image, ["a line"]).axes]
+    assert sum(title.startswith("Blur in parts of the picture, G") for title in titles) == 1
+    assert sum(title.startswith("Lateral colour") for title in titles) == 1
+    without = [axes.get_title(loc="left") for axes in calibration_figure(found, None, []).axes]
+    assert not any("parts of the picture" in title for title in without)
 
 
 def test_equal_colours_are_not_remarked_on():

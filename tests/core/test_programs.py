@@ -2,7 +2,10 @@
 
 import os
 import pickle
+import subprocess
+import sys
 from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -44,6 +47,60 @@ def test_another_process_does_not_trace(folder):
     np.testing.assert_array_equal(again(X, 3)[0], power(X, 3)[0])
     np.testing.assert_array_equal(again(X + 1, 3)[1], X + 1)
     assert traces == [3]
+
+
+class Pair(NamedTuple):
+    """Two arrays of a result."""
+
+    first: jax.Array
+    second: np.ndarray | np.float64
+
+
+class Nested(NamedTuple):
+    """A result of results."""
+
+    pair: Pair
+    own: jax.Array
+
+
+def test_named_tuples_come_back_as_they_were(folder):
+    traces = []
+
+    def made(returns):
+        def nested(x):
+            traces.append(1)
+            found = Nested(Pair(x, 2 * x), jnp.linalg.cholesky(jnp.eye(2) * x[1]))
+            return found if returns is Nested else (found, (x, x + 1))
+
+        return kept_program(runs="once", returns=returns)(nested)
+
+    for returns in (Nested, tuple[Nested, tuple[jax.Array, jax.Array]]):
+        for _ in range(2):
+            result = made(returns)(X)
+            found = result if returns is Nested else result[0]
+            assert isinstance(found, Nested)
+            np.testing.assert_array_equal(found.pair.second, 2 * X)
+            np.testing.assert_allclose(found.own, 0.5 * np.eye(2))
+            if returns is not Nested:
+                np.testing.assert_array_equal(result[1][1], X + 1)
+    assert len(traces) == len(list(folder.iterdir())) == 2
+
+
+def test_another_process_finds_linear_algebra(folder):
+    """A program from disk that calls LAPACK before JAX has looked for it."""
+    script = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from matcam.core import programs\n"
+        "programs.program_folder = lambda: Path(sys.argv[1])\n"
+        "from matcam.core.jax import jnp\n"
+        "def root(x): return jnp.linalg.cholesky(x)\n"
+        "print(float(programs.kept_program(root)(4.0 * np.eye(3))[0, 0]))\n"
+    )
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == "2.0"
+    assert len(list(folder.iterdir())) == 1
 
 
 def test_each_kind_of_argument_has_its_own(folder):

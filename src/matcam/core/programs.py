@@ -11,15 +11,15 @@ import hashlib
 import logging
 import os
 from collections.abc import Callable, Hashable
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple, ParamSpec, TypeVar, get_args, get_origin, get_type_hints, overload
 
 import equinox as eqx
 import jaxlib
 import numpy as np
 
-from matcam.core.jax import jax, plainly_compiled, program_folder
+from matcam.core.jax import Runs, jax, plainly_compiled, program_folder
 from matcam.core.packed_programs import pack_program, unpack_program
 from matcam.core.sealed import CompiledFunctions, read_sealed, write_sealed
 
@@ -31,7 +31,11 @@ _CPU_INFO = Path("/proc/cpuinfo")
 _log = logging.getLogger("matcam")
 
 
-def kept_program(function: Callable[P, T]) -> Callable[P, T]:
+@overload
+def kept_program(function: Callable[P, T]) -> Callable[P, T]: ...
+@overload
+def kept_program(*, runs: Runs = "some", returns: Any = None) -> Callable[[Callable[P, T]], Callable[P, T]]: ...
+def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some", returns: Any = None) -> Any:
     """Compile a function as `eqx.filter_jit` does, and keep the program where the process keeps compiled functions.
 
     Programs are kept for one processor's own backend, and where `use_compilation_cache` was called. Inside another
@@ -39,7 +43,9 @@ def kept_program(function: Callable[P, T]) -> Callable[P, T]:
 
     Args:
         function: a function of positional arguments, which returns an array or a tuple of arrays. Its arrays are traced; all
-            else is part of its kind.
+            else is part of its kind. Default: None, the rest makes a decorator.
+        runs: how often the program will run, as `plainly_compiled` takes it. Default: "some".
+        returns: what the function returns, where that is named tuples: their class, or `tuple[...]` of them. Default: None.
 
     Returns:
         The function, compiled.
@@ -50,6 +56,13 @@ def kept_program(function: Callable[P, T]) -> Callable[P, T]:
         >>> float(double(np.array(4.0)))
         8.0
     """
+    if function is None:
+        return partial(_kept_program, runs=runs, returns=returns)
+    return _kept_program(function, runs=runs, returns=returns)
+
+
+def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Callable[P, T]:
+    """Return a function that is compiled and kept."""
     compiled = eqx.filter_jit(function)
     ready: dict[Hashable, Callable[..., Any] | None] = {}
 
@@ -64,7 +77,7 @@ def kept_program(function: Callable[P, T]) -> Callable[P, T]:
             return compiled(*args, **kwargs)
         key = tree, kinds
         if key not in ready:
-            ready[key], result = _Kept(function, leaves, tree, kinds).program(folder)
+            ready[key], result = _Kept(function, leaves, tree, kinds, runs, returns).program(folder)
             if result is not None:
                 return result
         program = ready[key]
@@ -95,17 +108,22 @@ def _one_processor() -> bool:
 
 
 class _Kept(NamedTuple):
-    """Hold a function and what is known of its arguments: their leaves, their tree, and the kind of each leaf."""
+    """Hold a function and what is known of its arguments: their leaves, their tree, and the kind of each leaf.
+
+    Besides, how often it runs, and what it returns where that is more than a tuple of arrays.
+    """
 
     function: Callable[..., Any]
     leaves: list[Any]
     tree: Any
     kinds: tuple[Any, ...]
+    runs: Runs
+    returns: Any
 
     def program(self, folder: Path) -> tuple[Callable[..., Any] | None, Any]:
         """Return the program from disk with its first result, or make and keep it; None where it cannot be named."""
         name = f"{self.function.__module__}.{self.function.__qualname__}"
-        description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}"
+        description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
         if " at 0x" in description or (made_of := _surroundings()) is None:
             return None, None
         key = f"{made_of}\n{description}".encode()
@@ -113,32 +131,49 @@ class _Kept(NamedTuple):
         stored = read_sealed(path, key)
         if stored is not None:
             try:
-                program = unpack_program(stored)
+                program = self._of_its_kind(unpack_program(stored))
                 result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults show only in running
             except Exception as error:  # whatever a backend may find wrong
                 _log.warning("matcam: %s in the cache cannot be used (%s): it is made again", path.name, error)
             else:
                 return program, result
         with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
-            options = plainly_compiled()
+            options = plainly_compiled(self.runs)
             program = jax.jit(self._of_arrays(), compiler_options=options).lower(*_arrays(self.leaves)).compile()
         try:
             write_sealed(path, key, pack_program(program))
         except Exception as error:  # what cannot be written down can be run
             _log.debug("matcam: %s is not kept: %s", name, error)
-        return program, None
+        return self._of_its_kind(program), None
+
+    def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a program whose flat results are put together again."""
+        if self.returns is None:
+            return program
+        structure = jax.tree.structure(_places(self.returns))
+        return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
     def _of_arrays(self) -> Callable[..., Any]:
         """Return the function of its arrays alone. JAX keeps it: it must not hold the arrays themselves."""
-        function, tree, kinds = self.function, self.tree, self.kinds
+        function, tree, kinds, flat = self.function, self.tree, self.kinds, self.returns is not None
 
         def of_arrays(*arrays: Any) -> Any:
             given = iter(arrays)
             leaves = [next(given) if kind[0] == "array" else kind[1] for kind in kinds]
-            return function(*jax.tree.unflatten(tree, leaves))
+            result = function(*jax.tree.unflatten(tree, leaves))
+            return tuple(jax.tree.leaves(result)) if flat else result
 
         of_arrays.__name__ = function.__name__
         return of_arrays
+
+
+def _places(kind: Any) -> Any:
+    """Return a value of named tuples, or tuples of them, with a place for each array."""
+    if get_origin(kind) is tuple:
+        return tuple(map(_places, get_args(kind)))
+    if isinstance(kind, type) and issubclass(kind, tuple):
+        return kind(*map(_places, get_type_hints(kind).values()))
+    return 0
 
 
 def _types(tree: Any) -> list[str]:

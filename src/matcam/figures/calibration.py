@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +14,9 @@ from matcam.calibration.camera.camera_fit import CameraFit
 from matcam.calibration.edge.edge_result import EdgeMTF
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
+from matcam.figures.field_maps import COLOURS, draw_blur_map, draw_lateral_colour
 from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled
 
-_COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 _MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
 _LARGEST = 900  # px of the picture as it is drawn
 
@@ -141,24 +142,31 @@ def _draw_edge_residuals(axes: Axes, result: EdgeMTF) -> None:
 
 
 def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Sequence[str]) -> Figure:
-    """Draw a result of `calibrate`: edges in the picture, MTFs, residuals, blur over the field.
+    """Draw a result of `calibrate`: edges in the picture, MTFs, residuals, blur over the field, lateral colour.
 
     Args:
         found: the result.
         picture: the first picture, in any codes; None if there is none.
         lines: the verdict, printed below.
     """
+    channel = found.channels[found.channel]
+    edges = channel.edges if picture is not None else None
+    maps = [["map", "lateral" if found.lateral_colour else "map"]] if edges is not None else []
     with styled():
-        figure = Figure(figsize=(10.5, 7.6), layout="constrained")
+        figure = Figure(figsize=(10.5, 7.6 + 3.4 * len(maps)), layout="constrained")
+        rows: list[Any] = [["picture", "mtf"], ["residuals", "field"], *maps, ["words", "words"]]
         axes = figure.subplot_mosaic(
-            [["picture", "mtf"], ["residuals", "field"], ["words", "words"]],
-            height_ratios=(1.15, 1, 0.12 + 0.075 * len(lines)),
+            rows,
+            height_ratios=(1.15, 1, *([1.1] * len(maps)), 0.12 + 0.075 * len(lines)),
         )
-        channel = found.channels[found.channel]
         _draw_picture(axes["picture"], channel, picture, found.channel)
         _draw_mtf(axes["mtf"], found)
         _draw_residuals(axes["residuals"], found)
         _draw_field(axes["field"], found, picture)
+        if picture is not None and edges is not None:
+            draw_blur_map(axes["map"], edges, picture.shape[:2], found.channel)
+            if found.lateral_colour:
+                draw_lateral_colour(axes["lateral"], found, picture.shape[:2])
         axes["words"].axis("off")
         axes["words"].text(
             0,
@@ -201,7 +209,7 @@ def _draw_mtf(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     nyquist_line(axes, 0.6)
     for name, fit in found.channels.items():
-        colour = _COLOURS[name]
+        colour = COLOURS[name]
         if np.isfinite(fit.curve.mtf).all():
             axes.fill_between(
                 fit.curve.frequency,
@@ -222,12 +230,12 @@ def _draw_residuals(axes: Axes, found: Calibration) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     for name, fit in found.channels.items():
         left = fit.curve.mtf - fit.curve.camera_mtf
-        axes.plot(fit.curve.frequency, left, color=_COLOURS[name], lw=1.2, label=name)
+        axes.plot(fit.curve.frequency, left, color=COLOURS[name], lw=1.2, label=name)
         axes.fill_between(
             fit.curve.frequency,
             left - 2 * fit.curve.mtf_std,
             left + 2 * fit.curve.mtf_std,
-            color=_COLOURS[name],
+            color=COLOURS[name],
             alpha=0.2,
             lw=0,
         )
@@ -249,11 +257,11 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
         radius = np.hypot(edges.x - middle[0], edges.y - middle[1])
         # edges whose normals point to the middle show the radial blur, the others the tangential one
         along = np.abs(np.cos(edges.angle - np.arctan2(edges.y - middle[1], edges.x - middle[0])))
-        for radial, fill in ((True, _COLOURS[name]), (False, "white")):
+        for radial, fill in ((True, COLOURS[name]), (False, "white")):
             which = (along > np.sqrt(0.5)) == radial
             axes.errorbar(
                 radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
-                color=_COLOURS[name], mfc=fill, label=f"{name}, {'radial' if radial else 'tangential'}",
+                color=COLOURS[name], mfc=fill, label=f"{name}, {'radial' if radial else 'tangential'}",
             )  # fmt: skip
     axes.set(xlabel="distance from the picture's middle [px]", ylabel="blur as Gaussian sigma [px]")
     axes.legend(loc="best", fontsize=8, ncols=2, frameon=True, framealpha=0.85, edgecolor="none")

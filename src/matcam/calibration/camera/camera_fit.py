@@ -32,6 +32,7 @@ from matcam.camera.pixel import BoxPixel
 from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 
 _LARGEST_STD = 0.1  # relative, of lens and pixel where both are fitted
@@ -378,7 +379,7 @@ def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeT
     return MeanCurve(FREQUENCIES, mean, np.maximum(scatter, stated) if count > 1 else stated, expected)
 
 
-@jax.jit
+@kept_program
 def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
     """Return the camera's signed MTF at each edge, (edges, frequencies)."""
     return jax.lax.map(lambda e: e[0].mtf(theta, FREQUENCIES, e[1], half), (edges.lens, jnp.asarray(edges.angle)))

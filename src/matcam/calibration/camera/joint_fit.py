@@ -22,6 +22,7 @@ from matcam.calibration.edge.rows import program_size
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core.errors import FitError
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.programs import kept_program
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
 _ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05  # steps at most; standard deviations; of chi2, that a step may cost
@@ -338,10 +339,8 @@ def _after_step(
     return theta + step, edges
 
 
-@jax.jit
-def _edge_shares(
-    edges: EdgeMeasurements, theta: jax.Array, half_width: jax.Array
-) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
+@kept_program(returns=tuple[Shares, tuple[jax.Array, jax.Array]])
+def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
     """Return shares, and how each edge's own parameters respond.
 
     They move by themselves, and with the shared parameters.
@@ -366,8 +365,8 @@ def _edge_shares(
     return jax.lax.map(one, edges, batch_size=_AT_ONCE)
 
 
-@jax.jit
-def _value_shares(values: ValueMeasurements, theta: jax.Array, half_width: jax.Array) -> Shares:
+@kept_program(returns=Shares)
+def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Shares:
     """Return the shares of MTF values."""
 
     def one(some: ValueMeasurements) -> Shares:

@@ -26,6 +26,7 @@ from matcam.calibration.edge.rows import RegionFrame
 from matcam.core import checks
 from matcam.core.io import plain
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.programs import kept_program
 from matcam.core.remark import Remark, texts
 
 if TYPE_CHECKING:
@@ -373,7 +374,8 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         return len(self.problems)
 
 
-_EDGE, _LINE = jax.jit(free_curve.edge_response), jax.jit(free_curve.line_response)
+_kept = kept_program(returns=SampledCurve)
+_EDGE, _LINE = _kept(free_curve.edge_response), _kept(free_curve.line_response)
 
 
 def stack_result(

@@ -25,7 +25,8 @@ from matcam.calibration.edge.maximum_likelihood import (
 )
 from matcam.calibration.edge.outliers import without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
-from matcam.core.jax import AnyArray, Runs, jax, jit_plainly, jnp
+from matcam.core.jax import AnyArray, Runs, jax, jit_plainly, jnp, program_folder
+from matcam.core.programs import kept_program
 from matcam.numerics.linalg import scaled_inverse
 
 _START = -0.5  # ln px: sigma 0.6
@@ -175,7 +176,7 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    return _program(_fits_of_one, "once")(value, y, start, noise, half_width, step=step, turns=turns)
+    return _program(_fits_of_one, "once")(value, y, start, noise, half_width, step, turns)
 
 
 def edge_fits_of_stack(
@@ -193,9 +194,7 @@ def edge_fits_of_stack(
 
     value: (n, rows, columns). y and start: (n, rows). few: whether it is not asked often enough to be worth a long compilation.
     """
-    return _program(_fits_of_stack, "once" if few else "some")(
-        values, y, start, noise, half_width, step=step, turns=turns
-    )
+    return _program(_fits_of_stack, "once" if few else "some")(values, y, start, noise, half_width, step, turns)
 
 
 @jax.jit
@@ -214,12 +213,14 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
 
 @cache
 def _program(function: Callable[..., EdgeFits], runs: Runs) -> Callable[..., EdgeFits]:
-    """Return a compiled function, of which little or much is asked."""
-    return jit_plainly(function, runs=runs, static=("step", "turns"))
+    """Return a compiled function, of which little or much is asked. A command keeps it: to trace it takes seconds."""
+    plain = jit_plainly(function, runs=runs, static=("step", "turns"))
+    kept = kept_program(runs=runs, returns=EdgeFits)(function)
+    return lambda *given: (plain if program_folder() is None else kept)(*given)
 
 
 def _fits_of_one(
-    value: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
+    value: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
 ) -> EdgeFits:
     pilot = _pilot(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
     stage = _stage(pilot, jax.lax.cond(pilot.ghost, _with_ghost, lambda pilot: pilot.free, pilot))
@@ -229,7 +230,7 @@ def _fits_of_one(
 
 
 def _fits_of_stack(
-    values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, *, step: int, turns: int
+    values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
 ) -> EdgeFits:
     def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Pilot:
         return _pilot(Rows(value, y, start, step), noise, half_width, turns)

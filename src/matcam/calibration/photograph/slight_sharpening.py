@@ -1,0 +1,171 @@
+"""Whether a picture is slightly sharpened: neighbours whose noise errs apart, and an edge that no lens makes.
+
+A lens spreads light, so that its line spread function is nowhere negative; an unsharp mask's is, beside the core. Therefore the
+edge is fitted twice by any non-negative line spread function (a row of narrow bumps): as it is, and behind an unsharp mask. By
+how much the mask lowers chi2 is what the edge says. The noise says its part in the same units. Defocus, ghosts and glare are
+non-negative and cannot pass for a mask.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import ndtr
+
+from matcam.core.jax import FloatArray
+
+AMOUNT, RADIUS = 0.1, 1.0
+"""The mask that is tried: share of the difference from its surroundings by which a pixel is raised; their radius, px."""
+FOUND, APART = 13.0, 0.5
+"""2 ln likelihood that the mask must bring; standard deviations by which neighbours must err apart besides."""
+_LAGS = (
+    (0, 1),
+    (1, 0),
+    (1, 1),
+    (1, -1),
+    (0, 2),
+    (2, 0),
+)  # px, rows and columns: neighbours that the mask makes err apart
+_LARGEST = 4.0  # standard deviations: a hot pixel is no noise
+_ORDER = 3  # of the light on a side
+_FEWEST = 500  # pixels of a side
+_LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25  # px; blurs; blurs; of the distance: the bumps
+_ROOM = 0.8  # of the region, to which bumps reach
+_LEAST_NOISE = 2e-4  # of the step: what the bumps cannot describe
+
+
+def noise_score(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> float:
+    """Return by how many standard deviations neighbours err apart as behind the mask; 0 where nothing is known.
+
+    Args:
+        value: picture (height, width).
+        sides: its flat parts (height, width), dark and bright, bool.
+    """
+    height, width = value.shape
+    axes = (np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None])
+    terms = [axes[0] ** i * axes[1] ** k for i in range(_ORDER + 1) for k in range(_ORDER + 1 - i)]
+    noise, there = np.zeros(value.shape), np.zeros(value.shape)
+    for side in sides:
+        if side.sum() < _FEWEST:
+            return 0.0
+        design = np.stack([term[side] for term in terms])
+        left = value[side] - np.linalg.lstsq(design @ design.T, design @ value[side], rcond=None)[0] @ design
+        scale = left.std()
+        if not scale > 0:
+            return 0.0
+        noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
+    score = power = 0.0
+    for (dy, dx), expected in zip(_LAGS, _CORRELATIONS, strict=True):
+        here = (slice(dy, None), slice(max(dx, 0), width + min(dx, 0)))
+        other = (slice(None, height - dy), slice(max(-dx, 0), width - max(dx, 0)))
+        pairs = float((there[here] * there[other]).sum())
+        # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
+        score += expected * (float((noise[here] * noise[other]).sum()) + len(sides) * len(terms))
+        power += expected**2 * pairs
+    return score / np.sqrt(power)
+
+
+def noise_gain(score: float, pixels: int) -> float:
+    """Return by how much the mask lowers chi2 of the noise. pixels: of the flat parts."""
+    expected = float(np.sqrt(pixels * (_CORRELATIONS**2).sum()))
+    return 2 * expected * score - expected**2
+
+
+class BareEdge(NamedTuple):
+    """Hold n means of pixels across an edge.
+
+    Attributes:
+        distance: (n,) px from the edge.
+        spread: (n,) px^2, variance of the distances in each mean.
+        value: (n,) less the light that adds to the scene.
+        std: (n,) standard deviation of the noise.
+        step: (n,) bright less dark, in this light.
+        light: (k, n) levels and light, as columns that any multiple may be taken of.
+        blur: px, standard deviation of the line spread function.
+    """
+
+    distance: FloatArray
+    spread: FloatArray
+    value: FloatArray
+    std: FloatArray
+    step: FloatArray
+    light: FloatArray
+    blur: float
+
+
+def edge_gain(edge: BareEdge) -> float:
+    """Return by how much the mask lowers chi2 of an edge, behind any non-negative line spread function."""
+    weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
+    given = edge.light * weight
+    # what is free of any bound is taken out of everything
+    basis = np.linalg.qr((given / np.maximum(np.linalg.norm(given, axis=1), 1e-300)[:, None]).T)[0]
+
+    def beyond(columns: FloatArray) -> FloatArray:
+        return columns - (columns @ basis) @ basis.T
+
+    distance = edge.distance
+    places, widths = _bumps(edge.blur, _ROOM * min(float(distance.max()), -float(distance.min())))
+
+    def edges(more: float) -> FloatArray:
+        return np.asarray(ndtr((distance - places[:, None]) / np.sqrt(widths[:, None] ** 2 + edge.spread + more**2)))
+
+    lens, wider = edges(0.0), edges(RADIUS)
+    wanted = beyond((edge.value * weight)[None])[0]
+    left = [
+        nnls(beyond(columns * edge.step * weight).T, wanted)[1] ** 2
+        for columns in (lens, lens + AMOUNT * (lens - wider))
+    ]
+    return float(left[0] - left[1])
+
+
+def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
+    """Return by how much the mask raises the frequency at which an MTF is one half, relative; 0 where it has none.
+
+    Args:
+        frequency: frequencies, cycles/px.
+        mtf: MTF behind the mask, of the same shape.
+    """
+    before = mtf / (1 + AMOUNT * (1 - np.exp(-2 * (np.pi * RADIUS * frequency) ** 2)))
+    halves = []
+    for curve in (mtf, before):
+        below = np.flatnonzero(curve < 0.5)
+        if not below.size or below[0] == 0:
+            return 0.0
+        k = below[0]
+        halves.append(np.interp(0.5, curve[[k, k - 1]], frequency[[k, k - 1]]))
+    return float(halves[0] / halves[1] - 1)
+
+
+def _bumps(blur: float, reach: float) -> tuple[FloatArray, FloatArray]:
+    """Return places and widths of the bumps of a line spread function, px: narrow in the core, coarser outside."""
+    width = max(_LEAST_WIDTH, _WIDTH * blur)
+    half = min(max(_CORE * blur, 5.0), reach)
+    core = width * np.arange(int(2 * half / width) + 1)
+    core -= core.mean()
+    places, widths, at = [], [], float(core[-1])
+    while at < reach:
+        step = max(width, _COARSER * at)
+        at += step
+        places.append(at)
+        widths.append(step)
+    outside, wide = np.array(places[:-1]), np.array(widths[:-1])
+    return np.concatenate([-outside[::-1], core, outside]), np.concatenate(
+        [wide[::-1], np.full(core.size, width), wide]
+    )
+
+
+def _correlations() -> FloatArray:
+    """Return the correlation of pixels `_LAGS` apart behind the mask, if there was none before."""
+    reach = 4
+    line = np.exp(-((np.arange(-reach, reach + 1) / RADIUS) ** 2) / 2)
+    line /= line.sum()
+    mask = -AMOUNT * np.outer(line, line)
+    mask[reach, reach] += 1 + AMOUNT
+    size = 2 * mask.shape[0]
+    power = np.fft.irfft2(np.abs(np.fft.rfft2(mask, (size, size))) ** 2, (size, size))
+    return np.array([power[dy, dx] for dy, dx in _LAGS]) / power[0, 0]
+
+
+_CORRELATIONS = _correlations()

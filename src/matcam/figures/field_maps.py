@@ -1,0 +1,100 @@
+"""Maps of a calibration over the picture: the lens's width in each part of it, and how far colours lie apart."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from matcam.calibration.camera.calibration import Calibration
+from matcam.calibration.camera.evidence import EdgeTable
+from matcam.calibration.camera.lateral_colour import LateralColour
+from matcam.figures.style import BLACK, BLUE, GREEN, VERMILION
+
+COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
+"""Colours in which channels are drawn."""
+_LONGER, _SHORTER = 8, 6  # parts along the sides of the picture
+_FEWEST = 2  # edges in a part: one may lie badly
+_ROUNDING = 0.02  # of the width: range below which colours would show nothing but noise
+
+
+class BlurMap(NamedTuple):
+    """Hold the median blur in parts of the picture (rows, columns), NaN where too few edges lie, and how many do.
+
+    Attributes:
+        x: borders of the columns, px.
+        y: borders of the rows, px.
+        sigma: median width of the lens as a Gaussian, px.
+        edges: how many there are (no unit).
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    sigma: np.ndarray
+    edges: np.ndarray
+
+
+def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
+    """Return the median blur of edges in parts of the picture. shape: its height and width, px."""
+    height, width = shape
+    rows, columns = (_SHORTER, _LONGER) if width >= height else (_LONGER, _SHORTER)
+    x, y = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
+    column = np.clip(np.searchsorted(x, edges.x) - 1, 0, columns - 1)
+    row = np.clip(np.searchsorted(y, edges.y) - 1, 0, rows - 1)
+    sigma, count = np.full((rows, columns), np.nan), np.zeros((rows, columns), int)
+    for i in range(rows):
+        for k in range(columns):
+            here = edges.sigma[(row == i) & (column == k)]
+            count[i, k] = here.size
+            if here.size >= _FEWEST:
+                sigma[i, k] = np.median(here)
+    return BlurMap(x, y, sigma, count)
+
+
+def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel: str) -> None:
+    """Draw the blur in parts of the picture, with its values."""
+    found = blur_map(edges, shape)
+    axes.set_title(f"Blur in parts of the picture, {channel}: median sigma [px]", loc="left", parse_math=False)
+    axes.grid(False)
+    axes.plot(edges.x, edges.y, ".", ms=2, color=BLACK, alpha=0.4, zorder=3)
+    axes.set(xlabel="x [px]", ylabel="y [px]", xlim=found.x[[0, -1]], ylim=found.y[[-1, 0]], aspect="equal")
+    if np.isnan(found.sigma).all():
+        axes.text(0.5, 0.5, f"fewer than {_FEWEST} edges in every part", ha="center", transform=axes.transAxes)
+        return
+    low, high = np.nanmin(found.sigma), np.nanmax(found.sigma)
+    more = max(_ROUNDING * high - (high - low), 0.0) / 2
+    drawn = axes.pcolormesh(
+        found.x, found.y, np.ma.masked_invalid(found.sigma), cmap="cividis", vmin=low - more, vmax=high + more
+    )
+    axes.figure.colorbar(drawn, ax=axes, label="sigma [px]", shrink=0.85)
+    for (i, k), sigma in np.ndenumerate(found.sigma):
+        if np.isfinite(sigma):
+            bright = sigma > (low + high) / 2
+            axes.text(
+                found.x[k : k + 2].mean(), found.y[i : i + 2].mean(), f"{sigma:.3f}",
+                ha="center", va="center", fontsize=7, color="black" if bright else "white", zorder=4,
+            )  # fmt: skip
+
+
+def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) -> None:
+    """Draw how far other colours lie outside of green, from the picture's middle to its corners."""
+    corner = float(np.hypot(*shape) / 2)
+    radius = np.linspace(0, corner, 101)
+    for name, lateral in found.lateral_colour.items():
+        shift = lateral_shift(lateral, radius, corner)
+        axes.plot(radius, shift, color=COLOURS[name], lw=1.3, label=f"{name}: {lateral.edges} edges")
+        axes.errorbar(
+            corner, lateral.corner, 2 * lateral.corner_std, fmt="o", ms=4, lw=1, capsize=3, color=COLOURS[name]
+        )
+    axes.axhline(0, color=BLACK, lw=0.6)
+    axes.set(xlabel="distance from the picture's middle [px]", ylabel="further out than G [px]")
+    axes.legend(loc="best", fontsize=8.5)
+    axes.set_title("Lateral colour, 2 std in the corners", loc="left")
+
+
+def lateral_shift(lateral: LateralColour, radius: np.ndarray, corner: float) -> np.ndarray:
+    """Return how far further out a colour lies, px, at radii px. corner: the radius of the picture's corners, px."""
+    linear = lateral.scale * corner
+    rho = radius / corner
+    return np.asarray(linear * rho + (lateral.corner - linear) * rho**3)
