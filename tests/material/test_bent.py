@@ -8,6 +8,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.material import Sampled
 from matcam.material.ndf.free_lobe import KNOTS, BentNDF, bend_basis
+from tests.oracle.sphere_cells import Tails
 
 THETA = np.concatenate([[0.0], np.geomspace(1e-5, 1.5, 40)])
 
@@ -61,3 +62,18 @@ def test_a_bend_is_differentiated_along_every_direction():
     _, found = jax.jvp(density, (0.05, jnp.asarray(bends), jnp.asarray(at)), direction)
     ends = [density(*(v + s * 1e-5 * d for v, d in zip((0.05, bends, at), direction, strict=True))) for s in (1, -1)]
     np.testing.assert_allclose(found, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("gamma", "asked"), [(1.67, 0.11), (2.5, 0.005)])
+def test_a_bend_gives_long_tails_their_masking(gamma, asked):
+    """Of Student's t with exponent 1.67 most of Lambda comes from facets steeper than 45 degrees, some from beyond 88."""
+    true, slope2 = Tails(0.2, gamma), np.geomspace(1e-6, 26.0, 400) ** 2
+    wanted = np.log(true.p22(slope2) / np.asarray(GGX(0.2).slope_density(jnp.asarray(slope2))))
+    bends = np.linalg.lstsq(np.asarray(bend_basis(jnp.asarray(slope2))).T, wanted, rcond=None)[0]
+    theta = np.radians([45.0, 60.0, 75.0, 81.0])
+    g1 = 1 / (1 + true.smith(np.cos(theta)))
+    to_45 = np.where(np.arange(KNOTS) < 12, bends, bends[11])
+    error, level = (np.abs(BentNDF(GGX(0.2), jnp.asarray(b)).g1(theta) / g1 - 1).max() for b in (bends, to_45))
+    print(f"G1 of exponent {gamma}: {error:.3f} off; bent to 45 degrees only {level:.3f}")
+    assert error < asked
+    assert level > 2 * error

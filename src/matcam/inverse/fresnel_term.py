@@ -117,7 +117,7 @@ def fresnel(
     checks.choice("masking", masking, MASKINGS)
     _check_highlight(brdf, normalise)
     explained = explain(
-        brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace, every=max(every, SEARCH_EVERY), doubted=(LENS,)
+        brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace, every=max(every, SEARCH_EVERY)
     )  # fmt: skip
     found = explained.setup.with_(every=every).solve(start=explained.fit)
     terms = [_FresnelTerm(found, normalise)]
@@ -130,6 +130,10 @@ def fresnel(
         (_FresnelTerm(other.setup.with_(every=every).solve(start=other.fit), normalise), other.weight)
         for other in explained.others
     ]
+    for doubt in explained.doubts:
+        if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
+            free = explained.setup.with_(every=every, also=(doubt.axis.name,)).solve(start=doubt.fit)
+            others.append((_FresnelTerm(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
     term = _average(terms, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)

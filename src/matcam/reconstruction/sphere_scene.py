@@ -13,8 +13,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.material.ndf.free_lobe import KNOTS
-from matcam.numerics.approximation import smoothness
+from matcam.material.ndf.free_lobe import KNOTS, bend_smoothness
 from matcam.reconstruction.joint_fit import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import SCENE, LampFrame
@@ -178,7 +177,7 @@ def prior_of(
         row[[layout.gain(i) for i in range(k)]] = line
         add("gain", row, float(line @ gains))
     if bend:
-        smooth = smoothness(KNOTS)
+        smooth = bend_smoothness()
         for line in smooth:
             row = np.zeros(layout.size)
             row[own : own + KNOTS] = line / bend

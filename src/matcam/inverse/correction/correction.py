@@ -148,14 +148,12 @@ class Correction:
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
         scattered = glare * _farthest_glare(brdf, rig, best)
-        left, lit = found.shape.noise, best
-        if held_back and found.no_blur:
-            left, lit = found.without_camera.noise, found.blind
+        blind = held_back and found.no_blur
+        left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
+            lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
-        table = _corrected_table(
-            brdf, best, left, noise_shares(sphere_view(rig), sampling_of(brdf)), ratio, scattered, glare
-        )
+        table = _corrected_table(brdf, best, left, noise_shares(rig, sampling_of(brdf)), ratio, scattered, glare)
         remarks = found.remarks
         if noise is None:
             remarks = (*remarks, *gain_remarks(left.picture_gain))

@@ -28,8 +28,7 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens
-from matcam.material.ndf.free_lobe import KNOTS, bend_basis
-from matcam.numerics.approximation import smoothness
+from matcam.material.ndf.free_lobe import KNOTS, bend_basis, bend_smoothness
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
@@ -216,7 +215,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
     columns = _columns(linear)
     count, shapes = len(columns), slice(len(linear.by_coordinates), len(linear.by_coordinates) + KNOTS)
     rig = slice(len(at.lobe), len(linear.by_coordinates))
-    differences = smoothness(KNOTS)
+    differences = bend_smoothness()
     assumed = solution.noise
     result = np.zeros(count)
     scale, covariance, before, after = _SCALES[0], np.zeros((count, count)), 1.0, 1.0

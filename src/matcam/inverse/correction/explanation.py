@@ -15,7 +15,6 @@ cells with F free in every slice and a Lambertian part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +25,6 @@ from matcam.core.remark import Remark
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.doubts import (
-    DOUBTED,
     Doubt,
     OtherLobe,
     ShapeCorrection,
@@ -121,6 +119,13 @@ class Explanation(NamedTuple):
             return False
         return is_guess(LENS, lens.std()[LENS] / float(camera.parameters()[LENS]))
 
+    def scattering(self, lit: MaterialFit) -> MaterialFit:
+        """Return the fit whose F shows the pictures' gains: one that has most slices. A bent lobe is fitted in a few.
+
+        lit: preferred, if it has as many.
+        """
+        return max((lit, self.fit, *self.candidates), key=lambda one: one.theta_d.size)
+
     @property
     def no_blur_remark(self) -> Remark:
         """Say that the data show no blur."""
@@ -150,11 +155,10 @@ def explain(
     noise: PixelNoise | None,
     workspace: Workspace | None,
     every: int = SEARCH_EVERY,
-    doubted: Sequence[str] = DOUBTED,
 ) -> Explanation:
     """Return the explanation of a checked table. Arguments are those of `correct`.
 
-    every: spacing of the slices that are used. doubted: parameters of the rig that are left free.
+    every: spacing of the slices that are used.
     """
     located = located_rig(rig, brdf)
     rig = located.rig
@@ -202,7 +206,7 @@ def explain(
         shadowed = _shadowed(blind_setup, blind)
     if shadowed is not None and not _explains(through_camera, noise):
         no_camera = max(no_camera, _probability(shadowed, through_camera))
-    doubts = rig_doubts(setup, rig, found, doubted)
+    doubts = rig_doubts(setup, rig, found)
     return Explanation(
         located, setup, candidates, found, shape, others, doubts, blind_setup, blind, no_camera, shadowed
     )

@@ -20,10 +20,8 @@ from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_re
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.material.ndf.free_lobe import slope_of_knot
+from matcam.material.ndf.free_lobe import SHADOWS, STIFFER, bend_smoothness, slope_of_knot
 from matcam.numerics.approximation import smoothness
-
-_STIFFER = 10.0
 
 
 class Prior(NamedTuple):
@@ -48,13 +46,17 @@ class Prior(NamedTuple):
         rows = [rig]
         kind = layout.kind
         first = len(kind.family_names)
-        for start, count, finest in ((first, kind.bends, self.finest), (first + kind.bends, kind.shadows, 0.0)):
+        splines = (
+            (first, kind.bends, bend_smoothness(), self.finest),
+            (first + kind.bends, kind.shadows, smoothness(SHADOWS), 0.0),
+        )
+        for start, count, rows_of, finest in splines:
             for lobe in range(layout.lobes if count else 0):
-                smooth = smoothness(count)
+                smooth = rows_of.copy()
                 own = np.zeros((len(smooth), layout.size))
                 place = layout.lobe(lobe).start + start
                 middle = np.abs(smooth) @ np.arange(count) / np.abs(smooth).sum(axis=1)
-                smooth[slope_of_knot(middle) < finest] *= _STIFFER  # what no pixel resolves is the family's
+                smooth[slope_of_knot(middle) < finest] *= STIFFER  # what no pixel resolves is the family's
                 own[:, place : place + count] = smooth / self.bend
                 rows.append(own)
         return np.concatenate(rows)

@@ -14,13 +14,16 @@ from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import NDF, SlopeNDF
-from matcam.numerics.approximation import combined, cubic_basis
+from matcam.numerics.approximation import combined, cubic_basis, smoothness
 
-KNOTS = 12
+KNOTS = 17
 """Parameters of a bend."""
 SHADOWS = 8
 """Parameters of a free masking."""
-_FINEST, _LAST = 0.0015, 1.0  # slopes at which the knots become even in the logarithm, and at which they end
+STIFFER = 10.0
+"""How much stiffer a bend is where little or nothing shows its shape."""
+_STEEP = 0.9  # slope beyond which that is so
+_FINEST, _LAST = 0.0015, 26.4  # slopes at which the knots become even in the logarithm, and at which they end
 _END = float(np.arcsinh(_LAST / _FINEST))
 _NODES = np.polynomial.legendre.leggauss(160)
 
@@ -29,7 +32,8 @@ class BentNDF(SlopeNDF):
     """Bend a lobe by a smooth factor of the slope.
 
     P22 of the base times exp(sum_k bends_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
-    asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 1.
+    asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 26 (88 degrees). Facets as
+    steep as that hide others: a lobe whose tail ended at 45 degrees would have its family's masking.
 
     Attributes:
         base: the lobe that is bent.
@@ -81,6 +85,18 @@ def bend_basis(slope2: jax.Array) -> jax.Array:
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
     place = jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
     return cubic_basis(place, KNOTS)
+
+
+def bend_smoothness() -> np.ndarray:
+    """Return the rows (rows, KNOTS) whose products with a bend's coefficients are small: `smoothness`, stiff beyond 45 degrees.
+
+    Few cells show facets as steep, and the sphere's last pixels show them: the tail goes on as a power law, whatever its
+    exponent. Free there, a bend of white paper fell to nothing at 66 degrees.
+    """
+    rows = smoothness(KNOTS)
+    steep = slope_of_knot(np.arange(1.0, KNOTS - 1)) > _STEEP
+    rows[: steep.size][steep] *= STIFFER
+    return rows
 
 
 def slope_of_knot(place: np.ndarray) -> np.ndarray:
