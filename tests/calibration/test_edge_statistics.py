@@ -40,11 +40,11 @@ def judge(sigma, snr, count, seed):
     bound = oracle.bound_of_half(sigma, snr)
     assert rms(parametric) <= limit("edge-efficiency") * bound * slack
     assert abs(parametric.mean()) <= 3 * parametric.std() / np.sqrt(count)
-    # not its rms: two or three of 1,000 edges look sharpened by chance, and say that they may err by 8 %
+    # medians, not rms: two or three of 1,000 edges look sharpened by chance, and say that they may err by 8 %
     assert np.median(stated) == pytest.approx(rms(parametric), rel=0.15 * slack)
     mapper = MTF_MAPPER[sigma][snr == 40] / 100
     assert rms(free) <= 1.05 * mapper * slack
-    assert rms(free_stated) == pytest.approx(free.std(), rel=0.15 + slack - 1)
+    assert np.median(free_stated) == pytest.approx(free.std(), rel=0.15 + slack - 1)
 
 
 @pytest.mark.parametrize(("sigma", "snr"), [*CASES[::2], CASES[3]])

@@ -25,10 +25,10 @@ from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
     APART,
-    FOUND,
     BareEdge,
     edge_gain,
     effect_on_half,
+    needed_gain,
     noise_gain,
     noise_score,
 )
@@ -219,8 +219,9 @@ def _slightly_sharpened(
     if apart < APART:  # 1 in 50 of slightly sharpened pictures; it spares half of all others the fits
         return []
     gain = noise_gain(apart, int(sides[0].sum() + sides[1].sum()))
-    gain += edge_gain(_bare(jax.tree.map(lambda a: np.asarray(a)[i], stack.fits)))
-    if gain < FOUND:
+    edge = _bare(jax.tree.map(lambda a: np.asarray(a)[i], stack.fits))
+    gain += edge_gain(edge)
+    if gain < needed_gain(edge.blur):
         return []
     share = effect_on_half(stack.frequency, stack.mtf[i])
     text = (
