@@ -29,6 +29,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens
 from matcam.material.ndf.free_lobe import KNOTS, bend_basis, bend_smoothness
+from matcam.numerics.approximation import smoothness
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
@@ -215,7 +216,8 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
     columns = _columns(linear)
     count, shapes = len(columns), slice(len(linear.by_coordinates), len(linear.by_coordinates) + KNOTS)
     rig = slice(len(at.lobe), len(linear.by_coordinates))
-    differences = bend_smoothness()
+    # a tail that has to bend, stiff as it is, would ask for a scale that leaves the peak free
+    even, differences = smoothness(KNOTS), bend_smoothness()
     assumed = solution.noise
     result = np.zeros(count)
     scale, covariance, before, after = _SCALES[0], np.zeros((count, count)), 1.0, 1.0
@@ -229,7 +231,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
         flat, target = white(columns).reshape(count, -1), white(linear.residual).ravel()
         information, right = flat @ flat.T, flat @ target
         information[rig, rig] += linear.rig_information
-        scale = max(_SCALES, key=lambda one: _evidence(information, right, shapes, differences / one))
+        scale = max(_SCALES, key=lambda one: _evidence(information, right, shapes, even / one))
         penalty = np.zeros((count, count))
         penalty[shapes, shapes] = differences.T @ differences / scale**2
         covariance = scaled_inverse(information + penalty)
