@@ -5,10 +5,10 @@ import os
 import numpy as np
 import pytest
 
-from matcam.acquisition.light.bracket_reading import in_order
 from matcam.acquisition.light.kept_work import KeptWork, identity
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.threads import in_order
 from matcam.files.capture import read_capture
 from tests.acquisition.drawn import small
 

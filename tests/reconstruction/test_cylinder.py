@@ -10,7 +10,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.cylinder_fit import _cylinder_problem
 from matcam.reconstruction.cylinder.straight_outline import straight_outline
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
-from matcam.reconstruction.joint_fit import JointLayout
+from matcam.reconstruction.joint.joint_problem import JointLayout
 from matcam.reconstruction.picture_rule import WINDOW
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 from tests.oracle.capture import METALS, Sensor, _channels

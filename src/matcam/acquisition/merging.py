@@ -13,13 +13,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from matcam.acquisition.bracket_sample import same_colour_neighbours
-from matcam.acquisition.light.bracket_reading import in_order
 from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
+from matcam.core.threads import in_order
 from matcam.files.capture import Capture, Region
 
 _SAFE = 0.93

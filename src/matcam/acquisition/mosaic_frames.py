@@ -19,6 +19,8 @@ from matcam.files.tone_curve import decoded
 
 _TILES = {"R": 0, "G": 1, "B": 2}
 _EIGHT = 255
+ASSUMED_CFA = "RGGB"
+"""The mosaic as which a picture in full colour is read whose own is not stated: colours are not mixed, whichever it was."""
 
 
 @dataclass
@@ -42,7 +44,8 @@ class MosaicReader:
     @property
     def cfa(self) -> str | None:
         """Return the colours of the first 2 x 2 px of a whole frame, as stated or as the frames' files say."""
-        return self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
+        stated = self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
+        return stated or (ASSUMED_CFA if self._first and self._first[3] else None)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -92,14 +95,13 @@ class MosaicReader:
                 if new != old
             ]
             raise FileFormatError(f"{path}: is of another kind than the frames before: {', '.join(what)}")
-        if colour and camera["cfa"] is None:
-            raise FileFormatError(
-                f"{path}: is a picture in full colour: give raw frames, or state the mosaic it came from as camera.cfa "
-                "and accept_processed = true"
-            )
         processed = []
         if colour:
             processed.append("demosaiced: blur by up to half a pixel that no profile of the raw camera knows")
+            if camera["cfa"] is None:
+                processed.append(
+                    f"in full colour, and capture.toml states no camera.cfa: each pixel is read in its colour of {ASSUMED_CFA}"
+                )
         if values.dtype.kind == "u" and values.dtype.itemsize == 1:
             processed.append("of 8 bits: rounding of 0.3 codes, and probably a tone curve that bends every ratio")
         if camera["tone"] != "linear":
@@ -107,6 +109,7 @@ class MosaicReader:
         if processed and not camera["accept_processed"]:
             raise FileFormatError(
                 f"{path}: is {processed[0].split(':')[0]}: give raw frames, or accept it with camera.accept_processed = true"
+                f"{', and state the mosaic it came from as camera.cfa' if colour and camera['cfa'] is None else ''}"
             )
         for text in processed:
             self.remarks.setdefault(text, Remark("processed", f"frames are {text}"))

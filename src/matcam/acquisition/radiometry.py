@@ -25,7 +25,7 @@ from matcam.acquisition.exposure_ratios import (
     fit_ratios,
     measure_clip_level,
 )
-from matcam.acquisition.light.bracket_reading import BracketReading, in_order
+from matcam.acquisition.light.bracket_reading import BracketReading
 from matcam.acquisition.light.flat_field import FlatField, measure_flat
 from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.light.reference_frames import SeenReference, in_own_frames, in_sample_frames, scatter_between
@@ -35,6 +35,7 @@ from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark, some_of
+from matcam.core.threads import in_order
 from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
@@ -175,6 +176,7 @@ def measure_radiometry(
     largest, smallest = -np.inf, np.inf
     wanted = list(capture.lamps if lamps is None else lamps)
     reading = BracketReading(capture, reader, region, names, darkness, noise, kept)
+    before = len(remarks)
     say = progress or (lambda step, done, total: None)
     for number, found in enumerate(in_order(reading.read, list(enumerate(wanted)), workers)):
         remarks += found.remarks
@@ -194,7 +196,7 @@ def measure_radiometry(
     ]
     if not samples:
         raise FitError(
-            f"{capture.folder}: no frame of any lamp position can be read: {remarks[0] if remarks else 'see frames.csv'}"
+            f"{capture.folder}: no frame of any lamp position can be read: {[*remarks[before:], *remarks, 'see frames.csv'][0]}"
         )
     remarks += reader.remarks.values()
     order = _order(samples, len(names))

@@ -13,7 +13,7 @@ import equinox as eqx
 
 from matcam.batch.executors import Executor
 from matcam.batch.executors.cluster import ClusterExecutor
-from matcam.batch.executors.local import ProcessExecutor, ThreadExecutor, available_cores, has_gpu
+from matcam.batch.executors.local import ProcessExecutor, ThreadExecutor, has_gpu
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import (
@@ -31,6 +31,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
 from matcam.core.io import one_by_one
 from matcam.core.registry import FAMILIES
+from matcam.core.threads import available_cores
 from matcam.core.workspace import Workspace
 from matcam.figures.pages import INLINE, write_run_index
 from matcam.inverse.fit.fit_setup import AUTO

@@ -1,9 +1,15 @@
-"""Threads of the libraries beneath NumPy, which read their number from the environment as they are loaded."""
+"""Threads: of the libraries beneath NumPy, which read their number from the environment as they are loaded, and our own."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Variables that keep linear algebra to the thread that asks for it.
@@ -21,3 +27,40 @@ def use_one_blas_thread() -> None:
     if "numpy" not in sys.modules:
         for name, value in ONE_BLAS_THREAD.items():
             os.environ.setdefault(name, value)
+
+
+def available_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
+    """Yield what `work` returns for each item, in their order, several at a time in threads.
+
+    The first is done alone: it decides what the others are compared with, and compiles what they share. Threads suffice: files
+    are decoded in processes of their own, and NumPy and JAX compute outside of Python's lock.
+
+    Args:
+        work: what is done with an item.
+        items: any number.
+        workers: items that are worked on at a time.
+
+    Example:
+        >>> list(in_order(abs, [-1, -2, -3], 2))
+        [1, 2, 3]
+    """
+    yield from map(work, items[:1])
+    if workers < 2 or len(items) < 3:
+        yield from map(work, items[1:])
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = [pool.submit(work, item) for item in items[1 : workers + 1]]
+        try:
+            for number in range(1, len(items)):
+                result = waiting.pop(0).result()
+                if number + workers < len(items):  # no more than that many results lie about
+                    waiting.append(pool.submit(work, items[number + workers]))
+                yield result
+        finally:
+            for one in waiting:
+                one.cancel()

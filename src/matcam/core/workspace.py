@@ -128,7 +128,7 @@ class Workspace:
 
         The file's name is a hash of the description and of the package's version. It ends in a SHA-256 of both and of its
         content, so that a file that is damaged, or another's, is not believed: it is made again, and one line is logged. One
-        that cannot be written is not: a full disk must not stop a fit.
+        that cannot be written is not: a full disk must not stop a fit. Where there are no arrays nothing is kept.
 
         Args:
             description: text that holds all that the arrays depend on.
@@ -146,6 +146,8 @@ class Workspace:
             with np.load(io.BytesIO(stored), allow_pickle=False) as file:
                 return {name: file[name] for name in file.files}
         arrays = make()
+        if not arrays:
+            return arrays
         packed = io.BytesIO()
         np.savez(packed, **arrays)  # type: ignore[arg-type]
         write_sealed(path, key, packed.getvalue())

@@ -15,7 +15,8 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
-from matcam.reconstruction.joint_fit import JointProblem, Likelihood, cost_at
+from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
+from matcam.reconstruction.joint.joint_problem import JointProblem
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
 

@@ -20,14 +20,8 @@ from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
-from matcam.reconstruction.joint_fit import (
-    JointLayout,
-    JointProblem,
-    JointSolution,
-    Likelihood,
-    solve,
-    summed_up,
-)
+from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
+from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_places
@@ -39,6 +33,7 @@ from matcam.sample.curved import Sphere
 _WIDTHS = np.geomspace(3e-4, 0.5, 14)
 _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
+_ROUGHLY, _ENOUGH = 1.0, 0.1  # of the cost
 _HOPELESS = 20.0
 """Mean squared residual, of a picture and over that of the others, from which it is not explained at all."""
 _FEW = 6  # pictures in which the lobe is looked for
@@ -222,7 +217,8 @@ def fit_sphere(
             p = _with_strengths(problem, p, unexplained)
             p[layout.diffuse] *= diffuse
         before = p.copy()
-        p, _ = solve(problem, p, unexplained)
+        # the windows of the first round are laid anew
+        p = solve(problem, p, unexplained, _ROUGHLY if turn == 0 and rounds > 1 else _ENOUGH)
         share = _unexplained_share(problem, p)
         settled = abs(share - unexplained) < 0.05 * unexplained + 1e-4
         unexplained = share

@@ -14,7 +14,7 @@ from matcam.camera.lens_field import Coefficient, LensField
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.material.ndf.free_lobe import KNOTS, bend_smoothness
-from matcam.reconstruction.joint_fit import JointLayout, JointProblem, PixelModel
+from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import SCENE, LampFrame
 from matcam.reconstruction.rig.earlier_rig import KnownRig

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
@@ -41,38 +40,6 @@ class ReadBracket(NamedTuple):
     largest: float
     smallest: float
     remarks: tuple[Remark, ...]
-
-
-def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
-    """Yield what `work` returns for each item, in their order, several at a time in threads.
-
-    The first is done alone: it decides what the others are compared with. Threads suffice: files are decoded in processes of
-    their own, and NumPy computes outside of Python's lock.
-
-    Args:
-        work: what is done with an item.
-        items: any number.
-        workers: items that are worked on at a time.
-
-    Example:
-        >>> list(in_order(abs, [-1, -2, -3], 2))
-        [1, 2, 3]
-    """
-    yield from map(work, items[:1])
-    if workers < 2 or len(items) < 3:
-        yield from map(work, items[1:])
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(work, item) for item in items[1 : workers + 1]]
-        try:
-            for number in range(1, len(items)):
-                result = waiting.pop(0).result()
-                if number + workers < len(items):  # no more than that many results lie about
-                    waiting.append(pool.submit(work, items[number + workers]))
-                yield result
-        finally:
-            for one in waiting:
-                one.cancel()
 
 
 @dataclass
@@ -117,7 +84,18 @@ class BracketReading:
         frames = self.capture.of("frames", lamp=numbered[1])
         paths = [self.capture.folder / frame.file for frame in frames]
         text = f"bracket {numbered} {self._shape} {self._about} {frames}\n{identity(paths)}"
-        arrays = self.kept.store(text, lambda: _packed(self._read(numbered), self._shape))
+        failed: list[ReadBracket] = []
+
+        def made() -> dict[str, np.ndarray]:
+            found = self._read(numbered)
+            if any(remark.code == "bad-frame" for remark in found.remarks):
+                failed.append(found)  # a slow disk or little memory may be better the next time
+                return {}
+            return _packed(found, self._shape)
+
+        arrays = self.kept.store(text, made)
+        if failed:
+            return failed[0]
         self._shape = self._shape or tuple(arrays["shape"].tolist()) or None
         return _unpacked(arrays, numbered[1], frames)
 

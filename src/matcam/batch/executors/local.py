@@ -193,11 +193,6 @@ class _Worker:
         return f"exit code {code}"
 
 
-def available_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def has_gpu() -> bool:
     """Tell whether JAX computes on a GPU."""
     return jax.default_backend() == "gpu"

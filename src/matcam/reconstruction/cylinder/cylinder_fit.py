@@ -15,7 +15,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_model import ProfileModel
 from matcam.reconstruction.cylinder.profile_rule import CylinderPlace, chosen_columns
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
-from matcam.reconstruction.joint_fit import JointLayout, JointProblem
+from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import lamp_frame
 from matcam.reconstruction.picture_rule import lamp_places

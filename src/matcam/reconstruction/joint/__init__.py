@@ -1,0 +1,1 @@
+"""All pictures of a sample fitted at once: what is fitted, and how."""

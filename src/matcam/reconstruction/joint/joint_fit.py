@@ -1,0 +1,275 @@
+"""All pictures of a sample fitted at once: lobe, reflectance, lens, lamps and distances in one likelihood (docs/model.md 10).
+
+A pixel that was clipped says that the truth is at least its value. What the noise does not explain enters as a share of the
+model, so that errors of any kind widen the stated uncertainty. Pictures are worked on side by side; sums are in their order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from matcam.core.errors import FitError
+from matcam.core.threads import available_cores, in_order
+from matcam.numerics.anderson import AndersonMixing
+from matcam.numerics.linalg import scaled_inverse
+from matcam.reconstruction.joint.joint_problem import JointProblem
+from matcam.reconstruction.observed_pixels import ObservedPixels
+
+T = TypeVar("T")
+_CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
+_HUBER = 4.0
+_STEPS = 25
+_SETTLED = 1e-3  # of a standard deviation
+_MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
+
+
+class JointSolution(NamedTuple):
+    """Hold the best fit.
+
+    Attributes:
+        problem: what was solved.
+        p: parameters.
+        covariance: of the parameters, with what the fit does not explain, and what nobody has stated.
+        fitted: the same without what nobody has stated: it weighs.
+        cost: minus twice the logarithm of likelihood and prior, but for a constant.
+        unexplained: share of the model that enters the noise, no unit.
+        theta_d: angle of each picture's strengths, rad, (pictures,).
+        theta_d_slope: derivatives of these angles, (pictures, parameters).
+        chi2: mean squared residual of each picture, in standard deviations of photon and read noise, (pictures,).
+        left_out: pixels beyond 6 standard deviations in each picture, (pictures,).
+    """
+
+    problem: JointProblem
+    p: np.ndarray
+    covariance: np.ndarray
+    fitted: np.ndarray
+    cost: float
+    unexplained: float
+    theta_d: np.ndarray
+    theta_d_slope: np.ndarray
+    chi2: np.ndarray
+    left_out: np.ndarray
+
+    def covariance_with(self, change: np.ndarray) -> np.ndarray:
+        """Return the covariance if the information matrix were larger by `change`, (size, size)."""
+        judged = np.flatnonzero(self.problem.judged)
+        inner = np.ix_(judged, judged)
+        covariance = np.zeros_like(self.covariance)
+        information = scaled_inverse(self.covariance[inner], undetermined=1e16) + change[inner]
+        covariance[inner] = scaled_inverse(information, undetermined=1e16)
+        return covariance
+
+
+class Likelihood:
+    """Judge a model by its pixels, with a share of the model as noise.
+
+    Args:
+        unexplained: that share, no unit.
+    """
+
+    def __init__(self, unexplained: float):
+        self.unexplained = unexplained
+
+    def residual(
+        self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return standardised residuals, their derivatives by the model, and their robust weights, (pixels,).
+
+        A clipped pixel's residual is the root of minus twice the logarithm of the chance that it was clipped.
+
+        Args:
+            pixels: what was observed.
+            value: the model, (pixels,).
+            level: what the unexplained noise is a share of, (pixels,). Default: None, `value`.
+        """
+        std = np.hypot(pixels.std, self.unexplained * np.abs(value if level is None else level))
+        z = (value - pixels.values) / std
+        by_value = 1 / std
+        bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
+        chance = log_ndtr(bound)
+        root = np.sqrt(np.maximum(-2 * chance, 1e-300))
+        hazard = np.exp(-0.5 * bound**2 - chance) / np.sqrt(2 * np.pi)
+        residual = np.where(pixels.clipped, -root, z)
+        slope = np.where(pixels.clipped, hazard / np.maximum(root, 1e-12), 1.0) * by_value
+        slope = np.where(pixels.clipped & (np.abs(z) > _CLIPPED_OUT), 0.0, slope)
+        weight = np.where(np.abs(residual) > _HUBER, _HUBER / np.maximum(np.abs(residual), _HUBER), 1.0)
+        used = pixels.used
+        return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
+
+    def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
+        """Return Huber's cost of a picture. Arguments as of `residual`."""
+        residual, _, _ = self.residual(pixels, value, level)
+        size = np.abs(residual)
+        huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
+        return float(huber.sum())
+
+    def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
+        """Return minus twice the logarithm of the likelihood per pixel, but for a constant: it compares lobes."""
+        std = np.hypot(pixels.std, self.unexplained * np.abs(value))
+        measured = pixels.used & ~pixels.clipped
+        return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
+
+
+def solve(problem: JointProblem, start: np.ndarray, unexplained: float, enough: float) -> np.ndarray:
+    """Return the parameters of least cost at a given share of unexplained noise.
+
+    Steps of Levenberg and Marquardt with the noise of the model where they begin, mixed while that lowers the cost: real
+    pictures leave residuals from which each step alone would be too short.
+
+    Args:
+        problem: what is fitted.
+        start: parameters, (size,).
+        unexplained: share of the model that is noise, no unit.
+        enough: of the cost; a step that gains less is the last.
+    """
+    judge = Likelihood(unexplained)
+    p = np.clip(start, problem.low, problem.high)
+    free = np.flatnonzero(~problem.fixed)
+    damping, mixing = 1e-3, AndersonMixing()
+    at = _assembled(problem, judge, p)
+    for _ in range(_STEPS):
+        scale = np.sqrt(np.maximum(np.diag(at.normal), 1e-30))
+        accepted = mixed = False
+        for attempt in range(9):
+            step = _damped_step(problem, at, scale, free, damping, p)
+            if attempt == 0:
+                first, step = step, mixing.step(p, step, at.normal)
+                mixed = step is not first
+            elif attempt == 1 and not mixed:
+                continue  # that was tried
+            trial = np.clip(p + step, problem.low, problem.high)
+            cost = cost_at(problem, judge, trial, at.levels)
+            if np.isfinite(cost) and cost <= at.cost + 1e-9 * abs(at.cost):
+                accepted = True
+                break
+            mixing.forget()
+            mixed = False
+            damping *= 1 if attempt == 0 else 8
+        if not accepted:
+            break
+        gained, moved = at.cost - cost, np.abs((trial - p) * scale).max()
+        p, damping = trial, max(damping / 10, 1e-9)
+        if moved < _SETTLED or (gained < enough and (not mixed or abs(at.gradient @ first) < 5 * enough)):
+            break
+        at = _assembled(problem, judge, p)
+    if not np.all(np.isfinite(p)):
+        raise FitError(
+            "the fit of the pictures ran into numbers that are none: they do not look like a sphere's highlights"
+        )
+    return p
+
+
+def _damped_step(
+    problem: JointProblem, at: _Assembled, scale: np.ndarray, free: np.ndarray, damping: float, p: np.ndarray
+) -> np.ndarray:
+    """Return a step of the free parameters within all bounds, on which those stay that would leave them (Bertsekas 1982)."""
+    held = ((p <= problem.low) & (at.gradient > 0)) | ((p >= problem.high) & (at.gradient < 0))
+    free = free[~held[free]]
+    inner = np.ix_(free, free)
+    matrix = (at.normal / np.outer(scale, scale))[inner] + damping * np.eye(free.size)
+    step = np.zeros_like(p)
+    step[free] = -np.linalg.solve(matrix, (at.gradient / scale)[free]) / scale[free]
+    return np.clip(p + step, problem.low, problem.high) - p
+
+
+def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> JointSolution:
+    """Return the solution at parameters: covariance, angles and how well each picture is explained."""
+    judge = Likelihood(unexplained)
+    layout = problem.layout
+    moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
+    at, free = _assembled(moving, judge, p), ~problem.fixed
+    normal = at.normal
+    fitted = np.zeros_like(normal)
+    fitted[np.ix_(free, free)] = scaled_inverse(normal[np.ix_(free, free)], undetermined=1e14)
+    covariance = fitted + _of_the_unstated(problem, normal, fitted) if problem.unstated else fitted
+    theta, slopes, chi2, out = [], [], [], []
+    for k in range(layout.pictures):
+        fit = moving.picture(p, k, slopes=True)
+        plain, _, _ = Likelihood(0.0).residual(problem.pixels[k], fit.value)
+        theta.append(fit.theta_d)
+        slopes.append(fit.theta_d_slope)
+        count = max(int(problem.pixels[k].used.sum()), 1)
+        chi2.append(float((plain**2).sum() / count))
+        residual, _, _ = judge.residual(problem.pixels[k], fit.value)
+        out.append(int((np.abs(residual) > 6).sum()))
+    return JointSolution(
+        problem,
+        p,
+        covariance,
+        fitted,
+        at.cost,
+        unexplained,
+        np.array(theta),
+        np.array(slopes),
+        np.array(chi2),
+        np.array(out),
+    )
+
+
+def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return what an unstated distortion adds to the covariance of what was fitted without it (as Schmidt 1966 "considers")."""
+    at, field = problem.layout.field.start, problem.unstated[0].field
+    moved = -covariance @ normal[:, at]
+    moved[at] = 1.0
+    return field.k1.std**2 * np.outer(moved, moved)
+
+
+class _Assembled(NamedTuple):
+    """Hold cost, half its gradient and half its curvature (Gauss and Newton), and the model of each picture."""
+
+    cost: float
+    gradient: np.ndarray
+    normal: np.ndarray
+    levels: list[np.ndarray]
+
+
+def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> _Assembled:
+    def share(k: int) -> tuple[np.ndarray, _Assembled]:
+        fit = problem.picture(p, k, slopes=True)
+        assert fit.jacobian is not None
+        residual, slope, weight = judge.residual(problem.pixels[k], fit.value)
+        columns = np.flatnonzero(np.any(fit.jacobian != 0, axis=0))
+        jacobian = fit.jacobian[:, columns] * slope[:, None]
+        weighted = jacobian * weight[:, None]
+        cost = judge.cost(problem.pixels[k], fit.value)
+        return columns, _Assembled(cost, weighted.T @ residual, weighted.T @ jacobian, [fit.value])
+
+    away = problem.prior_rows @ p - problem.prior_values
+    cost, levels = float(away @ away), []
+    gradient, normal = problem.prior_rows.T @ away, problem.prior_rows.T @ problem.prior_rows
+    for columns, own in _of_pictures(share, problem):
+        gradient[columns] += own.gradient
+        normal[np.ix_(columns, columns)] += own.normal
+        cost += own.cost
+        levels += own.levels
+    return _Assembled(cost, gradient, normal, levels)
+
+
+def _of_pictures(work: Callable[[int], T], problem: JointProblem) -> Iterator[T]:
+    """Yield what `work` returns for each picture, in their order."""
+    return in_order(work, range(problem.layout.pictures), min(available_cores(), _MOST_AT_ONCE))
+
+
+def cost_at(
+    problem: JointProblem, judge: Likelihood, p: np.ndarray, levels: Sequence[np.ndarray] | None = None
+) -> float:
+    """Return minus twice the logarithm of likelihood and prior, but for a constant.
+
+    Args:
+        problem: what is fitted.
+        judge: of its pixels.
+        p: parameters, (size,).
+        levels: what the noise is a share of in each picture. Default: None, the model.
+    """
+
+    def share(k: int) -> float:
+        value = problem.picture(p, k, slopes=False).value
+        return judge.cost(problem.pixels[k], value, None if levels is None else levels[k])
+
+    away = problem.prior_rows @ p - problem.prior_values
+    return float(away @ away) + sum(_of_pictures(share, problem))
