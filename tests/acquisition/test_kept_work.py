@@ -8,6 +8,7 @@ import pytest
 from matcam.acquisition.light.kept_work import KeptWork, identity
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.errors import FileFormatError
 from matcam.core.threads import in_order
 from matcam.files.capture import read_capture
 from tests.acquisition.drawn import small
@@ -69,6 +70,25 @@ def test_frames_that_changed_are_read_again(tmp_path, reads):
     merge(read_capture(folder), kept=KeptWork(tmp_path / "kept"))
     assert sum(name.startswith("frames/L02") for name in reads) >= 10
     assert not any(name.startswith("frames/L01") for name in reads)
+
+
+def test_a_frame_that_could_not_be_read_is_tried_again(tmp_path, monkeypatch):
+    capture = read_capture(small(cfa=None).write(tmp_path / "shots"))
+    original, kept = MosaicReader.read, tmp_path / "kept"
+
+    def fail(self, frame, region=None):
+        if frame.lamp == "L02":
+            raise FileFormatError(f"{frame.file}: was not read in 20 s")
+        return original(self, frame, region)
+
+    with monkeypatch.context() as slow:
+        slow.setattr(MosaicReader, "read", fail)
+        few, radiometry = merge(capture, kept=KeptWork(kept))
+    assert len(few) == 3
+    assert sum("was not read" in str(one) for one in radiometry.remarks) == 5
+    again, radiometry = merge(capture, kept=KeptWork(kept))
+    assert len(again) == 4
+    assert not any("was not read" in str(one) for one in radiometry.remarks)
 
 
 def test_what_is_damaged_is_made_again(tmp_path):

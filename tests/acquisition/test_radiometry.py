@@ -250,6 +250,23 @@ def test_full_colour_is_refused_unless_accepted(tmp_path):
     assert np.abs(ratio_errors(radiometry, drawn.truth)).max() < 2e-3
 
 
+def test_full_colour_of_an_unknown_mosaic(tmp_path):
+    drawn = small()
+    frames = {name: np.repeat(v[..., None], 3, axis=2) for name, v in drawn.frames.items() if "dark" not in name}
+    rows = [row for row in drawn.rows if row["file"] in frames]
+    camera = {"black_level_dn": 256}
+    capture = changed(drawn, frames=frames, rows=rows, settings={**drawn.settings, "camera": camera})
+    # what is wrong with the frames, and not that there are no dark ones
+    with pytest.raises(FitError, match=r"no frame .* demosaiced: .*accept_processed = true, and state .* camera\.cfa$"):
+        measure_radiometry(read_capture(capture.write(tmp_path / "a")))
+    settings = {**drawn.settings, "camera": {**camera, "accept_processed": True}}
+    capture = changed(drawn, frames=frames, rows=rows, settings=settings)
+    radiometry = measure_radiometry(read_capture(capture.write(tmp_path / "b")))
+    assert radiometry.channels == ("R", "G", "B")
+    assert any("no camera.cfa" in r.text for r in radiometry.remarks if r.code == "processed")
+    assert np.abs(ratio_errors(radiometry, drawn.truth)).max() < 2e-3
+
+
 def test_the_profile_belongs_to_the_camera(tmp_path):
     drawn = small()
     assert float(capture_camera(read_capture(drawn.write(tmp_path / "a"))).optics.sigma) == pytest.approx(0.5, rel=0.15)

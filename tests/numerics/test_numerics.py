@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from matcam.core.jax import jax, jnp
+from matcam.numerics.anderson import AndersonMixing
 from matcam.numerics.approximation import graded_nodes, interpolated, lagrange_basis, nodes_between, nodes_in_panels
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
@@ -103,3 +104,21 @@ def test_interpolation_of_a_steep_function_is_nowhere_negative():
     np.testing.assert_allclose(found, truth, atol=1e-4)
     signed = np.asarray(interpolated(-grid, which, jnp.asarray(row), jnp.asarray(column)))[:, 0]
     assert signed.min() < -0.9
+
+
+def test_mixed_steps_end_where_plain_ones_creep():
+    """A linear iteration that shrinks by a twentieth a step, or turns over: 8 plain steps leave half of it."""
+    rng = np.random.default_rng(5)
+    basis = np.linalg.qr(rng.normal(size=(20, 20)))[0]
+    rates = np.r_[0.05, 0.3, 1.9, np.ones(17)]
+    truth = rng.normal(size=20)
+
+    def step(x):
+        return basis @ (rates * (basis.T @ (truth - x)))
+
+    mixing, x = AndersonMixing(), np.zeros(20)
+    for _ in range(8):
+        x = x + mixing.step(x, step(x), np.eye(20))
+    assert np.abs(x - truth).max() < 1e-6
+    mixing.forget()
+    np.testing.assert_array_equal(mixing.step(x, step(x), np.eye(20)), step(x))
