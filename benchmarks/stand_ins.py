@@ -127,7 +127,8 @@ def median_noise(found: dict) -> float:
 def summary(found: dict) -> list[str]:
     """Return what all materials have in common, as lines of Markdown."""
     every = list(found.values())
-    diffuse = [one for one in every if one["hwhm_deg"] > BROAD]
+    # None: a lobe that falls to its half nowhere
+    diffuse = [one for one in every if one["hwhm_deg"] is None or one["hwhm_deg"] > BROAD]
     noise = sorted(noise_of(one) for one in every)
     bright = sum(one["albedo"]["file"] > max(1.0, one["albedo"]["recorded"]) + 1e-9 for one in every)
     rows = [
