@@ -16,7 +16,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, closeness
+from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, checked_azimuth, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
 
@@ -61,6 +61,8 @@ class Rig(eqx.Module):
             plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of each
             slice of theta_d. Default: None: a fit finds it from the table, and takes a "mean" that shows no pixels for that
             of pixels of any phase.
+        lamp_azimuth: of the lamp about the optical axis in the pictures behind a table, from +x towards +y, in [-2 pi, 2 pi],
+            rad; the pixels do not turn. Default: None, as the table's attrs["lamp_azimuth"] says, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -84,6 +86,7 @@ class Rig(eqx.Module):
     crop: tuple[int, int] | None = eqx.field(static=True)
     cell_value: CellValue = eqx.field(static=True)
     pixel_phase: PixelPhase | None = eqx.field(static=True)
+    lamp_azimuth: float | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -98,6 +101,7 @@ class Rig(eqx.Module):
         crop: tuple[int, int] | None = None,
         cell_value: CellValue = "centre",
         pixel_phase: PixelPhase | None = None,
+        lamp_azimuth: float | None = None,
     ):
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
@@ -122,6 +126,7 @@ class Rig(eqx.Module):
         self.crop = None if crop is None else picture_shape("crop", crop)
         self.cell_value = checks.choice("cell_value", cell_value, (*CELL_VALUES, UNKNOWN))
         self.pixel_phase = None if pixel_phase is None else _checked_phase(pixel_phase, cell_value)
+        self.lamp_azimuth = None if lamp_azimuth is None else checked_azimuth(lamp_azimuth, "lamp_azimuth")
 
     @property
     def lamp_radius(self) -> jax.Array:
@@ -190,6 +195,7 @@ class Rig(eqx.Module):
         if self.pixel_phase is not None:
             several = isinstance(self.pixel_phase[0], tuple)
             more += ", pixel_phase=" + (f"{len(self.pixel_phase)} pairs" if several else str(self.pixel_phase))
+        more += "" if self.lamp_azimuth is None else f", lamp_azimuth={self.lamp_azimuth}"
         lamp = f"lamp_radius={self.lamp.radius!s}" if isinstance(self.lamp, DistantLamp) else f"lamp={self.lamp!r}"
         return f"Rig({self.camera!r}, {self.sample!r}, {lamp}{more})"
 

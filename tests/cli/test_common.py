@@ -82,7 +82,7 @@ def test_a_camera_that_is_a_link_is_refused(matcam, rig_file):
 
 def test_every_entry_of_a_rig_file_is_an_option(tmp_path):
     known = {"camera", "sample", "radius", "sample_mm", "distance", "glare", "glare_radius", "lamp", "lamp_distance"}
-    known |= {"cell", "phase"}
+    known |= {"cell", "phase", "azimuth"}
     page = (Path(__file__).parents[2] / "docs" / "reference" / "schemas.md").read_text()
     path = tmp_path / "rig.toml"
     path.write_text(page.split("```toml\n")[1].split("```")[0])

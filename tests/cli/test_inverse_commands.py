@@ -98,6 +98,7 @@ def test_correct_refuses(merl_file, tmp_path):
         (("--lamp-distance", 20, "--sample-mm", 25), "--lamp-distance must lie in (1, inf) radii"),
         (("--sample-mm", 25), "--sample-mm needs --lamp-distance"),
         (("--distance", 1), "--distance must lie in (1, inf] radii"),
+        (("--azimuth", 400), "--azimuth must lie in [-360, 360] degrees, got 400"),
     ],
 )
 @pytest.mark.parametrize("command", ["limits", "fit", "fresnel", "correct"])

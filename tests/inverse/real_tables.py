@@ -18,8 +18,8 @@ EVERY = 6
 class RealShot:
     """Some slices of a table by a rule and phase, whose chosen cells depend on which pixels there are."""
 
-    def __init__(self, rule, phase, every=EVERY):
-        self.grid = PixelGrid(rule, phase)
+    def __init__(self, rule, phase, every=EVERY, azimuth=0.0):
+        self.grid = PixelGrid(rule, phase, azimuth)
         chosen = chosen_cells(SphereView(256.0), "centre", every, self.grid)
         centred = chosen_cells(SphereView(256.0), "centre", every)
         self.slices = chosen.slices
@@ -33,7 +33,8 @@ class RealShot:
             self.k.append(k)
         self.theta_d = recorded.GRID.theta_d[self.slices]
         angles = [(recorded.GRID.theta_h[i], recorded.GRID.phi_d[k]) for i, k in zip(self.i, self.k, strict=True)]
-        self.truth = real_pixels.RealTable(rule, self.grid.of_slices(self.slices), self.theta_d, angles)
+        phases = self.grid.of_slices(self.slices)
+        self.truth = real_pixels.RealTable(rule, phases, self.theta_d, angles, azimuth=azimuth)
 
     def table(self, lobe, seed=None, **noise):
         """One channel; seed: of the pixels' noise, None: none."""
@@ -42,7 +43,7 @@ class RealShot:
         table = recorded.table_of(chosen_cells(SphereView(256.0), "centre", 30), np.full((3, 112), np.nan))
         for j, i, k, values in zip(self.slices, self.i, self.k, self.truth.values(pixels, rng, **noise), strict=True):
             table.values[i, j, k, 0] = values
-        return table
+        return table.assign_attrs(lamp_azimuth=self.grid.azimuth) if self.grid.azimuth else table
 
     def true_peak(self, lobe):
         """The lobe itself in the first ring at phi_d 90 degrees, (slices,)."""
@@ -53,6 +54,6 @@ class RealShot:
 
 
 @lru_cache(maxsize=2)
-def real_shot(rule, phase, every=EVERY):
+def real_shot(rule, phase, every=EVERY, azimuth=0.0):
     """Kept for the next test that asks for the same."""
-    return RealShot(rule, phase, every)
+    return RealShot(rule, phase, every, azimuth)

@@ -32,15 +32,21 @@ class Behind(NamedTuple):
     share: np.ndarray
 
 
-def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0):
+def about_axis(place, angle):
+    """Places (..., 2) turned about the optical axis."""
+    return place @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0, azimuth=0.0):
     """The pixels behind both places of each cell; theta_h and phi_d: (cells,). Those that show no light are left out.
-    "mean" is that of all pixels whose directions fall into the cell, of the nearest where there are none."""
+    "mean" is that of all pixels whose directions fall into the cell, of the nearest where there are none. azimuth: of the
+    lamp, which turns the sample's light and not the pixels; places are returned in the axes whose x points to the lamp."""
     if rule == "mean":
-        return all_within(phase, theta_h, theta_d, phi_d, radius)
+        return all_within(phase, theta_h, theta_d, phi_d, radius, azimuth)
     places, shares = [], []
     offsets = np.array([(a, b) for a in range(-2, 4) for b in range(-2, 4)])
     for turn in (0, np.pi):
-        at = shown_at(theta_h, theta_d, phi_d + turn, radius)[:, None]
+        at = about_axis(shown_at(theta_h, theta_d, phi_d + turn, radius), azimuth)[:, None]
         patch = np.floor(at - phase) + offsets + phase
         if rule == "nearest":
             nearest = np.argmin(((patch - at) ** 2).sum(-1), axis=1)
@@ -51,7 +57,7 @@ def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0):
             four = np.argsort(-hats, axis=1)[:, :4]
             places.append(np.take_along_axis(patch, four[..., None], 1))
             shares.append(np.take_along_axis(hats, four, 1))
-    place, share = np.concatenate(places, 1), np.concatenate(shares, 1)
+    place, share = about_axis(np.concatenate(places, 1), -azimuth), np.concatenate(shares, 1)
     inside = np.hypot(*np.moveaxis(place, -1, 0)) < radius
     share = np.where(inside & (light_cosine(place, theta_d, radius) > 0), share, 0)
     total = share.sum(1, keepdims=True)
@@ -64,10 +70,10 @@ def cell_of(theta_h, psi):
     return 180 * ring + np.floor(np.degrees(np.mod(np.pi - psi, np.pi)))
 
 
-def all_within(phase, theta_h, theta_d, phi_d, radius):
-    nearest = behind("nearest", phase, theta_h, theta_d, phi_d, radius)
+def all_within(phase, theta_h, theta_d, phi_d, radius, azimuth=0.0):
+    nearest = behind("nearest", phase, theta_h, theta_d, phi_d, radius, azimuth)
     line = np.arange(-int(radius) - 1, int(radius) + 2)
-    place = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + phase
+    place = about_axis(np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + phase, -azimuth)
     place = place[np.hypot(*place.T) < radius]
     lit = place[light_cosine(place, theta_d, radius) > 0]
     lit = lit[np.argsort(cell_of(*angles_of(lit, theta_d, radius)), kind="stable")]
@@ -99,21 +105,21 @@ def angles_of(place, theta_d, radius=256.0):
 
 class RealTable:
     """Cells of some slices of a table. cells: for each theta_d (theta_h, phi_d), two arrays of one length. phase: of all
-    pictures, (2,), or of each."""
+    pictures, (2,), or of each. azimuth: of the lamp; where pixels lie is right then, but they are seen as if turned with it."""
 
-    def __init__(self, rule, phase, theta_d, cells, setup=None, finest=0.0):
+    def __init__(self, rule, phase, theta_d, cells, setup=None, finest=0.0, azimuth=0.0):
         setup = setup or sphere_cells.Setup()
         radius, self.theta_d = setup.radius, np.asarray(theta_d)
         self.share, self.index = [], []
         columns = []
         phases = np.broadcast_to(phase, (self.theta_d.size, 2))
         for td, (theta_h, phi_d), shift in zip(self.theta_d, cells, phases, strict=True):
-            found = behind(rule, shift, theta_h, td, phi_d, radius)
-            number = np.rint(found.place - shift).astype(int)
+            found = behind(rule, shift, theta_h, td, phi_d, radius, azimuth)
+            number = np.rint(about_axis(found.place, azimuth) - shift).astype(int)
             pixels, index = np.unique(number.reshape(-1, 2), axis=0, return_inverse=True)
             self.share.append(found.share)
             self.index.append(index.reshape(found.share.shape))
-            columns.append(angles_of(pixels + shift, td, radius))
+            columns.append(angles_of(about_axis(pixels + shift, -azimuth), td, radius))
         most = max(len(th) for th, _ in columns)
         self.count = [len(th) for th, _ in columns]
         th, psi = (np.stack([np.pad(c[n], (0, most - len(c[n])), mode="edge") for c in columns]) for n in (0, 1))

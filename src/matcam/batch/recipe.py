@@ -146,7 +146,8 @@ def rig_description(rig: Rig) -> dict[str, Any]:
     """Describe all of a rig that its results depend on."""
     described = rig.description()
     described["camera"].pop("provenance")  # holds today's date, and changes no result
-    return {**described, "crop": rig.crop, "cell_value": rig.cell_value, "pixel_phase": rig.pixel_phase}
+    azimuth = {} if rig.lamp_azimuth is None else {"lamp_azimuth": rig.lamp_azimuth}
+    return {**described, "crop": rig.crop, "cell_value": rig.cell_value, "pixel_phase": rig.pixel_phase, **azimuth}
 
 
 def settings_key(settings: dict[str, Any]) -> str:

@@ -16,6 +16,7 @@ from matcam.cli.options import (
     Distance,
     FamilyOrAuto,
     Force,
+    LampAzimuth,
     LampDistance,
     LampRadius,
     Masking,
@@ -53,6 +54,7 @@ def command(
     lamp: LampRadius = 0.0,
     lamp_distance: LampDistance = None,
     sample_mm: SampleMm = None,
+    azimuth: LampAzimuth = None,
     sampling: Sampling = "centre",
     cell: RealPixels = None,
     phase: PixelPhase = None,
@@ -139,6 +141,7 @@ def command(
     use_compilation_cache()
     workspace = Workspace.user()
     near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near["azimuth"] = azimuth
     rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     how: dict[str, Any] = {
         "ndf": ndf,

@@ -15,6 +15,7 @@ from matcam.cli.options import (
     Family,
     Force,
     FresnelModel,
+    LampAzimuth,
     LampDistance,
     LampRadius,
     Masking,
@@ -63,6 +64,7 @@ def command(
     lamp: LampRadius = 0.0,
     lamp_distance: LampDistance = None,
     sample_mm: SampleMm = None,
+    azimuth: LampAzimuth = None,
     sampling: Sampling = "centre",
     cell: RealPixels = None,
     phase: PixelPhase = None,
@@ -93,6 +95,7 @@ def command(
     from matcam.inverse.fit.fit_setup import fit
 
     near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near["azimuth"] = azimuth
     rig = None if blind else rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):
         found = fit(

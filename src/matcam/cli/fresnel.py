@@ -16,6 +16,7 @@ from matcam.cli.options import (
     Distance,
     FamilyOrAuto,
     Force,
+    LampAzimuth,
     LampDistance,
     LampRadius,
     Masking,
@@ -48,6 +49,7 @@ def command(
     lamp: LampRadius = 0.0,
     lamp_distance: LampDistance = None,
     sample_mm: SampleMm = None,
+    azimuth: LampAzimuth = None,
     sampling: Sampling = "centre",
     cell: RealPixels = None,
     phase: PixelPhase = None,
@@ -102,6 +104,7 @@ def command(
         if metal is not None:
             metals(metal)  # an unknown name should cost nothing
         near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+        near["azimuth"] = azimuth
         result = fresnel(
             read_table(file, sampling=sampling),
             rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase),

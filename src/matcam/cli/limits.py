@@ -11,6 +11,7 @@ from matcam.cli.options import (
     AsJson,
     CameraProfile,
     Distance,
+    LampAzimuth,
     LampDistance,
     LampRadius,
     Radius,
@@ -37,6 +38,7 @@ def command(
     lamp: LampRadius = 0.0,
     lamp_distance: LampDistance = None,
     sample_mm: SampleMm = None,
+    azimuth: LampAzimuth = None,
     json: AsJson = False,
 ) -> None:
     """Compute which roughness and angle a rig can recover at all (Cramer-Rao bounds), and which change would help.
@@ -51,6 +53,7 @@ def command(
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
     near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near["azimuth"] = azimuth
     rig = rig_of(camera, radius, lamp, **near)
     with show.working("bounds"):
         found = limits(

@@ -31,6 +31,7 @@ _RENAMED = {
     "camera_parameters": "lens",
     "cell_value": "cell",
     "f_numbers": "f_number",
+    "lamp_azimuth": "azimuth",
     "lamp_radius": "lamp",
     "noise": "relative",
     "noise.floor": "floor",
@@ -83,6 +84,15 @@ LampDistance = Annotated[
         metavar="RADII",
         help="Distance of the lamp from the sample's centre, in radii of the sample; in mm with --sample-mm. "
         "Default: infinite.",
+    ),
+]
+LampAzimuth = Annotated[
+    float | None,
+    typer.Option(
+        "--azimuth",
+        metavar="DEGREES",
+        help="Azimuth of the lamp about the optical axis in the pictures behind a table, degrees; 0 is right, 90 up. "
+        "Default: as the table says, or 0.",
     ),
 ]
 SampleMm = Annotated[
@@ -175,9 +185,10 @@ def rig_of(
     glare_radius: float = 30.0,
     lamp_distance: float | None = None,
     sample_mm: float | None = None,
+    azimuth: float | None = None,
     **more: Any,
 ) -> Rig:
-    """Return the MERL rig, with what the user has replaced."""
+    """Return the MERL rig, with what the user has replaced. azimuth: of the lamp, degrees."""
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
@@ -195,7 +206,9 @@ def rig_of(
     size = 256.0 if radius is None else radius
     far = math.inf if distance is None else distance
     shape: Sample = Flat() if sample == "flat" else {"sphere": Sphere, "cylinder": Cylinder}[sample](size, far)
-    return rigs.Rig(chosen, shape, _lamp_of(math.radians(lamp_degrees), lamp_distance, sample_mm), **more)
+    turned = None if azimuth is None else math.radians(azimuth)
+    lamp = _lamp_of(math.radians(lamp_degrees), lamp_distance, sample_mm)
+    return rigs.Rig(chosen, shape, lamp, lamp_azimuth=turned, **more)
 
 
 def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | None) -> Lamp:

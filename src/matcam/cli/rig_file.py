@@ -16,6 +16,7 @@
     [lamp]
     radius_deg = 0.25           # angular, of its disc
     distance = 700              # in radii of the sample, or in mm
+    azimuth_deg = 30            # about the optical axis, in the pictures behind a table
 
     [table]
     cell = "nearest"            # how cells are looked up in real pixels
@@ -45,6 +46,7 @@ _KEYS = {
     ("lens", "glare_radius_px"): "glare_radius",
     ("lamp", "radius_deg"): "lamp",
     ("lamp", "distance"): "lamp_distance",
+    ("lamp", "azimuth_deg"): "azimuth",
     ("table", "cell"): "cell",
     ("table", "phase_px"): "phase",
 }

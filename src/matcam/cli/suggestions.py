@@ -27,6 +27,8 @@ def _camera(values: dict[str, Any]) -> list[Any]:
         option = f"--{parameter.replace('_', '-')}"
         if values.get(parameter) is not None:
             found += [option, values[parameter]]
+    if values.get("azimuth"):
+        found += ["--azimuth", values["azimuth"]]
     return found
 
 

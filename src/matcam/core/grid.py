@@ -206,6 +206,16 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
     return table
 
 
+def azimuth_of(table: xr.DataArray) -> float | None:
+    """Return where the lamp stood in the pictures behind a table, rad: its attribute `lamp_azimuth`; None: it has none."""
+    azimuth = table.attrs.get("lamp_azimuth")
+    if azimuth is None:
+        return None
+    if not isinstance(azimuth, int | float | np.number) or not abs(float(azimuth)) <= 2 * np.pi:
+        raise ArgumentError(f"attrs['lamp_azimuth'] of a BRDF table must lie in [-2 pi, 2 pi] rad, got {azimuth!r:.60}")
+    return float(azimuth)
+
+
 def sampling_of(table: xr.DataArray) -> Sampling:
     """Return where in its cell each value of a table is sampled: its attribute `sampling`."""
     sampling = table.attrs.get("sampling")

@@ -21,6 +21,7 @@ from matcam.core.grid import (
     CHANNELS,
     GRID_SHAPE,
     Sampling,
+    azimuth_of,
     below_horizon,
     brdf_table,
     checked_table,
@@ -34,7 +35,7 @@ from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
-from matcam.forward.pixel_grid import phase_of_slices, slice_pixels
+from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.lamp.lamps import checked_azimuth, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
@@ -47,7 +48,7 @@ from matcam.sample.shape import Flat, Place
 
 
 def measure(
-    material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike = 0.0
+    material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike | None = None
 ) -> xr.DataArray:
     """Return the BRDF table that a rig records of a material.
 
@@ -66,7 +67,7 @@ def measure(
         rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
         azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence turns, the
-            square pixels do not. Default: 0, the lamp towards +x.
+            square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x.
 
     Returns:
         BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where nothing is recorded. Coordinate `pixels`
@@ -97,7 +98,7 @@ def measure(
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value
     attrs = {"cell_value": written, "rig": repr(rig), "kernel_error": kernel_error(rig)}
-    attrs["lamp_azimuth"] = float(np.asarray(azimuth))
+    attrs["lamp_azimuth"] = _azimuth(rig, azimuth)
     if rig.pixel_phase is not None:
         attrs["pixel_phase"] = np.ravel(rig.pixel_phase).tolist()
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
@@ -105,7 +106,7 @@ def measure(
 
 
 def table_values(
-    material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike = 0.0
+    material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike | None = None
 ) -> tuple[jax.Array, np.ndarray]:
     """Return the values and pixel counts of `measure` as arrays.
 
@@ -115,7 +116,7 @@ def table_values(
         material: material to record, with any count of channels.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
-        azimuth: of the lamp about the optical axis in all pictures, rad. Default: 0, towards +x.
+        azimuth: of the lamp about the optical axis in all pictures, rad. Default: None, the rig's, or 0, towards +x.
 
     Returns:
         BRDF, (90, 90, 180, channels), 1/sr, NaN where nothing is recorded; and the count of pixels behind each cell,
@@ -145,12 +146,17 @@ def table_values(
         raise ArgumentError(
             f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
         )
-    imaging, turned = imaging_of(rig), checked_azimuth(azimuth)
-    chosen = CellChoice(rig.cell_value, rig.crop, turned, material.elongation, rig.pixel_phase)
+    imaging = imaging_of(rig)
+    chosen = CellChoice(rig.cell_value, rig.crop, _azimuth(rig, azimuth), material.elongation, rig.pixel_phase)
     if disc_of(rig.lamp) == 0:
         cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())
         return cell_means(record(material, imaging, plan), cells), cells.pixels
     return _under_disc(material, rig, imaging, chosen)
+
+
+def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
+    """Return the lamp's azimuth in a table's pictures: as given, else the rig's, else 0."""
+    return (rig.lamp_azimuth or 0.0) if azimuth is None else checked_azimuth(azimuth)
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
@@ -290,8 +296,8 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     if phase is None and rig.cell_value == "mean" and rig.sample.distant:
         phase = 0.0, 0.0  # as good as any
     phases = None if phase is None else phase_of_slices(phase)
-    pixels = cell_pixels(rig.sample, sampling) if phases is None else None
-    azimuth = float(table.attrs.get("lamp_azimuth", 0.0))
+    azimuth = _azimuth(rig, azimuth_of(table))
+    pixels = cell_pixels(rig.sample, sampling, azimuth) if phases is None else None
     values = table.values.copy()
     for j in range(GRID_SHAPE[1]):
         if phases is not None:
@@ -323,16 +329,17 @@ class CellPixels(NamedTuple):
     second: np.ndarray
 
 
-def cell_pixels(sphere: Sphere, sampling: Sampling) -> CellPixels:
-    """Number the pixels of a sphere's pictures behind the cells."""
+def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> CellPixels:
+    """Number the pixels of a sphere's pictures behind the cells. azimuth: of the lamp, rad."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     place = jax.jit(lambda sphere, *angles: sphere.place(*angles))
-    return CellPixels(*(_pixel_number(place(sphere, theta_h, theta_d, phi_d + turn)) for turn in (0, np.pi)))
+    places = (place(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
+    return CellPixels(*(_pixel_number(one, azimuth) for one in places))
 
 
-def _pixel_number(place: Place) -> np.ndarray:
-    x, y = (np.rint(np.asarray(a)).astype(np.int64) for a in (place.x, place.y))
+def _pixel_number(place: Place, azimuth: float) -> np.ndarray:
+    x, y = (np.rint(a).astype(np.int64) for a in turned(np.asarray(place.x), np.asarray(place.y), azimuth))
     return x * PICTURE_STRIDE + y
 
 

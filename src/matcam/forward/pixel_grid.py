@@ -32,10 +32,12 @@ class PixelGrid(NamedTuple):
         rule: "nearest", "bilinear" or "mean".
         phase: of the grid, px; one for all pictures, or one for the picture of each slice of theta_d. None: a "mean" of
             pixels of any phase.
+        azimuth: of the lamp against the grid's rows, rad.
     """
 
     rule: CellValue
     phase: PixelPhase | None
+    azimuth: float = 0.0
 
     def of_slices(self, slices: np.ndarray) -> np.ndarray:
         """Return the phase of each slice's picture, (slices, 2), px; 0 where none is known."""
@@ -50,7 +52,7 @@ def phase_of_slices(phase: PixelPhase) -> np.ndarray:
 def grid_of(rig: Rig) -> PixelGrid | None:
     """Return the grid that a rig's cells are looked up in; None: each has a pixel of its own, or nobody knows the grid."""
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
-        return PixelGrid(rig.cell_value, rig.pixel_phase)
+        return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None
 
 

@@ -21,8 +21,10 @@ from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.lobe_operator import check_rig
+from matcam.inverse.operator.chosen_cells import peak_cells
+from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
 from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
+from matcam.inverse.operator.sphere_view import sphere_view
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
@@ -142,8 +144,8 @@ def fresnel(
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
-    peaks = peak_response(_fitted_rig(rig, found), lobe, np.append(theta_d, 0.0), exact=True, masking=masking)
-    *response, centre = np.ones(theta_d.size + 1) if held_back else np.asarray(peaks)
+    peaks = _peak_responses(_fitted_rig(explained.located.rig, found), lobe, np.append(theta_d, 0.0), masking)
+    *response, centre = np.ones(theta_d.size + 1) if held_back else peaks
     per_peak = 4 * np.cos(theta_d) ** 2 / (highest * hidden)
     raw = recorded_peak(brdf, theta_d) * per_peak
     corrected_peak = raw / (np.array(response) / centre)
@@ -346,6 +348,16 @@ def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
     if LENS not in found.params:
         return rig
     return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
+
+
+def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:
+    """Return recorded over true peak, (n,). Where the lamp's azimuth turns the pixels, the fit's own operator knows it."""
+    if not sphere_view(rig).azimuth:
+        return np.asarray(peak_response(rig, lobe, theta_d, exact=True, masking=masking))
+    cells = peak_cells(sphere_view(rig), theta_d)
+    operators = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace()), point_operator(cells)
+    recorded, true = (np.asarray(one.record(lobe, masking, jnp.zeros(0)))[:, 0] for one in operators)
+    return recorded / true
 
 
 @kept_program

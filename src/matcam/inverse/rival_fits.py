@@ -133,7 +133,7 @@ def rivals(
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
         (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
-        view=sphere_view(rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
+        view=sphere_view(setup.rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
     return Rivals(_rival(camera), _rival(shadowing))

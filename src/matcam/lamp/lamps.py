@@ -214,15 +214,15 @@ def disc_of(lamp: Lamp) -> float:
     return checks.outside_jit(lamp.angular_radius, "the lamp's numbers")
 
 
-def checked_azimuth(azimuth: ArrayLike) -> float:
-    """Return one azimuth in [-2 pi, 2 pi] rad; more is degrees by mistake."""
-    return float(checks.scalar("azimuth", checked_azimuths(azimuth)))
+def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
+    """Return one azimuth in [-2 pi, 2 pi] rad; more is degrees by mistake. name: of the argument, for the message."""
+    return float(checks.scalar(name, checked_azimuths(azimuth, name)))
 
 
-def checked_azimuths(azimuth: ArrayLike) -> jax.Array:
-    """Return azimuths in [-2 pi, 2 pi] rad, any shape."""
+def checked_azimuths(azimuth: ArrayLike, name: str = "azimuth") -> jax.Array:
+    """Return azimuths in [-2 pi, 2 pi] rad, any shape. name: of the argument, for the message."""
     what = "rad (2 pi is a turn; of degrees give np.radians)"
-    return checks.within("azimuth", azimuth, -_TURNS, _TURNS, what)
+    return checks.within(name, azimuth, -_TURNS, _TURNS, what)
 
 
 def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> float:

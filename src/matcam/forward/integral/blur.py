@@ -75,6 +75,48 @@ class Blur(eqx.Module):
         """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
+    def turned_kernel(
+        self,
+        x: jax.Array,
+        y: jax.Array,
+        term: int,
+        variances: tuple[jax.Array, jax.Array],
+        turn: tuple[jax.Array, jax.Array],
+        nodes: int,
+    ) -> jax.Array:
+        """Return one term, 1/px^2, seen by a pixel that is turned against the axes of x and y.
+
+        What is added along x and y is correlated on the pixel's own axes: along the wider one the pixel is integrated over,
+        across it the rest of the Gaussian is in closed form.
+
+        Args:
+            x: offset from the pixel's centre, px, along the first axis of the variances.
+            y: the same along the second.
+            term: index of the term.
+            variances: px^2, that lamp and focus add along x and y.
+            turn: cosine and sine of the angle of the x axis against the pixel's rows.
+            nodes: count of Gauss-Legendre nodes over the pixel, where anything is added.
+        """
+        cosine, sine = turn
+        x, y = x * cosine - y * sine, x * sine + y * cosine
+        if not self.varies:
+            return self.kernel(x, term, jnp.zeros(())) * self.kernel(y, term, jnp.zeros(()))
+        (along, across), own = variances, self.stds[term] ** 2
+        var_x, var_y = own + along * cosine**2 + across * sine**2, own + along * sine**2 + across * cosine**2
+        wider = var_x >= var_y
+        first, second = jnp.where(wider, x, y), jnp.where(wider, y, x)
+        variance = jnp.where(wider, var_x, var_y)
+        slope = (along - across) * cosine * sine / variance
+        std, rest = jnp.sqrt(variance), jnp.sqrt(jnp.where(wider, var_y, var_x) - slope**2 * variance)
+        total: jax.Array | float = 0.0
+        for node, weight in zip(*np.polynomial.legendre.leggauss(nodes), strict=True):
+            at = node * self.pixel.half_width
+            off = first - at
+            share = weight * self.pixel.half_width * self.pixel.response(at)
+            density = jnp.exp(-0.5 * (off / std) ** 2) / (np.sqrt(2 * np.pi) * std)
+            total += share * density * self.pixel.of_gaussian(second - slope * off, rest)
+        return jnp.asarray(total)
+
     def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the five-node Gauss rule of a term along one axis.
 

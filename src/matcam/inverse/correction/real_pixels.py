@@ -18,7 +18,7 @@ from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
 from matcam.forward.pixel_grid import PixelGrid, pixel_angles
 from matcam.inverse.correction.doubts import ShapeCorrection
-from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, seen_cells
+from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, Spacing, seen_cells
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.operator.lobe_operator import LobeOperator
@@ -26,6 +26,8 @@ from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
 from matcam.material.ndf.free_lobe import bend_basis
 
 _CUBIC = 3
+_OVERLAP = 4
+"""Azimuths by which splines over a whole turn reach beyond it."""
 
 
 class Lattices(NamedTuple):
@@ -55,6 +57,7 @@ def pixel_log_ratio(
         none = shape._replace(b=np.zeros_like(shape.b))
         change = _record(coarse, at, fitted, none) - _record(coarse, at, np.zeros(fitted.size), none)
         splines.append(_splines(coarse, change))
+    mirrored = fine.spacing.mirrored
     grid = merl_grid(fine.sampling)
     seen = seen_cells(fine.sampling)
     log, variance = np.zeros(GRID_SHAPE), np.zeros(GRID_SHAPE)
@@ -64,21 +67,42 @@ def pixel_log_ratio(
             continue
         theta_h = np.repeat(grid.theta_h[i][:, None], 2, axis=1)
         psi = np.pi - grid.phi_d[k][:, None] + np.array([0.0, np.pi])
-        own = [one[j] for one in splines]
+        own = _SliceRecord([one[j] for one in splines], mirrored)
         behind = pixels_behind(pixels, radius, theta_d, j, i, k)
         recorded = _log_behind(own, radius, theta_d, behind)
-        log[i, j, k] = np.log(_recorded(own, theta_h, psi).mean(axis=-1)) - recorded
+        log[i, j, k] = np.log(own.at(theta_h, psi).mean(axis=-1)) - recorded
         if std:  # which pixel a cell was read from is known by its value
             for moved in (behind._replace(x=behind.x + std), behind._replace(y=behind.y + std)):
                 variance[i, j, k] += (_log_behind(own, radius, theta_d, moved) - recorded) ** 2
     return log, variance
 
 
-def _log_behind(splines: list[RectBivariateSpline], radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
+class _SliceRecord(NamedTuple):
+    """Hold the logarithm of what a slice's pixels record, over (ring, azimuth in degrees).
+
+    Attributes:
+        splines: of the record, and of the changes to it.
+        mirrored: whether both sides of the plane of light and view are the same; then the azimuths end at 180 degrees.
+    """
+
+    splines: list[RectBivariateSpline]
+    mirrored: bool
+
+    def at(self, theta_h: np.ndarray, psi: np.ndarray) -> np.ndarray:
+        """Return the record at angles, (...)."""
+        ring = np.clip(GRID_SHAPE[0] * np.sqrt(theta_h / (np.pi / 2)) - 0.5, 0, GRID_SHAPE[0] - 1)
+        if self.mirrored:
+            around = np.degrees(np.abs(np.mod(psi + np.pi, 2 * np.pi) - np.pi))
+        else:
+            around = np.degrees(np.mod(psi, 2 * np.pi))
+        return np.exp(sum(one.ev(ring, around) for one in self.splines))
+
+
+def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
     """Return the logarithm of what the pixels behind cells record; 0 where none shows light."""
     angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
     weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
-    value = (weight * _recorded(splines, angles.theta_h, angles.psi)).sum(axis=-1)
+    value = (weight * record.at(angles.theta_h, angles.psi)).sum(axis=-1)
     total = weight.sum(axis=-1)
     return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), 1.0))
 
@@ -92,13 +116,16 @@ def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Arra
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray, shape: ShapeCorrection) -> np.ndarray:
-    """Return the logarithm of the record of each way on a lattice, (slices, rings, azimuths from 0 to 180 degrees)."""
+    """Return the logarithm of the record of each way on a lattice, (slices, rings, azimuths as of `_around`)."""
     rings, slices, azimuths = where.spacing
     both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts), placed(shape.b)))
     log = np.log(np.maximum(np.where(where.cells.valid[..., None], both, np.nan), VANISHED))
     log = log.reshape(len(slices), len(rings), len(azimuths), 2)
-    # the first way lies at 180 degrees less phi_d, the second, mirrored, at phi_d
-    whole = np.concatenate([log[..., 1], log[:, :, -2::-1, 0]], axis=-1)
+    if where.spacing.mirrored:  # the first way lies at 180 degrees less phi_d, the second, mirrored, at phi_d
+        whole = np.concatenate([log[..., 1], log[:, :, -2::-1, 0]], axis=-1)
+    else:  # the second lies at 360 degrees less phi_d
+        turn = np.concatenate([log[:, :, ::-1, 0], log[:, :, ::-1, 1]], axis=-1)
+        whole = np.concatenate([turn[..., -_OVERLAP:], turn, turn[..., :_OVERLAP]], axis=-1)
     for s in range(1, len(slices)):
         whole[s] = np.where(np.isfinite(whole[s]), whole[s], whole[s - 1])
     return np.round(np.nan_to_num(whole), 12)
@@ -106,14 +133,14 @@ def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray, shap
 
 def _splines(where: ResponseLattice, values: np.ndarray) -> list[RectBivariateSpline]:
     """Return splines over (ring, azimuth in degrees) for every slice of a table."""
-    rings, slices, azimuths = where.spacing
-    around = [*azimuths, *(180 - a for a in azimuths[-2::-1])]
-    along = PchipInterpolator(slices, values, axis=0)(np.arange(GRID_SHAPE[1]))
-    return [RectBivariateSpline(rings, around, one, kx=_CUBIC, ky=_CUBIC) for one in along]
+    along = PchipInterpolator(where.spacing.slices, values, axis=0)(np.arange(GRID_SHAPE[1]))
+    around = _around(where.spacing)
+    return [RectBivariateSpline(where.spacing.rings, around, one, kx=_CUBIC, ky=_CUBIC) for one in along]
 
 
-def _recorded(splines: list[RectBivariateSpline], theta_h: np.ndarray, psi: np.ndarray) -> np.ndarray:
-    """Return the record at angles, (...), of the first spline and the changes that the others hold."""
-    ring = np.clip(GRID_SHAPE[0] * np.sqrt(theta_h / (np.pi / 2)) - 0.5, 0, GRID_SHAPE[0] - 1)
-    around = np.degrees(np.abs(np.mod(psi + np.pi, 2 * np.pi) - np.pi))
-    return np.exp(sum(one.ev(ring, around) for one in splines))
+def _around(spacing: Spacing) -> list[int]:
+    """Return the azimuths of normals, degrees: half a turn where both halves are the same, a turn and an overlap else."""
+    if spacing.mirrored:
+        return [*spacing.azimuths, *(180 - a for a in spacing.azimuths[-2::-1])]
+    turn = [180 * n - a for n in (1, 2) for a in spacing.azimuths[::-1]]
+    return [*(a - 360 for a in turn[-_OVERLAP:]), *turn, *(a + 360 for a in turn[:_OVERLAP])]

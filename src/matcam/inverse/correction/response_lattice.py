@@ -1,7 +1,8 @@
 """The lattice of cells on which the ratio of true over recorded lobe is computed, and the whole table from it.
 
 The response, recorded over true, is computed on a lattice of cells and interpolated. Across phi_d a folded cell is even about
-0 and pi/2: a cubic spline, level at both ends, follows it. Along theta_h and theta_d the logarithm of the response is
+0 and pi/2: a cubic spline, level at both ends, follows it. Where the lamp's azimuth turns the pixels it is not, and repeats
+after pi alone: a periodic spline. Along theta_h and theta_d the logarithm of the response is
 interpolated by monotone cubics. Where the sphere's last pixels show a cell, nothing is claimed.
 """
 
@@ -40,6 +41,15 @@ class Spacing(NamedTuple):
     slices: tuple[int, ...]
     azimuths: tuple[int, ...]
 
+    @property
+    def mirrored(self) -> bool:
+        """Say whether the plane of light and view mirrors the cells, so that a quarter of a turn is enough."""
+        return self.azimuths[-1] == 90
+
+    def all_round(self) -> Spacing:
+        """Return the same for cells that nothing mirrors: over half a turn, after which both ways change places."""
+        return self._replace(azimuths=(*self.azimuths, *(180 - a for a in self.azimuths[-2:0:-1])))
+
 
 FINE = Spacing(
     (*range(15), 16, 18, 20, 22, 24, 27, 30, 34, 38, 43, 48, 53, 58, 62, 66, 70, 75, 80, 89),
@@ -77,6 +87,8 @@ def response_lattice(
     rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...], workspace: Workspace
 ) -> ResponseLattice:
     """Return the lattice of a rig. workspace: keeps it for the rig's next material."""
+    if sphere_view(rig).azimuth:
+        spacing = spacing.all_round()
     key = ("lattice", rig_key(rig), sampling, spacing, axes)
 
     def make() -> ResponseLattice:
@@ -124,5 +136,9 @@ def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
     along = PchipInterpolator(slices, lattice, axis=0)(np.arange(n_d))
     along = PchipInterpolator(rings, along, axis=1)(np.arange(n_h))
     phi = merl_grid(where.sampling).phi_d
-    across = CubicSpline(np.radians(azimuths), along, axis=2, bc_type="clamped")(np.minimum(phi, np.pi - phi))
+    if where.spacing.mirrored:
+        across = CubicSpline(np.radians(azimuths), along, axis=2, bc_type="clamped")(np.minimum(phi, np.pi - phi))
+    else:
+        whole = np.concatenate([along, along[:, :, :1]], axis=2)
+        across = CubicSpline(np.radians([*azimuths, 180]), whole, axis=2, bc_type="periodic")(phi)
     return np.ascontiguousarray(across.transpose(1, 0, 2))

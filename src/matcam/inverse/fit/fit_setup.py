@@ -42,7 +42,7 @@ from matcam.inverse.operator.rig_axes import (
     prior_axis,
     shape_axis,
 )
-from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view
+from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view, with_azimuth
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
@@ -50,8 +50,6 @@ from matcam.rigs import Rig
 CameraParameters = Literal["fixed", "prior", "free"]
 CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 
-_ALIGNED = 1e-9
-"""Sine of twice an azimuth below which square pixels lie along the plane of camera and lamp."""
 AUTO = "auto"
 """Family of the lobe where the user names none: the likelier of the candidates."""
 CANDIDATES = ("ggx", "epd")
@@ -136,9 +134,9 @@ class FitSetup:
             self.noise.check()
         if self.rig is not None:
             check_rig(self.rig)
-            for table in tables:
-                _check_azimuth(table)
             object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)
+            for table in tables[1:]:
+                with_azimuth(self.rig, table)
 
     def with_(self, **changes: Any) -> FitSetup:
         """Return the same setup with other fields.
@@ -249,16 +247,6 @@ class FitSetup:
             root[-1, -1] = 1.0
         finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_view(self.rig).radius
         return Prior(axes, root, self.bend, max(finest, self.stiff_below))
-
-
-def _check_azimuth(table: xr.DataArray) -> None:
-    """Raise ArgumentError for a table whose pixels are turned against the plane of camera and lamp."""
-    azimuth = float(table.attrs.get("lamp_azimuth", 0.0))
-    if abs(np.sin(2 * azimuth)) > _ALIGNED:
-        raise ArgumentError(
-            f"a fit needs pixels along the plane of camera and lamp: the table's attrs['lamp_azimuth'] must be a multiple of "
-            f"pi / 2 rad, got {azimuth:g}"
-        )
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:

@@ -91,7 +91,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
             kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) for s, v in zip(widths, spreads, strict=True)
         ]
         through = _Blurs(blurs, spreads, reaches, terms)
-        if view.distant:
+        if view.plain:
             found = _far_rules(view.radius, Pixels(x, y, theta_d, factor), through)
         else:
             found = _near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)
@@ -126,13 +126,25 @@ def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
 def _near_rules(view: SphereView, pixels: NearPixels, through: _Blurs) -> _Found:
     blurs, spreads, reaches, terms = through
     onto = near_window(view, pixels, np.max(reaches, axis=0)).theta
+    nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0
     rules: list[NearRule] = [
-        near_rule(view, blur, spread, terms, pixels, near_window(view, pixels, reach), onto)
+        near_rule(view, blur, spread, terms, pixels, near_window(view, pixels, reach), onto, pixel_nodes=nodes)
         for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
     ]
     names = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
     samples = dict(zip(names, near_masking_samples(rules[0]), strict=True))
     return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples)
+
+
+def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
+    """Return how many nodes over a turned pixel serve all blurs: more where the pixel's borders show."""
+    sharpest = min(float(np.min(np.asarray(blur.stds)[list(terms)])) for blur in blurs)
+    ratio = float(blurs[0].pixel.half_width) / max(sharpest, 1e-3)
+    return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
+
+
+_PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
+"""(half width of the pixel over the lens's standard deviation, nodes); few counts, as each is a program."""
 
 
 def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:

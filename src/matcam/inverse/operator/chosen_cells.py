@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import PixelGrid, pixel_angles
+from matcam.forward.pixel_grid import PixelGrid, pixel_angles, turned
 from matcam.inverse.operator.pixels_behind import (
     CellPlaces,
     PixelsBehind,
@@ -110,7 +110,7 @@ def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: P
     theta_d = grid.theta_d[slices]
     x, y, cos_i, cos_o = places_in(view, theta_h, theta_d[:, None], phi_d)
     shift = np.zeros((slices.size, 2)) if pixels is None else pixels.of_slices(slices)
-    numbers = pixel_numbers(x, y, shift[:, None, None])
+    numbers = pixel_numbers(x, y, shift[:, None, None], _azimuth(view, pixels))
     one_pixel = numbers[..., 0] == numbers[..., 1]
     real = None
     if pixels is not None:
@@ -122,6 +122,14 @@ def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: P
     return ChosenCells(slices, theta_d, i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
+def peak_cells(view: SphereView, theta_d: np.ndarray) -> ChosenCells:
+    """Return one cell a slice, at its highlight. theta_d: of the slices, rad, (s,)."""
+    none = np.zeros((theta_d.size, 1), dtype=int)
+    places = places_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
+    there = np.ones(none.shape, dtype=bool)
+    return ChosenCells(np.arange(theta_d.size), theta_d, none, none, 0.0 * none, 0.0 * none, there, *places, there)
+
+
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
 
@@ -129,7 +137,7 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     that are means, one over the count of their pixels.
     """
     grid, view = merl_grid(sampling), sphere_view(rig)
-    x, y = view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d)
+    x, y = turned(*view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d), view.azimuth)
     shares = np.where(2 * np.maximum(np.abs(x), np.abs(y)) >= 1, 0.5, 1.0)
     if rig.cell_value == "mean":
         shares = np.minimum(shares, 1 / np.maximum(pixel_counts(view.radius, grid.theta_d), 1.0))
@@ -143,6 +151,11 @@ def places_in(view: SphereView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d:
         return far
     near = view.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS)
     return far._replace(x=near.x, y=near.y)  # type: ignore[arg-type]
+
+
+def _azimuth(view: SphereView, pixels: PixelGrid | None) -> float:
+    """Return the azimuth of the lamp against the pixels' rows, rad."""
+    return view.azimuth if pixels is None else pixels.azimuth
 
 
 class _SliceCells(NamedTuple):
@@ -180,7 +193,7 @@ def _slice_cells(view: SphereView, sampling: Sampling, slice_: int, pixels: Pixe
         seen &= ((np.minimum(at.cos_i, at.cos_o) > NEAR_COSINE) | (behind.weight == 0)).all(axis=-1)
         if pixels.rule == "mean":  # the pixels inside, which are not those of the cell's two places
             x, y = behind.x, behind.y
-    numbers = pixel_numbers(x, y, shift).tolist()
+    numbers = pixel_numbers(x, y, shift, _azimuth(view, pixels)).tolist()
     occupied: set[float] = set()
     chosen: list[int] = []
     first = 0

@@ -222,7 +222,7 @@ def rig_key(rig: Rig) -> tuple:
     parameters = {name: float(value) for name, value in camera.parameters().items()}
     view = sphere_view(rig)
     rest = tuple(float(a) for a in (view.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
-    return repr(camera), tuple(sorted(parameters.items())), rest if view.distant else (*rest, *view[1:])
+    return repr(camera), tuple(sorted(parameters.items())), rest if view.plain else (*rest, *view[1:])
 
 
 def check_rig(rig: Rig) -> None:

@@ -4,6 +4,10 @@ The half vector turns over the picture, so that a circle about the highlight's n
 on such circles, as in `polar_rule`: what the camera sees, the lamp lights and the kernel reaches is an arc in closed form on
 each. Every node has its own theta_h, theta_d and irradiance. A polynomial in asinh(theta_h / scale) carries their weights over
 to few nodes in theta_h, at which a lobe is asked for. The polynomials are Legendre's, and those nodes are Gauss's.
+
+A lamp at an azimuth turns the pixel against the plane of camera and lamp (docs/model.md 10). The arcs are those of the square
+about the turned pixel then, and its kernel is different on either side of that plane. Here a distant rig is one whose camera
+and lamp are infinitely far.
 """
 
 from __future__ import annotations
@@ -15,10 +19,13 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
+from matcam.forward.pixel_grid import turned
 from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, stretched
 from matcam.inverse.operator.sphere_view import SphereView, angles_between, square_border
 
 _BLOCK = 32
+_MORE_AZIMUTHS = np.polynomial.legendre.leggauss(30)
+"""A turned pixel is met over up to sqrt(2) times its side."""
 _MOST_LEAN = 1e3
 """Largest skewness of what a circle shows."""
 _LEAST_SPREAD = 1e-7
@@ -80,14 +87,15 @@ def near_window(view: SphereView, pixels: NearPixels, reach: np.ndarray) -> Near
 
     The extremes lie on the border of the kernel's square, or on the limb where the square leaves the sphere.
     """
-    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach))
+    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach, view.azimuth))
     peak = np.sin(pixels.highlight), 0 * pixels.x, np.cos(pixels.highlight)
     circle = angles_between(normal, tuple(a[..., None] for a in peak))  # type: ignore[arg-type]
     lamp, q, w = pixels.lamp_angle[..., None], view.camera, view.lamp
     theta = _directions(normal, np.sin(lamp), np.cos(lamp), q, w).theta_h
     at = view.stretch * peak[0] / (1 - q * peak[2])
-    inside = (np.abs(pixels.x - at) < reach) & (np.abs(pixels.y) < reach)
-    return NearWindow(*(_between(angle, inside, reach) for angle in (circle, theta)))
+    inside = np.maximum(*np.abs(turned(at - pixels.x, -pixels.y, view.azimuth))) < reach
+    around = reach * (np.cos(view.azimuth) + np.sin(view.azimuth))  # of a square along the plane of camera and lamp
+    return NearWindow(*(_between(angle, inside, around) for angle in (circle, theta)))
 
 
 def _between(angle: np.ndarray, inside: np.ndarray, reach: np.ndarray) -> PolarWindow:
@@ -124,7 +132,7 @@ def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> _Directions:
     return _Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
 
 
-@partial(jit_plainly, static=("terms",))
+@partial(jit_plainly, static=("terms", "pixel_nodes"))
 def near_rule(
     view: SphereView,
     blur: Blur,
@@ -133,13 +141,17 @@ def near_rule(
     pixels: NearPixels,
     window: NearWindow,
     onto: PolarWindow,
+    pixel_nodes: int = 0,
 ) -> NearRule:
     """Return the rule for some terms of a blur; differentiable in its parameters.
 
     variances: px^2, (pixels,), that lamp and focus add along x and y. window: what this blur sees. onto: the theta_h between
-    which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`.
+    which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`. pixel_nodes: of a
+    pixel that is turned against the plane of camera and lamp, see `Blur.turned_kernel`; 0: it is not.
     """
     radius, stretch, q, w = view.radius, view.stretch, view.camera, view.lamp
+    turn = jnp.cos(view.azimuth), jnp.sin(view.azimuth)
+    around = _MORE_AZIMUTHS if pixel_nodes else AZIMUTHS
 
     def block(arguments):  # type: ignore[no-untyped-def]
         x, y, lamp, peak, factor, low, high, reach, from_theta, to_theta, var_x, var_y = (
@@ -152,7 +164,7 @@ def near_rule(
         s, c = jnp.sin(circle), jnp.cos(circle)
         sin_p, cos_p, sin_l, cos_l = jnp.sin(peak), jnp.cos(peak), jnp.sin(lamp), jnp.cos(lamp)
         aside = lamp - peak
-        y = jnp.abs(y)  # the mirror's other half sees the same
+        own_y, y = y, jnp.abs(y)  # the mirror's other half shows the same
         # whatever is linear in the normal is an arc of a circle: what the camera sees, what the lamp lights, columns
         horizon = (c * cos_p - q) / jnp.maximum(s * sin_p, 1e-300)
         shade = (w - c * jnp.cos(aside)) / jnp.maximum(s * jnp.sin(aside), 1e-300)
@@ -176,20 +188,27 @@ def near_rule(
         ):
             begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
             half = jnp.maximum(end - begin, 0.0) / 2
-            psi.append(begin + half * (AZIMUTHS[0] + 1))
-            share.append(half * AZIMUTHS[1])
+            psi.append(begin + half * (around[0] + 1))
+            share.append(half * around[1])
         azimuth, share = jnp.concatenate(psi, -1), jnp.concatenate(share, -1)
         cos_a = jnp.cos(azimuth)
         normal = c * sin_p + s * cos_a * cos_p, s * jnp.sin(azimuth), c * cos_p - s * cos_a * sin_p
         at = _directions(normal, sin_l, cos_l, q, w)
         depth = 1 - q * normal[2]
         dx, dy = stretch * normal[0] / depth - x, stretch * normal[1] / depth
-        kernel = sum(
-            blur.weights[j]
-            * blur.kernel(dx, j, var_x)
-            * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
-            for j in terms
-        )
+        if pixel_nodes:
+            kernel = sum(
+                blur.weights[j] * blur.turned_kernel(dx, side * dy - own_y, j, (var_x, var_y), turn, pixel_nodes)
+                for j in terms
+                for side in (1, -1)
+            )
+        else:
+            kernel = sum(
+                blur.weights[j]
+                * blur.kernel(dx, j, var_x)
+                * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
+                for j in terms
+            )
         # area in the picture over the cosine of the view, times the irradiance across the light
         share = share * kernel * at.view / depth**3 / at.light**2
         scale, first, last = stretched(from_theta, to_theta)

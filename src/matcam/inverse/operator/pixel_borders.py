@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import pixel_angles
+from matcam.forward.pixel_grid import pixel_angles, turned
 from matcam.inverse.operator.pixels_behind import cell_places
 
 RINGS = 16
@@ -61,10 +61,13 @@ def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
 
 
 class Borders:
-    """Count the borders between values of some slices that a grid of pixels does not have where the table has them."""
+    """Count the borders between values of some slices that a grid of pixels does not have where the table has them.
 
-    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats):
-        self.places = shown_places(radius, sampling, slices, np.arange(RINGS), 1)
+    azimuth: of the lamp against the grid's rows, rad.
+    """
+
+    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
+        self.places = shown_places(radius, sampling, slices, np.arange(RINGS), 1, azimuth)
         self.shown = shown
         self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
 
@@ -94,17 +97,19 @@ class Borders:
 class MeanBorders(Borders):
     """Count the same of cells that are means of the pixels inside."""
 
-    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats):
-        super().__init__(radius, sampling, slices, shown)
+    def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
+        super().__init__(radius, sampling, slices, shown, azimuth)
         self.radius, self.theta_d = radius, merl_grid(sampling).theta_d[slices][:, None, None]
-        middle = np.rint(radius * np.sin(self.theta_d)).astype(int)
-        side = int(np.ceil(max(np.abs(self.places[0] - middle[..., None]).max(), np.abs(self.places[1]).max()))) + 1
+        self.azimuth = azimuth
+        peak = radius * np.sin(self.theta_d)
+        middle = [np.rint(a).astype(int) for a in turned(peak, 0 * peak, azimuth)]
+        side = int(np.ceil(max(np.abs(p - m[..., None]).max() for p, m in zip(self.places, middle, strict=True)))) + 1
         line = np.arange(-side, side + 1)
-        self.columns, self.rows = np.broadcast_arrays(middle + line[:, None], line)
+        self.columns, self.rows = np.broadcast_arrays(middle[0] + line[:, None], middle[1] + line)
 
     def _values(self, x: float, y: float) -> np.ndarray:
         whole = super()._values(x, y)
-        at = pixel_angles(self.radius, self.theta_d, self.columns + x, self.rows + y)
+        at = pixel_angles(self.radius, self.theta_d, *turned(self.columns + x, self.rows + y, -self.azimuth))
         n_h, _, n_p = GRID_SHAPE
         ring = (n_h * np.sqrt(at.theta_h / (np.pi / 2))).astype(int)
         around = np.minimum((np.mod(np.pi - at.psi, np.pi) / np.pi * n_p).astype(int), n_p - 1)
@@ -122,11 +127,14 @@ def _signature(column: np.ndarray, row: np.ndarray) -> np.ndarray:
 
 
 def shown_places(
-    radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int
+    radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int, azimuth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places of cells, (slices, rings, azimuths, 2)."""
+    """Return the places of cells, (slices, rings, azimuths, 2), on the axes of the pixels.
+
+    azimuth: of the lamp against the pixels' rows, rad.
+    """
     grid = merl_grid(sampling)
     theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")
     found = cell_places(radius, theta_h, grid.theta_d[slices][:, None, None], phi_d)
     x, y = np.broadcast_arrays(found.x, found.y)
-    return x, y
+    return turned(x, y, azimuth)

@@ -22,7 +22,7 @@ import xarray as xr
 from scipy.optimize import minimize
 
 from matcam.core.errors import FitError
-from matcam.core.grid import GRID_SHAPE, sampling_of
+from matcam.core.grid import GRID_SHAPE, azimuth_of, sampling_of
 from matcam.core.remark import Remark
 from matcam.forward.pixel_grid import looked_up
 from matcam.inverse.operator.pixel_borders import (
@@ -34,9 +34,11 @@ from matcam.inverse.operator.pixel_borders import (
     repeats,
     shown_places,
 )
-from matcam.inverse.operator.sphere_view import sphere_view
+from matcam.inverse.operator.sphere_view import sphere_view, with_azimuth
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
+_DIAGONAL = 1e-6
+"""Sine of four times an azimuth up to which it is a multiple of 45 degrees."""
 _LEAST_REPEATS = 0.3
 """Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
 _COMMON = 0.02
@@ -106,10 +108,12 @@ class LocatedRig(NamedTuple):
 
 
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
-    """Return a rig that says what cells stand for: as it states, or as the table shows.
+    """Return a rig that says what cells stand for, and where the lamp stood: as it states, or as the table shows.
 
-    FitError where the cells are not what the rig says.
+    FitError where the cells are not what the rig says; ArgumentError where rig and table state different azimuths.
     """
+    rig = with_azimuth(rig, table)
+    table = table.assign_attrs(lamp_azimuth=rig.lamp_azimuth or 0.0)
     if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, "mean", UNKNOWN):
         return LocatedRig(rig)
     if rig.cell_value == "mean" and repeats(table).share < _LEAST_REPEATS:  # pixels of any phase
@@ -157,14 +161,15 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     common = _common_phase("nearest", table, radius, shown)
     if common.unexplained <= _COMMON:
         return common
-    every = np.arange(GRID_SHAPE[1])
+    every, azimuth = np.arange(GRID_SHAPE[1]), azimuth_of(table) or 0.0
     shown = repeats(table, every)
     own: dict[int, FoundPhase] = {}
     for j in every:
         one = Repeats(shown.outwards[j : j + 1], shown.around[j : j + 1])
         if (one.around >= 0).mean() > _MOST_OF_A_SLICE:
-            found = _best_phase(Borders(radius, sampling, every[j : j + 1], one))
-            own[int(j)] = _upright(found, _near_cells(table, radius, every[j : j + 1], _SIGN_RINGS, _SIGN_AZIMUTHS))
+            found = _best_phase(Borders(radius, sampling, every[j : j + 1], one, azimuth))
+            near = _near_cells(table, radius, every[j : j + 1], _SIGN_RINGS, _SIGN_AZIMUTHS)
+            own[int(j)] = _upright(found, near, azimuth)
     unexplained = float(np.median([found.unexplained for found in own.values()])) if own else 1.0
     if unexplained > _MOST_WRONG:
         raise FitError(
@@ -191,8 +196,9 @@ def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 def _common_phase(rule: CellValue, table: xr.DataArray, radius: float, shown: Repeats) -> FoundPhase:
     """Return the phase that serves all pictures best."""
-    found = _best_phase(_BORDERS[rule](radius, sampling_of(table), SLICES, shown))
-    return _upright(found, _near_cells(table, radius, SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS))
+    azimuth = azimuth_of(table) or 0.0
+    found = _best_phase(_BORDERS[rule](radius, sampling_of(table), SLICES, shown, azimuth))
+    return _upright(found, _near_cells(table, radius, SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS), azimuth)
 
 
 _BORDERS: dict[CellValue, type[Borders]] = {"nearest": Borders, "mean": MeanBorders}
@@ -211,20 +217,23 @@ def _best_phase(borders: Borders) -> FoundPhase:
     return FoundPhase(_wrapped(at), borders.width(at, fewest, step), fewest / max(borders.count, 1))
 
 
-def _upright(found: FoundPhase, cells: list[_NearCells]) -> FoundPhase:
+def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> FoundPhase:
     """Return a phase or its mirror image across the plane of light, whose borders are the same: by the values themselves.
 
     A cell is the mean of two places on either side of that plane. Only one of the two makes all cells the means of few pixels.
+    Unless that plane lies along the pixels' rows, columns or diagonals, no grid is another's mirror image.
     """
-    x, y = found.phase
-    turned = x, -y  # type: ignore[operator]
-    if _rest("nearest", turned, cells) < _rest("nearest", (x, y), cells):  # type: ignore[arg-type]
-        return found._replace(phase=turned)  # type: ignore[arg-type]
+    if abs(np.sin(4 * azimuth)) > _DIAGONAL:
+        return found
+    (x, y), cos, sin = found.phase, np.round(np.cos(2 * azimuth)), np.round(np.sin(2 * azimuth))
+    mirrored = float(x * cos + y * sin), float(x * sin - y * cos)  # type: ignore[operator]
+    if _rest("nearest", mirrored, cells) < _rest("nearest", (x, y), cells):  # type: ignore[arg-type]
+        return found._replace(phase=mirrored)
     return found
 
 
 class _NearCells(NamedTuple):
-    """Hold some cells near the highlight of a slice: both places of each (cells, 2), px, and their values."""
+    """Hold some cells near the highlight of a slice: both places of each (cells, 2), px, on the pixels' axes; and values."""
 
     x: np.ndarray
     y: np.ndarray
@@ -233,7 +242,7 @@ class _NearCells(NamedTuple):
 
 def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: int, every: int) -> list[_NearCells]:
     """Return cells of the slices that show most of them, in the brightest channel."""
-    places = shown_places(radius, sampling_of(table), slices, np.arange(rings), every)
+    places = shown_places(radius, sampling_of(table), slices, np.arange(rings), every, azimuth_of(table) or 0.0)
     values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
     channel = int(np.argmax(np.nan_to_num(values).max(axis=(0, 1, 2))))
     found = []

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, merl_grid, theta_h_edges
-from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, slice_pixels
+from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, slice_pixels, turned
 from matcam.inverse.operator.sphere_view import BOTH_WAYS
 
 _STRIDE = 1 << 16
@@ -65,8 +65,9 @@ def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: 
     return CellPlaces(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
 
 
-def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Return numbers of the pixels in which places fall."""
+def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: float = 0.0) -> np.ndarray:
+    """Return numbers of the pixels in which places fall. azimuth: of the lamp against the pixels' rows, rad."""
+    x, y = turned(x, y, azimuth)
     return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
 
@@ -92,20 +93,21 @@ def pixels_behind(
         k: (cells,), indices of phi_d.
     """
     if pixels.phase is None:
-        return _anywhere_in(radius, theta_d, i, k)
+        return _anywhere_in(radius, theta_d, i, k, pixels.azimuth)
     phase = phase_of_slices(pixels.phase)[j]
     if pixels.rule == "mean":
-        return _inside(phase, radius, theta_d, i, k)
+        return _inside(phase, radius, theta_d, i, k, pixels.azimuth)
     grid = merl_grid("centre")
     place = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
-    found = looked_up(pixels.rule, phase, place.x, place.y)
+    found = looked_up(pixels.rule, phase, *turned(place.x, place.y, pixels.azimuth))
     x, y, weight = (a.reshape(i.size, -1) for a in (found.x, found.y, found.weight / 2))
     numbers = pixel_numbers(x, y, phase)
+    x, y = turned(x, y, -pixels.azimuth)
     same = numbers[:, :, None] == numbers[:, None, :]
     return PixelsBehind(x, y, weight, np.einsum("ca,cab,cb->c", weight, same, weight))
 
 
-def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray) -> PixelsBehind:
+def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float) -> PixelsBehind:
     """Return places that stand for pixels of any phase inside cells: Gauss-Legendre points, by the area that shows them."""
     n_h, _, n_p = GRID_SHAPE
     share = (i[:, None, None, None] + _GAUSS[:, None, None]) / n_h
@@ -120,15 +122,17 @@ def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray) ->
     x, y, weight = (a.reshape(i.size, -1) for a in (x, y, weight))
     total = weight.sum(axis=1, keepdims=True)
     weight = weight / np.where(total > 0, total, 1.0)
-    middle = np.rint(x) * _STRIDE + np.rint(y)
+    middle = pixel_numbers(x, y, np.zeros(2), azimuth)
     alone = (middle == middle[:, :1]).all(axis=1)
     return PixelsBehind(x, y, weight, np.minimum(np.where(alone, 1.0, 0.5), 1 / np.maximum(count, 1.0)))
 
 
-def _inside(phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray) -> PixelsBehind:
+def _inside(
+    phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float
+) -> PixelsBehind:
     """Return the pixels of one grid inside cells, of the nearest where there are none."""
     n_p = GRID_SHAPE[2]
-    whole = slice_pixels("mean", phase, radius, theta_d)
+    whole = slice_pixels("mean", phase, radius, theta_d, azimuth=azimuth)
     rows = whole.share[i * n_p + k]
     cell = np.repeat(np.arange(i.size), np.diff(rows.indptr))
     x, y, share = whole.x[rows.indices], whole.y[rows.indices], rows.data

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import azimuth_of
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.integrals import highlight_x
+from matcam.forward.pixel_grid import turned
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -25,16 +30,23 @@ class SphereView(NamedTuple):
         radius: of the limb in the picture, px.
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
+        azimuth: of the plane of camera and lamp against the pixels' rows, rad, in [0, pi/2); a quarter turn is no turn.
     """
 
     radius: float
     camera: float = 0.0
     lamp: float = 0.0
+    azimuth: float = 0.0
 
     @property
     def distant(self) -> bool:
         """Say whether camera and lamp both are distant: then a picture is one theta_d."""
         return self.camera == 0 and self.lamp == 0
+
+    @property
+    def plain(self) -> bool:
+        """Say whether camera and lamp are distant and pixels lie along their plane: then the rule of `polar_rule` holds."""
+        return self.distant and self.azimuth == 0
 
     @property
     def stretch(self) -> float:
@@ -98,6 +110,10 @@ class SphereView(NamedTuple):
         return x * depth, y * depth, n_z
 
 
+_ONE_AZIMUTH = 1e-6
+"""Sine of half a difference up to which two azimuths are one."""
+_ALIGNED = 1e-9
+"""Sine of twice an azimuth below which square pixels lie along the plane of camera and lamp."""
 FAR_AWAY = SphereView(256.0)
 """The MERL rig's sphere, whose pixels are told apart where no rig is given."""
 
@@ -106,15 +122,37 @@ def sphere_view(rig: Rig | None) -> SphereView:
     """Return the view of a rig's sphere; without a rig, of the one whose pixels are told apart."""
     if rig is None:
         return FAR_AWAY
-    sample, lamp = rig.sample, rig.lamp.nearness
-    return SphereView(float(sample.radius), float(sample.nearness), 0.0 if lamp is None else float(lamp))  # type: ignore[attr-defined]
+    sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
+    turned = 0.0 if abs(np.sin(2 * azimuth)) < _ALIGNED else float(np.mod(azimuth, np.pi / 2))
+    return SphereView(float(sample.radius), float(sample.nearness), 0.0 if lamp is None else float(lamp), turned)  # type: ignore[attr-defined]
 
 
-def square_border(radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (..., 100) round squares of half side `reach` about places, px; on the limb where squares leave it."""
+def with_azimuth(rig: Rig, table: xr.DataArray) -> Rig:
+    """Return a rig that says where the lamp stood in a table's pictures, as it states or the table does.
+
+    ArgumentError where they state different azimuths.
+    """
+    stated, own = azimuth_of(table), rig.lamp_azimuth
+    if own is None:
+        return replace(rig, lamp_azimuth=stated) if stated else rig
+    if stated is not None and abs(np.sin((stated - own) / 2)) > _ONE_AZIMUTH:
+        raise ArgumentError(
+            f"lamp_azimuth must be the table's own, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
+        )
+    return rig
+
+
+def square_border(
+    radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray, azimuth: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (..., 100) round squares of half side `reach` about places, px; on the limb where squares leave it.
+
+    azimuth: of the axes against the squares' sides, rad.
+    """
     t = np.linspace(-1, 1, 25)
     border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
     border = np.concatenate([border, border[:, ::-1]])
+    border = np.stack(turned(border[:, 0], border[:, 1], -azimuth), -1)
     at_x, at_y = (c[..., None] + reach[..., None] * border[:, n] for n, c in enumerate((x, y)))
     out = np.maximum(np.hypot(at_x, at_y) / (radius * (1 - 1e-12)), 1.0)
     return at_x / out, at_y / out
