@@ -34,6 +34,8 @@ _WIDTHS = np.geomspace(3e-4, 0.5, 14)
 _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
 _ROUGHLY, _ENOUGH = 1.0, 0.1  # of the cost
+_SYSTEMATIC = 0.01
+"""Unexplained share from which residuals are alike in neighbouring pixels: a cost of 1 is then no standard deviation."""
 _HOPELESS = 20.0
 """Mean squared residual, of a picture and over that of the others, from which it is not explained at all."""
 _FEW = 6  # pictures in which the lobe is looked for
@@ -218,7 +220,8 @@ def fit_sphere(
             p[layout.diffuse] *= diffuse
         before = p.copy()
         # the windows of the first round are laid anew
-        p = solve(problem, p, unexplained, _ROUGHLY if turn == 0 and rounds > 1 else _ENOUGH)
+        rough = rounds > 1 if turn == 0 else unexplained > _SYSTEMATIC
+        p = solve(problem, p, unexplained, _ROUGHLY if rough else _ENOUGH)
         share = _unexplained_share(problem, p)
         settled = abs(share - unexplained) < 0.05 * unexplained + 1e-4
         unexplained = share
