@@ -128,14 +128,17 @@ def test_the_place_of_a_highlight_and_its_light():
 
 
 @pytest.mark.slow
-def test_the_lens_and_a_near_lamp_are_followed():
-    """Along its axis the operator of a near rig is that of a rig with the other lens or lamp."""
-    rig, _ = made(6.0, 4.0, 256.0)
+@pytest.mark.parametrize(
+    ("where", "azimuth", "every"), [((6.0, 4.0, 256.0), None, 18), ((np.inf, np.inf, 100.0), 0.5, 45)]
+)
+def test_the_lens_and_a_lamp_are_followed(where, azimuth, every):
+    """Along its axis the operator of a near or turned rig is that of a rig with the other lens or lamp."""
+    rig, _ = made(*where, lamp_azimuth=azimuth)
     for name, value in (("optics.sigma_px", 0.4), ("lamp_radius", 0.003)):
         axis = free_axis(name, rig)
         coordinate = 0.5 * np.log((value**2 + axis.softening**2) / (axis.base**2 + axis.softening**2))
-        _, along = lobe_operator(rig, "centre", 18, (axis,), NEVER)
-        cells, there = lobe_operator(rig_with(rig, {name: value}), "centre", 18, (), NEVER)
+        _, along = lobe_operator(rig, "centre", every, (axis,), NEVER)
+        cells, there = lobe_operator(rig_with(rig, {name: value}), "centre", every, (), NEVER)
         ours = np.asarray(along.record(GGX(0.01), "smith", np.array([coordinate])))
         truth = np.asarray(there.record(GGX(0.01), "smith", ()))
         inner = cells.valid & (cells.cos_i.min(-1) > 0.2) & (cells.cos_o.min(-1) > 0.2)
