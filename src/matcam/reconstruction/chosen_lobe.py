@@ -17,6 +17,7 @@ from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
 from matcam.reconstruction.joint.joint_problem import JointProblem
+from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
 
@@ -38,6 +39,9 @@ _MANY, _SOME = 32, 16
 _HOPELESS = 1.5
 """A lobe that leaves so much more unexplained than the best is not tried again under other priors."""
 _FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
+_GUESSED, _BY_SHAPE = 0.25, 0.01
+"""Relative standard deviation from which a lens is a guess; unexplained share from which its blur and the lobe's, which then
+differ in shape only, are not told apart by that shape."""
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources that state something of each picture."""
 _WIDENED = {
@@ -219,7 +223,22 @@ def chosen_fit(
     if best.kind.bends:
         text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
         remarks.append(Remark("lobe-bent", text))
-    return ChosenFit(best, tried, tuple(remarks), widened)
+    return ChosenFit(_with_its_lens_open(best), tried, tuple(remarks), widened)
+
+
+def _with_its_lens_open(fit: SphereFit) -> SphereFit:
+    """Return the fit with what is stated of a guessed lens as the error of the lens, where no lobe explains the pictures.
+
+    The wrong lobe's shape would tell them apart: on a real ball three families each knew the lens to 2 % and differed by 15 %.
+    """
+    solution, scene = fit.solution, fit.scene
+    if scene.lens_std < _GUESSED or solution.unexplained < _BY_SHAPE:
+        return fit
+    lens = fit.layout.lobe + SCENE.index("lens")
+    own = float(solution.covariance[lens, lens])
+    moved = solution.covariance[:, lens] / max(own, 1e-30)
+    opened = max(scene.lens_std**2 - own, 0.0) * np.outer(moved, moved)
+    return replace(fit, solution=solution._replace(covariance=solution.covariance + opened))
 
 
 def _explained(fit: SphereFit) -> bool:

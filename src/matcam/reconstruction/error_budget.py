@@ -180,7 +180,7 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """Return the shared parameters that the pictures alone do not tell from the lens, the distances or the outline.
 
     For each of these, what is stated of it is taken away: where its correlation with another then exceeds 0.95 and its own
-    error grows more than threefold, the pictures do not determine it.
+    error grows more than threefold, the pictures do not determine it. The closest one is named.
     """
     solution, shared = fit.solution, _shared(fit)
     names = shared.names
@@ -197,9 +197,14 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
             continue
         std = np.sqrt(np.maximum(np.diag(after), 1e-300))
         correlation = after[place] / (std[place] * std)
-        for other, value in enumerate(correlation.tolist()):
-            if other != place and abs(value) > _APART and before[other] > 0:
-                found.append(Inseparable((name, names[other]), float(np.clip(value, -1, 1))))
+        apart = [
+            Inseparable((name, names[other]), float(np.clip(value, -1, 1)))
+            for other, value in enumerate(correlation.tolist())
+            if other != place and abs(value) > _APART and before[other] > 0
+        ]
+        # what is as good as free drags everything else along
+        closest = strongest(apart)
+        found += [] if closest is None else [closest]
     return tuple(found)
 
 
