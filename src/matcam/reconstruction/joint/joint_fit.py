@@ -23,7 +23,7 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 T = TypeVar("T")
 _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
 _HUBER = 4.0
-_STEPS = 25
+_STEPS, _ATTEMPTS = 25, 9
 _SETTLED = 1e-3  # of a standard deviation
 _MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
 
@@ -134,22 +134,21 @@ def solve(problem: JointProblem, start: np.ndarray, unexplained: float, enough: 
     at = _assembled(problem, judge, p)
     for _ in range(_STEPS):
         scale = np.sqrt(np.maximum(np.diag(at.normal), 1e-30))
-        accepted = mixed = False
-        for attempt in range(9):
-            step = _damped_step(problem, at, scale, free, damping, p)
-            if attempt == 0:
-                first, step = step, mixing.step(p, step, at.normal)
-                mixed = step is not first
-            elif attempt == 1 and not mixed:
-                continue  # that was tried
+        first = _damped_step(problem, at, scale, free, damping, p)
+        step, accepted = mixing.step(p, first, at.normal), False
+        mixed = step is not first
+        for _ in range(_ATTEMPTS):
             trial = np.clip(p + step, problem.low, problem.high)
             cost = cost_at(problem, judge, trial, at.levels)
-            if np.isfinite(cost) and cost <= at.cost + 1e-9 * abs(at.cost):
-                accepted = True
+            accepted = bool(np.isfinite(cost) and cost <= at.cost + 1e-9 * abs(at.cost))
+            if accepted:
                 break
             mixing.forget()
-            mixed = False
-            damping *= 1 if attempt == 0 else 8
+            if mixed:
+                mixed, step = False, first
+            else:
+                damping *= 8
+                step = _damped_step(problem, at, scale, free, damping, p)
         if not accepted:
             break
         gained, moved = at.cost - cost, np.abs((trial - p) * scale).max()
