@@ -144,7 +144,7 @@ def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bo
     from matcam.figures.calibration import edge_figure
     from matcam.figures.style import save
 
-    write_columns(output.with_suffix(".csv"), result.dataset(), force=force)
+    write_columns(output.with_suffix(".csv"), result.columns(), force=force)
     save(edge_figure(result, image, roi, name), output, force=force)
 
 

@@ -8,6 +8,7 @@ own formats bear a version. Datasets go into columns of text (CSV) for spreadshe
 from __future__ import annotations
 
 import contextlib
+import csv
 import json
 import math
 import os
@@ -16,9 +17,10 @@ import signal
 import stat
 import tempfile
 import threading
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from importlib import metadata
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -222,17 +224,30 @@ def check_within(path: Path, folder: Path) -> None:
         raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
 
 
-def write_columns(path: str | Path, data: xr.Dataset, *, force: bool = False) -> None:
-    """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable.
+def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:
+    """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable. Or columns by their names.
 
     The names of those that have units end in them ("theta_d_rad").
     """
-    frame = data.to_dataframe().reset_index()
-    names = {
-        str(n): f"{n}_{v.attrs['units'].replace('/', '_per_')}" for n, v in data.variables.items() if "units" in v.attrs
-    }
+    if isinstance(data, dict):
+        columns = {name: _cells(column) for name, column in data.items()}
+    else:
+        frame = data.to_dataframe().reset_index()
+        units = {
+            str(n): v.attrs["units"].replace("/", "_per_") for n, v in data.variables.items() if "units" in v.attrs
+        }
+        columns = {f"{n}_{units[n]}" if n in units else n: _cells(frame[n]) for n in frame.columns}
+    text = StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(columns)
+    rows.writerows(zip(*columns.values(), strict=True))
     with replacing(path, force=force) as temporary:
-        frame.rename(columns=names).to_csv(temporary, index=False, float_format="%.10g")
+        temporary.write_bytes(text.getvalue().encode())
+
+
+def _cells(column: Sequence[Any]) -> list[str]:
+    """Return the values as text; what is missing is empty."""
+    return [("" if one != one else f"{one:.10g}") if isinstance(one, float) else str(one) for one in column]
 
 
 def user_cache_folder() -> Path:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from matcam.calibration.camera.calibration import Calibration
-from matcam.calibration.camera.camera_fit import CameraFit
-from matcam.calibration.edge.edge_result import EdgeMTF
-from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.camera.camera import Camera
 from matcam.figures.field_maps import COLOURS, draw_blur_map, draw_lateral_colour
 from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled
+
+if TYPE_CHECKING:
+    from matcam.calibration.camera.calibration import Calibration
+    from matcam.calibration.camera.camera_fit import CameraFit
+    from matcam.calibration.edge.edge_result import EdgeMTF
+    from matcam.calibration.targets.mtf_samples import MTFSamples
+    from matcam.camera.camera import Camera
 
 _MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
 _LARGEST = 900  # px of the picture as it is drawn

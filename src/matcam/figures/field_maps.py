@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from matcam.calibration.camera.calibration import Calibration
-from matcam.calibration.camera.evidence import EdgeTable
-from matcam.calibration.camera.lateral_colour import LateralColour
 from matcam.figures.style import BLACK, BLUE, GREEN, VERMILION
+
+if TYPE_CHECKING:
+    from matcam.calibration.camera.calibration import Calibration
+    from matcam.calibration.camera.evidence import EdgeTable
+    from matcam.calibration.camera.lateral_colour import LateralColour
 
 COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 """Colours in which channels are drawn."""

@@ -210,18 +210,29 @@ class EdgeMTF(_EdgeNumbers[float]):
         """
         import xarray as xr
 
-        columns = {
-            "mtf": self.mtf, "mtf_std": self.mtf_std, "core_mtf": self.core_mtf, "core_mtf_std": self.core_mtf_std,
-            "parametric_mtf": self.parametric.mtf, "parametric_mtf_std": self.parametric.mtf_std,
-        }  # fmt: skip
         numbers = (
             "mtf50", "mtf50_std", "angle", "angle_std", "bow", "glare_fraction", "glare_fraction_std", "glare_radius",
         )  # fmt: skip
         return xr.Dataset(
-            {name: ("frequency", value) for name, value in columns.items()},
+            {name: ("frequency", value) for name, value in self._curves.items()},
             {"frequency": ("frequency", self.frequency, {"units": "cycles/px"})},
             {name: getattr(self, name) for name in numbers},
         )
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the MTFs by name, after their frequencies, as `matcam edge` writes them.
+
+        Returns:
+            Arrays (81,); the unit stands in the name.
+        """
+        return {"frequency_cycles_per_px": self.frequency} | self._curves
+
+    @property
+    def _curves(self) -> dict[str, np.ndarray]:
+        return {
+            "mtf": self.mtf, "mtf_std": self.mtf_std, "core_mtf": self.core_mtf, "core_mtf_std": self.core_mtf_std,
+            "parametric_mtf": self.parametric.mtf, "parametric_mtf_std": self.parametric.mtf_std,
+        }  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON object, which `matcam edge --json` prints.
