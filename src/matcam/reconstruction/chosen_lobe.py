@@ -17,6 +17,7 @@ from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
 from matcam.reconstruction.joint.joint_problem import JointProblem
+from matcam.reconstruction.joint.unexplained import Unexplained
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
@@ -248,7 +249,7 @@ def _explained(fit: SphereFit) -> bool:
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
     """Say whether a fit explains its pixels better than another, both judged by the smaller unexplained share."""
-    judge = Likelihood(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3))
+    judge = Likelihood(Unexplained(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
     surprise = []
     for fit in (one, other):
         solution = fit.solution
@@ -285,7 +286,7 @@ class _Blame(NamedTuple):
         """
         if self.source not in _IN_EACH:
             return True
-        judge, p = Likelihood(fit.solution.unexplained), fit.solution.p
+        judge, p = Likelihood(fit.solution.left), fit.solution.p
         problem = self.freed
         ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
         return fit.solution.cost - min(cost_at(problem, judge, one) for one in ways) > _MUCH

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -197,17 +196,13 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
             continue
         std = np.sqrt(np.maximum(np.diag(after), 1e-300))
         correlation = after[place] / (std[place] * std)
+        # what moves with one that is not determined itself is not another's fault
+        said = {one for pair in found for one in pair.names}
         apart = [
             Inseparable((name, names[other]), float(np.clip(value, -1, 1)))
             for other, value in enumerate(correlation.tolist())
-            if other != place and abs(value) > _APART and before[other] > 0
+            if other != place and abs(value) > _APART and before[other] > 0 and names[other] not in said
         ]
         # what is as good as free drags everything else along
-        closest = strongest(apart)
-        found += [] if closest is None else [closest]
+        found += sorted(apart, key=lambda one: -abs(one.correlation))[:1]
     return tuple(found)
-
-
-def strongest(pairs: Sequence[Inseparable]) -> Inseparable | None:
-    """Return the pair of largest correlation; None where all are told apart."""
-    return max(pairs, key=lambda one: abs(one.correlation), default=None)

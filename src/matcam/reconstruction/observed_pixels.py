@@ -36,6 +36,7 @@ class ObservedPixels(NamedTuple):
         channel: index of each pixel's colour.
         used: pixels that hold a value and are fitted.
         seen: columns and rows at which the frame shows the scattered pixels, px, (2, SCATTERED).
+        places: columns and rows at which the frame shows all pixels, px, (2, WINDOW^2 + SCATTERED).
     """
 
     window: Any
@@ -47,6 +48,7 @@ class ObservedPixels(NamedTuple):
     channel: np.ndarray
     used: np.ndarray
     seen: np.ndarray
+    places: np.ndarray
 
 
 class HighlightPlace(NamedTuple):
@@ -109,6 +111,7 @@ def chosen_pixels(
     far_column, far_row = _scattered(picture, place, (near_column, near_row), seed, field)
     column = np.concatenate([near_column.ravel(), far_column])
     row = np.concatenate([near_row.ravel(), far_row])
+    places = np.stack([column, row])
     at_row, at_column = row.astype(int) - picture.origin[0], column.astype(int) - picture.origin[1]
     height, width = picture.values.shape
     inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
@@ -134,6 +137,7 @@ def chosen_pixels(
         channel=picture.channel[at_row, at_column].astype(int),
         used=used,
         seen=np.array([far_column, far_row]),
+        places=places,
     )
 
 

@@ -25,7 +25,6 @@ from matcam.reconstruction.error_budget import (
     error_budget,
     inseparable,
     reflectance_ratio,
-    strongest,
 )
 from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
@@ -190,11 +189,12 @@ class Reconstruction:
                 f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every "
                 "error: look at the residual pictures."
             )
-        pair = strongest(self.not_determined)
-        if pair is not None:
+        pairs = [
+            f"{one.names[0]} from {one.names[1]} (correlation {one.correlation:.3f})" for one in self.not_determined
+        ]
+        if pairs:
             words.append(
-                f"The pictures alone do not tell {pair.names[0]} from {pair.names[1]} (correlation {pair.correlation:.3f}): "
-                "the result rests on what was stated of it."
+                f"The pictures alone do not tell {', nor '.join(pairs)}: the result rests on what was stated of it."
             )
         if not self.absolute:
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")

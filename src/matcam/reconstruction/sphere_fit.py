@@ -22,6 +22,7 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
+from matcam.reconstruction.joint.unexplained import Unexplained, unexplained_by
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_places
@@ -209,27 +210,27 @@ def fit_sphere(
             p[layout.own(k)][2:] = 0.0
         known = replace(scene, lamps=directions)
     slope = np.zeros((layout.pictures, layout.channels))
-    unexplained, solution = 0.02, None
+    left, solution = Unexplained(0.02), None
     for turn in range(rounds):
         last = None if solution is None else solution.problem.pixels
         problem = lay(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
-            p = _with_strengths(problem, p, unexplained)
+            p = _with_strengths(problem, p, left.share)
             p[layout.diffuse] *= diffuse
         before = p.copy()
         # the windows of the first round are laid anew
-        rough = rounds > 1 if turn == 0 else unexplained > _SYSTEMATIC
-        p = solve(problem, p, unexplained, _ROUGHLY if rough else _ENOUGH)
-        share = _unexplained_share(problem, p)
-        settled = abs(share - unexplained) < 0.05 * unexplained + 1e-4
-        unexplained = share
-        solution = summed_up(problem, p, unexplained)
+        rough = rounds > 1 if turn == 0 else left.share > _SYSTEMATIC
+        p = solve(problem, p, left, _ROUGHLY if rough else _ENOUGH)
+        now = unexplained_by(problem, p)
+        settled = abs(now.noise - left.noise) < 0.05 * left.noise + 1e-4
+        left = now
+        solution = summed_up(problem, p, left)
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
         lamps_now = _lamps_again(found, pictures) if again else found.lamps
         known, slope = replace(scene, lamps=lamps_now), _slopes(found)
-        say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {unexplained:.2%}")
+        say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {left.share:.2%}")
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
         if (
             turn
@@ -239,35 +240,6 @@ def fit_sphere(
         ):
             break
     return found
-
-
-def _unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
-    """Return the share of the model that, added to photon and read noise, makes the residuals of the bright pixels normal.
-
-    It is judged by the median of squared residuals, so that dust on a few pixels does not decide.
-    """
-    values, residuals, stds = [], [], []
-    for k in range(problem.layout.pictures):
-        fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
-        bright = pixels.used & ~pixels.clipped & (fit.value > 10 * pixels.std)
-        values.append(fit.value[bright])
-        residuals.append((pixels.values - fit.value)[bright])
-        stds.append(pixels.std[bright])
-    value, residual, std = map(np.concatenate, (values, residuals, stds))
-    if value.size < 50:
-        return 0.0
-
-    def excess(share: float) -> float:
-        u2 = residual**2 / (std**2 + (share * value) ** 2)
-        return float(np.mean(np.minimum(u2, 9.0)) / 0.9733 - 1)  # the mean of a normal's square, cut at 9
-
-    if excess(0.0) <= 0:
-        return 0.0
-    low, high = 1e-5, 1.0
-    for _ in range(40):
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return float(high)
 
 
 def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:
@@ -297,7 +269,7 @@ def _searched(
         slope = np.zeros((layout.pictures, layout.channels))
         problem = lay(some, part, part, kind, p, slope, diffuse=True, bend=0.0, disc=False)
         p = _with_strengths(problem, p, 0.05)
-        judge = Likelihood(0.05)
+        judge = Likelihood(Unexplained(0.05))
         cost = sum(
             judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(layout.pictures)
         )

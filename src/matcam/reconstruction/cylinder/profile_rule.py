@@ -142,11 +142,19 @@ def chosen_columns(
         return np.where(everything, values, empty)
 
     everything = np.concatenate([used, far])
+    strips_of_window = np.broadcast_to(strip_index, window.column.shape)
     return ObservedPixels(
         window=window,
         column=profiles.column[column],
         row=strip_of.astype(float),
         seen=np.stack([profiles.column[column], strip_of.astype(float)]),
+        places=np.concatenate(
+            [
+                np.tile([window.column.ravel(), strips_of_window.ravel()], count),
+                np.stack([profiles.column[column], strip_of.astype(float)]),
+            ],
+            axis=1,
+        ),
         values=both(profiles.values, 0.0),
         std=both(profiles.std, 1.0),
         clipped=both(profiles.clipped, False).astype(bool),

@@ -18,6 +18,7 @@ from matcam.core.threads import available_cores, in_order
 from matcam.numerics.anderson import AndersonMixing
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.joint.joint_problem import JointProblem
+from matcam.reconstruction.joint.unexplained import Unexplained
 from matcam.reconstruction.observed_pixels import ObservedPixels
 
 T = TypeVar("T")
@@ -37,7 +38,7 @@ class JointSolution(NamedTuple):
         covariance: of the parameters, with what the fit does not explain, and what nobody has stated.
         fitted: the same without what nobody has stated: it weighs.
         cost: minus twice the logarithm of likelihood and prior, but for a constant.
-        unexplained: share of the model that enters the noise, no unit.
+        left: what the noise does not explain.
         theta_d: angle of each picture's strengths, rad, (pictures,).
         theta_d_slope: derivatives of these angles, (pictures, parameters).
         chi2: mean squared residual of each picture, in standard deviations of photon and read noise, (pictures,).
@@ -49,11 +50,16 @@ class JointSolution(NamedTuple):
     covariance: np.ndarray
     fitted: np.ndarray
     cost: float
-    unexplained: float
+    left: Unexplained
     theta_d: np.ndarray
     theta_d_slope: np.ndarray
     chi2: np.ndarray
     left_out: np.ndarray
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the model that the noise does not explain, no unit."""
+        return self.left.share
 
     def covariance_with(self, change: np.ndarray) -> np.ndarray:
         """Return the covariance if the information matrix were larger by `change`, (size, size)."""
@@ -69,11 +75,11 @@ class Likelihood:
     """Judge a model by its pixels, with a share of the model as noise.
 
     Args:
-        unexplained: that share, no unit.
+        left: what the noise does not explain.
     """
 
-    def __init__(self, unexplained: float):
-        self.unexplained = unexplained
+    def __init__(self, left: Unexplained):
+        self.share = left.noise
 
     def residual(
         self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
@@ -87,7 +93,7 @@ class Likelihood:
             value: the model, (pixels,).
             level: what the unexplained noise is a share of, (pixels,). Default: None, `value`.
         """
-        std = np.hypot(pixels.std, self.unexplained * np.abs(value if level is None else level))
+        std = np.hypot(pixels.std, self.share * np.abs(value if level is None else level))
         z = (value - pixels.values) / std
         by_value = 1 / std
         bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
@@ -110,12 +116,12 @@ class Likelihood:
 
     def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
         """Return minus twice the logarithm of the likelihood per pixel, but for a constant: it compares lobes."""
-        std = np.hypot(pixels.std, self.unexplained * np.abs(value))
+        std = np.hypot(pixels.std, self.share * np.abs(value))
         measured = pixels.used & ~pixels.clipped
         return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
 
 
-def solve(problem: JointProblem, start: np.ndarray, unexplained: float, enough: float) -> np.ndarray:
+def solve(problem: JointProblem, start: np.ndarray, left: Unexplained, enough: float) -> np.ndarray:
     """Return the parameters of least cost at a given share of unexplained noise.
 
     Steps of Levenberg and Marquardt with the noise of the model where they begin, mixed while that lowers the cost: real
@@ -124,10 +130,10 @@ def solve(problem: JointProblem, start: np.ndarray, unexplained: float, enough: 
     Args:
         problem: what is fitted.
         start: parameters, (size,).
-        unexplained: share of the model that is noise, no unit.
+        left: what the noise does not explain.
         enough: of the cost; a step that gains less is the last.
     """
-    judge = Likelihood(unexplained)
+    judge = Likelihood(left)
     p = np.clip(start, problem.low, problem.high)
     free = np.flatnonzero(~problem.fixed)
     damping, mixing = 1e-3, AndersonMixing()
@@ -176,9 +182,9 @@ def _damped_step(
     return np.clip(p + step, problem.low, problem.high) - p
 
 
-def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> JointSolution:
+def summed_up(problem: JointProblem, p: np.ndarray, left: Unexplained) -> JointSolution:
     """Return the solution at parameters: covariance, angles and how well each picture is explained."""
-    judge = Likelihood(unexplained)
+    judge = Likelihood(left)
     layout = problem.layout
     moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
     at, free = _assembled(moving, judge, p), ~problem.fixed
@@ -189,7 +195,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
     theta, slopes, chi2, out = [], [], [], []
     for k in range(layout.pictures):
         fit = moving.picture(p, k, slopes=True)
-        plain, _, _ = Likelihood(0.0).residual(problem.pixels[k], fit.value)
+        plain, _, _ = Likelihood(Unexplained(0.0)).residual(problem.pixels[k], fit.value)
         theta.append(fit.theta_d)
         slopes.append(fit.theta_d_slope)
         count = max(int(problem.pixels[k].used.sum()), 1)
@@ -202,7 +208,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, unexplained: float) -> Joint
         covariance,
         fitted,
         at.cost,
-        unexplained,
+        left,
         np.array(theta),
         np.array(slopes),
         np.array(chi2),

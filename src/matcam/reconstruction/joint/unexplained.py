@@ -1,0 +1,113 @@
+"""What the noise does not explain of the pictures: its share of the light, and how alike it is in pixels near each other.
+
+A wrong lobe, dirt or a second reflection leave residuals that have one sign over many pixels. Such pixels say together what one
+of them says: counted as independent, they would push well-known quantities away from the truth, and state small errors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from matcam.reconstruction.joint.joint_problem import JointProblem
+
+_CUT = 3.0
+_NORMAL = 0.9733
+"""The mean of a normal's square, cut at the square of `_CUT`."""
+_BRIGHT = 10.0
+_FEWEST = 50
+_LOOKED_AT = 12
+"""Pictures in which likeness is looked for."""
+_LEAST = 0.05
+"""Of a residual's variance: as small a part is not divided by."""
+
+
+class Unexplained(NamedTuple):
+    """Say what the noise leaves unexplained.
+
+    Attributes:
+        share: of the model that, added to photon and read noise, makes the residuals of the bright pixels normal, no unit.
+        alike: number of pixels that share an unexplained residual. Default: 1, each has its own.
+    """
+
+    share: float
+    alike: float = 1.0
+
+    @property
+    def noise(self) -> float:
+        """Share of the model that, taken as a noise of each pixel's own, weighs as these residuals do."""
+        return float(self.share * np.sqrt(self.alike))
+
+
+def unexplained_by(problem: JointProblem, p: np.ndarray) -> Unexplained:
+    """Return what the noise leaves unexplained at some parameters.
+
+    The share is judged by the median of squared residuals, so that dust on a few pixels does not decide.
+
+    Args:
+        problem: what is fitted.
+        p: parameters, (size,).
+    """
+    bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
+    share = _share(*(np.concatenate([getattr(one, name) for one in bright]) for name in ("value", "residual", "std")))
+    some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
+    return Unexplained(share, _alike([bright[k] for k in some], share) if share > 0 else 1.0)
+
+
+class _Bright(NamedTuple):
+    value: np.ndarray
+    residual: np.ndarray
+    std: np.ndarray
+    places: np.ndarray
+
+    @classmethod
+    def of(cls, problem: JointProblem, p: np.ndarray, k: int) -> _Bright:
+        fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
+        bright = pixels.used & ~pixels.clipped & (fit.value > _BRIGHT * pixels.std)
+        residual = (pixels.values - fit.value)[bright]
+        return cls(fit.value[bright], residual, pixels.std[bright], pixels.places[:, bright])
+
+
+def _share(value: np.ndarray, residual: np.ndarray, std: np.ndarray) -> float:
+    if value.size < _FEWEST:
+        return 0.0
+
+    def excess(share: float) -> float:
+        u2 = residual**2 / (std**2 + (share * value) ** 2)
+        return float(np.mean(np.minimum(u2, _CUT**2)) / _NORMAL - 1)
+
+    if excess(0.0) <= 0:
+        return 0.0
+    low, high = 1e-5, 1.0
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return float(high)
+
+
+def _alike(pictures: list[_Bright], share: float) -> float:
+    """Return the number of pixels that share a residual: the sum of its correlations up to where they end (Bartlett 1935)."""
+    together = np.zeros(1)
+    total, count, unexplained = 0.0, 0, 0.0
+    for one in pictures:
+        if one.value.size < _FEWEST:
+            continue
+        variance = one.std**2 + (share * one.value) ** 2
+        z = np.clip(one.residual / np.sqrt(variance), -_CUT, _CUT)
+        apart = np.rint(pdist(one.places.T)).astype(int)
+        first, second = np.triu_indices(z.size, 1)
+        at = np.bincount(apart, z[first] * z[second])
+        if at.size > together.size:
+            together = np.pad(together, (0, at.size - together.size))
+        together[: at.size] += at
+        total += float(z @ z)
+        unexplained += float(np.sum((share * one.value) ** 2 / variance))
+        count += z.size
+    if total <= 0:
+        return 1.0
+    together[1] += together[0]  # pixels of one place in several colours
+    ends = np.flatnonzero(together[1:] <= 0)
+    shared = 2 * float(together[1 : 1 + (ends[0] if ends.size else together.size)].sum()) / total
+    return 1 + shared / max(unexplained / count, _LEAST)
