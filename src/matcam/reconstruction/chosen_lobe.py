@@ -17,7 +17,7 @@ from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
 from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
 from matcam.reconstruction.joint.joint_problem import JointProblem
-from matcam.reconstruction.joint.unexplained import Unexplained
+from matcam.reconstruction.joint.unexplained import UnexplainedLight
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
@@ -249,7 +249,7 @@ def _explained(fit: SphereFit) -> bool:
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
     """Say whether a fit explains its pixels better than another, both judged by the smaller unexplained share."""
-    judge = Likelihood(Unexplained(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
+    judge = Likelihood(UnexplainedLight(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
     surprise = []
     for fit in (one, other):
         solution = fit.solution

@@ -22,7 +22,7 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
-from matcam.reconstruction.joint.unexplained import Unexplained, unexplained_by
+from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_by
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_places
@@ -210,7 +210,7 @@ def fit_sphere(
             p[layout.own(k)][2:] = 0.0
         known = replace(scene, lamps=directions)
     slope = np.zeros((layout.pictures, layout.channels))
-    left, solution = Unexplained(0.02), None
+    left, solution = UnexplainedLight(0.02), None
     for turn in range(rounds):
         last = None if solution is None else solution.problem.pixels
         problem = lay(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
@@ -269,7 +269,7 @@ def _searched(
         slope = np.zeros((layout.pictures, layout.channels))
         problem = lay(some, part, part, kind, p, slope, diffuse=True, bend=0.0, disc=False)
         p = _with_strengths(problem, p, 0.05)
-        judge = Likelihood(Unexplained(0.05))
+        judge = Likelihood(UnexplainedLight(0.05))
         cost = sum(
             judge.cost(problem.pixels[k], problem.picture(p, k, slopes=False).value) for k in range(layout.pictures)
         )

@@ -198,8 +198,7 @@ class EdgeMTF(_EdgeNumbers[float]):
             text = f"the edge itself is rough by {self.roughness:.2f} px, which blurs it: errors were raised for it"
             remarks.append(Remark("rough-edge", text))
         if self.outliers:
-            text = f"{self.outliers} pixels stand out (hot, dead, dust): left out"
-            remarks.append(Remark("outliers", text))
+            remarks.append(Remark("outliers", f"{self.outliers} pixels stand out (hot, dead, dust): left out"))
         return tuple(remarks)
 
     def dataset(self) -> xr.Dataset:
@@ -210,28 +209,25 @@ class EdgeMTF(_EdgeNumbers[float]):
         """
         import xarray as xr
 
-        numbers = (
-            "mtf50", "mtf50_std", "angle", "angle_std", "bow", "glare_fraction", "glare_fraction_std", "glare_radius",
-        )  # fmt: skip
+        (_, frequency), *curves = self.columns().items()
+        names = "mtf50", "mtf50_std", "angle", "angle_std", "bow"
+        glare = "glare_fraction", "glare_fraction_std", "glare_radius"
         return xr.Dataset(
-            {name: ("frequency", value) for name, value in self._curves.items()},
-            {"frequency": ("frequency", self.frequency, {"units": "cycles/px"})},
-            {name: getattr(self, name) for name in numbers},
+            {name: ("frequency", curve) for name, curve in curves},
+            {"frequency": ("frequency", frequency, {"units": "cycles/px"})},
+            {name: getattr(self, name) for name in names + glare},
         )
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return the MTFs by name, after their frequencies, as `matcam edge` writes them.
+        """Return frequencies and MTFs (81,) as `matcam edge` writes them.
 
         Returns:
-            Arrays (81,); the unit stands in the name.
+            Arrays by name.
         """
-        return {"frequency_cycles_per_px": self.frequency} | self._curves
-
-    @property
-    def _curves(self) -> dict[str, np.ndarray]:
+        fit = self.parametric
         return {
-            "mtf": self.mtf, "mtf_std": self.mtf_std, "core_mtf": self.core_mtf, "core_mtf_std": self.core_mtf_std,
-            "parametric_mtf": self.parametric.mtf, "parametric_mtf_std": self.parametric.mtf_std,
+            "frequency_cycles_per_px": self.frequency, "mtf": self.mtf, "mtf_std": self.mtf_std, "core_mtf": self.core_mtf,
+            "core_mtf_std": self.core_mtf_std, "parametric_mtf": fit.mtf, "parametric_mtf_std": fit.mtf_std,
         }  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from matcam.core.threads import available_cores, in_order
 from matcam.numerics.anderson import AndersonMixing
 from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.joint.joint_problem import JointProblem
-from matcam.reconstruction.joint.unexplained import Unexplained
+from matcam.reconstruction.joint.unexplained import UnexplainedLight
 from matcam.reconstruction.observed_pixels import ObservedPixels
 
 T = TypeVar("T")
@@ -50,7 +50,7 @@ class JointSolution(NamedTuple):
     covariance: np.ndarray
     fitted: np.ndarray
     cost: float
-    left: Unexplained
+    left: UnexplainedLight
     theta_d: np.ndarray
     theta_d_slope: np.ndarray
     chi2: np.ndarray
@@ -78,7 +78,7 @@ class Likelihood:
         left: what the noise does not explain.
     """
 
-    def __init__(self, left: Unexplained):
+    def __init__(self, left: UnexplainedLight):
         self.share = left.noise
 
     def residual(
@@ -121,7 +121,7 @@ class Likelihood:
         return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
 
 
-def solve(problem: JointProblem, start: np.ndarray, left: Unexplained, enough: float) -> np.ndarray:
+def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enough: float) -> np.ndarray:
     """Return the parameters of least cost at a given share of unexplained noise.
 
     Steps of Levenberg and Marquardt with the noise of the model where they begin, mixed while that lowers the cost: real
@@ -182,7 +182,7 @@ def _damped_step(
     return np.clip(p + step, problem.low, problem.high) - p
 
 
-def summed_up(problem: JointProblem, p: np.ndarray, left: Unexplained) -> JointSolution:
+def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> JointSolution:
     """Return the solution at parameters: covariance, angles and how well each picture is explained."""
     judge = Likelihood(left)
     layout = problem.layout
@@ -195,7 +195,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, left: Unexplained) -> JointS
     theta, slopes, chi2, out = [], [], [], []
     for k in range(layout.pictures):
         fit = moving.picture(p, k, slopes=True)
-        plain, _, _ = Likelihood(Unexplained(0.0)).residual(problem.pixels[k], fit.value)
+        plain, _, _ = Likelihood(UnexplainedLight(0.0)).residual(problem.pixels[k], fit.value)
         theta.append(fit.theta_d)
         slopes.append(fit.theta_d_slope)
         count = max(int(problem.pixels[k].used.sum()), 1)

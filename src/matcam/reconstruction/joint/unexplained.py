@@ -24,7 +24,7 @@ _LEAST = 0.05
 """Of a residual's variance: as small a part is not divided by."""
 
 
-class Unexplained(NamedTuple):
+class UnexplainedLight(NamedTuple):
     """Say what the noise leaves unexplained.
 
     Attributes:
@@ -41,7 +41,7 @@ class Unexplained(NamedTuple):
         return float(self.share * np.sqrt(self.alike))
 
 
-def unexplained_by(problem: JointProblem, p: np.ndarray) -> Unexplained:
+def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
     """Return what the noise leaves unexplained at some parameters.
 
     The share is judged by the median of squared residuals, so that dust on a few pixels does not decide.
@@ -53,7 +53,7 @@ def unexplained_by(problem: JointProblem, p: np.ndarray) -> Unexplained:
     bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
     share = _share(*(np.concatenate([getattr(one, name) for one in bright]) for name in ("value", "residual", "std")))
     some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
-    return Unexplained(share, _alike([bright[k] for k in some], share) if share > 0 else 1.0)
+    return UnexplainedLight(share, _alike([bright[k] for k in some], share) if share > 0 else 1.0)
 
 
 class _Bright(NamedTuple):
