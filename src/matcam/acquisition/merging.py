@@ -26,6 +26,8 @@ _SAFE = 0.93
 """Share of the clip level that a pixel may be predicted to reach."""
 _DIM = 10.0
 """Read noises in the longest exposure below which a pixel's variance is that of its neighbours."""
+_ALIKE = 4.0
+"""Standard deviations by which a pixel may differ from its neighbours where these say what its variance is."""
 _BRIGHT = 30.0
 """Read noises above which a pixel tells whether its exposures agree."""
 
@@ -243,9 +245,14 @@ def _weighted(
         top += np.multiply(d, one, out=own)
         under += np.multiply(one, e, out=own)
     flux = top / np.maximum(under, 1e-30)
-    # a dim pixel's own noise would weigh against what made it bright: its neighbours say what variance to expect
+    # a pixel's own noise would weigh against what made it bright: its neighbours say what variance to expect, where it differs
+    # from them by no more than noise
     around = same_colour_neighbours(flux, step)
-    flux = np.maximum(np.where(around * np.float32(relative[-1]) < _DIM * noise, around, flux), 0)
+    np.maximum(under, np.float32(relative.min()), out=under)
+    variance = (np.float32(gain) * np.maximum(around, 0) + np.float32(len(light) * noise**2) / under) / under
+    alike = (flux - around) ** 2 < _ALIKE**2 * variance
+    alike |= around * np.float32(relative[-1]) < _DIM * noise
+    flux = np.maximum(np.where(alike, around, flux), 0)
     top[:], under[:] = 0, 0
     for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):
         np.multiply(flux, np.float32(gain) * e, out=own)

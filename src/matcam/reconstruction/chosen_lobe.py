@@ -43,8 +43,6 @@ _FREE = 1e3  # by this a standard deviation is multiplied to see what its source
 _GUESSED, _BY_SHAPE = 0.25, 0.01
 """Relative standard deviation from which a lens is a guess; unexplained share from which its blur and the lobe's, which then
 differ in shape only, are not told apart by that shape."""
-_IN_EACH = ("lamp", "gain", "shift")
-"""Sources that state something of each picture."""
 _WIDENED = {
     "lens": "the lens differs from its profile",
     "distortion": "the lens's distortion is not as its profile states",
@@ -282,10 +280,8 @@ class _Blame(NamedTuple):
     def holds(self, fit: SphereFit) -> bool:
         """Say whether chi squared truly falls by much on the way.
 
-        Freed of what is stated in each picture, little is left that determines it, and the first order goes astray.
+        Freed of what is stated, little may be left that determines it, and the first order goes astray.
         """
-        if self.source not in _IN_EACH:
-            return True
         judge, p = Likelihood(fit.solution.left), fit.solution.p
         problem = self.freed
         ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
@@ -302,9 +298,12 @@ def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Rema
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
     sources = np.array(problem.prior_sources)
     pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
-    blamed = max(_blamed(fit, scene), key=lambda one: one.explains, default=None)
-    if blamed is None or not (pushed or (blamed.explains > _MUCH and blamed.holds(fit))):
-        return None
+    found = sorted(_blamed(fit, scene), key=lambda one: -one.explains)
+    blamed = next((one for one in found if one.explains > _MUCH and one.holds(fit)), None)
+    if blamed is None:
+        if not (pushed and found):
+            return None
+        blamed = found[0]
     pull = max(blamed.pull, _CONTRADICTED)
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
@@ -333,8 +332,8 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         count = values.get(name, int(rows.sum()))
         explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
-        # no source explains more than there is to explain: where the first order says so, it does not hold
-        if explains < solution.cost and np.isfinite(pull):
+        # no source explains more than there is, or is further off than it was freed by: there the first order does not hold
+        if explains < solution.cost and pull < _FREE:
             others = ~rows
             freed = replace(
                 problem,

@@ -26,6 +26,8 @@ _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says noth
 _HUBER = 4.0
 _STEPS, _ATTEMPTS = 25, 9
 _SETTLED = 1e-3  # of a standard deviation
+_NO_CHANGE, _ALL_LOST = 1e-12, 1e-6
+"""Of the largest change of information; and least share of what a source states that is left where it is taken away."""
 _MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
 
 
@@ -62,12 +64,27 @@ class JointSolution(NamedTuple):
         return self.left.share
 
     def covariance_with(self, change: np.ndarray) -> np.ndarray:
-        """Return the covariance if the information matrix were larger by `change`, (size, size)."""
+        """Return the covariance if the information matrix were larger by `change`, of low rank, (size, size).
+
+        By Woodbury's identity: what is taken away may be all that determines a parameter, and two inversions lose it.
+        """
         judged = np.flatnonzero(self.problem.judged)
         inner = np.ix_(judged, judged)
+        scale = np.sqrt(np.maximum(np.diag(self.covariance)[judged], 1e-300))
+        old = self.covariance[inner] / np.outer(scale, scale)
+        size, ways = np.linalg.eigh(change[inner] * np.outer(scale, scale))
+        some = np.abs(size) > _NO_CHANGE * np.abs(size).max(initial=0.0)
+        ways = ways[:, some] * np.sqrt(np.abs(size[some]))
+        sign = np.diag(np.sign(size[some]))
+        moved = old @ ways
+        middle, turn = np.linalg.eigh(sign + ways.T @ moved)
+        # what is known is never less than nothing, but for rounding
+        middle = np.where(middle > 0, np.maximum(middle, _ALL_LOST), np.minimum(middle, -_ALL_LOST))
+        if np.all(size[some] < 0):
+            middle = np.minimum(middle, -_ALL_LOST)
+        moved = moved @ turn
         covariance = np.zeros_like(self.covariance)
-        information = scaled_inverse(self.covariance[inner], undetermined=1e16) + change[inner]
-        covariance[inner] = scaled_inverse(information, undetermined=1e16)
+        covariance[inner] = (old - (moved / middle) @ moved.T) * np.outer(scale, scale)
         return covariance
 
 

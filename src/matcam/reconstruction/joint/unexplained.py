@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.distance import pdist
 
 from matcam.reconstruction.joint.joint_problem import JointProblem
@@ -20,6 +21,7 @@ _BRIGHT = 10.0
 _FEWEST = 50
 _LOOKED_AT = 12
 """Pictures in which likeness is looked for."""
+_ALIKE_IN_VALUE = 15  # pixels
 _LEAST = 0.05
 """Of a residual's variance: as small a part is not divided by."""
 
@@ -41,7 +43,7 @@ class UnexplainedLight(NamedTuple):
         return float(self.share * np.sqrt(self.alike))
 
 
-def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
+def unexplained_by(problem: JointProblem, p: np.ndarray, *, likeness: bool = False) -> UnexplainedLight:
     """Return what the noise leaves unexplained at some parameters.
 
     The share is judged by the median of squared residuals, so that dust on a few pixels does not decide.
@@ -49,11 +51,14 @@ def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
     Args:
         problem: what is fitted.
         p: parameters, (size,).
+        likeness: whether it is looked for, too. Default: False, each pixel has a residual of its own.
     """
     bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
     share = _share(*(np.concatenate([getattr(one, name) for one in bright]) for name in ("value", "residual", "std")))
+    if not likeness or share == 0:
+        return UnexplainedLight(share)
     some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
-    return UnexplainedLight(share, _alike([bright[k] for k in some], share) if share > 0 else 1.0)
+    return UnexplainedLight(share, _alike([bright[k] for k in some], share))
 
 
 class _Bright(NamedTuple):
@@ -65,9 +70,23 @@ class _Bright(NamedTuple):
     @classmethod
     def of(cls, problem: JointProblem, p: np.ndarray, k: int) -> _Bright:
         fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
-        bright = pixels.used & ~pixels.clipped & (fit.value > _BRIGHT * pixels.std)
-        residual = (pixels.values - fit.value)[bright]
-        return cls(fit.value[bright], residual, pixels.std[bright], pixels.places[:, bright])
+        lit = np.flatnonzero(pixels.used & ~pixels.clipped & (fit.value > pixels.std))
+        value, residual = fit.value[lit], (pixels.values - fit.value)[lit]
+        std = _expected_noise(value, pixels.std[lit])
+        bright = value > _BRIGHT * std
+        return cls(value[bright], residual[bright], std[bright], pixels.places[:, lit[bright]])
+
+
+def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Return the noise of pixels of such values: a pixel's own follows its value, and is small where noise made that small.
+
+    By it, of dim pixels those would be judged that lie below the model.
+    """
+    order = np.argsort(value)
+    gain = uniform_filter1d(std[order] ** 2 / value[order], _ALIKE_IN_VALUE, mode="nearest")
+    expected = np.empty_like(value)
+    expected[order] = np.sqrt(gain * value[order])
+    return expected
 
 
 def _share(value: np.ndarray, residual: np.ndarray, std: np.ndarray) -> float:
