@@ -237,7 +237,9 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
     own = float(solution.covariance[lens, lens])
     moved = solution.covariance[:, lens] / max(own, 1e-30)
     opened = max(scene.lens_std**2 - own, 0.0) * np.outer(moved, moved)
-    return replace(fit, solution=solution._replace(covariance=solution.covariance + opened))
+    return replace(
+        fit, solution=solution._replace(covariance=solution.covariance + opened, fitted=solution.fitted + opened)
+    )
 
 
 def _explained(fit: SphereFit) -> bool:
@@ -328,7 +330,7 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         wide, old = wide[chosen], problem.prior_rows[rows]
         off = wide @ solution.p - wanted[chosen]
         push = old.T @ away[rows] - wide.T @ off
-        step = solution.covariance_with(wide.T @ wide - old.T @ old) @ push
+        step = solution.covariance_without(old.T @ old - wide.T @ wide) @ push
         count = values.get(name, int(rows.sum()))
         explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))

@@ -22,7 +22,7 @@ _APART = 0.95
 _WEAK = 3.0
 """A parameter is not determined where the pictures alone know it this many times worse than they do with all that is stated."""
 _KEPT = 0.01
-"""Share of what is stated of a parameter that is left to see whether the pictures know it: were it free, all would follow it."""
+"""Share of what is stated of a parameter that is left to see what the pictures know: were it free, all would follow it."""
 _NORMAL = np.radians([10, 15, 20, 25, 30, 35, 40, 45])
 """theta_d over whose mean F is normalised, rad, where pictures reach them."""
 
@@ -185,14 +185,14 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """
     solution, shared = fit.solution, _shared(fit)
     names = shared.names
-    before = np.diag(shared.covariance(solution.covariance))
+    before = np.diag(shared.covariance(solution.fitted))
     found: list[Inseparable] = []
     for source, name in (("lens", "lens"), ("camera distance",) * 2, ("lamp distance",) * 2, ("outline", "radius")):
         information = solution.problem.information_of(source)
         if not information.any():
             continue
         place = names.index(name)
-        after = shared.covariance(solution.covariance_with(-(1 - _KEPT) * information))
+        after = shared.covariance(solution.covariance_without((1 - _KEPT) * information))
         grown = after[place, place] / max(before[place], 1e-300)
         if not np.isfinite(grown) or grown < _WEAK**2:
             continue

@@ -27,7 +27,7 @@ _HUBER = 4.0
 _STEPS, _ATTEMPTS = 25, 9
 _SETTLED = 1e-3  # of a standard deviation
 _NO_CHANGE, _ALL_LOST = 1e-12, 1e-6
-"""Of the largest change of information; and least share of what a source states that is left where it is taken away."""
+"""Of the largest change of information; and least share of it that is left."""
 _MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
 
 
@@ -63,29 +63,30 @@ class JointSolution(NamedTuple):
         """Share of the model that the noise does not explain, no unit."""
         return self.left.share
 
-    def covariance_with(self, change: np.ndarray) -> np.ndarray:
-        """Return the covariance if the information matrix were larger by `change`, of low rank, (size, size).
+    def covariance_with(self, information: np.ndarray) -> np.ndarray:
+        """Return the covariance if there were this information besides, of low rank, (size, size)."""
+        return self._informed(self.covariance, information)
 
-        By Woodbury's identity: what is taken away may be all that determines a parameter, and two inversions lose it.
-        """
+    def covariance_without(self, information: np.ndarray) -> np.ndarray:
+        """Return the covariance `fitted` if this information, of low rank, were missing, (size, size)."""
+        return self._informed(self.fitted, -information)
+
+    def _informed(self, covariance: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return a covariance after a change of information, by Woodbury's identity: two inversions would lose small parts."""
         judged = np.flatnonzero(self.problem.judged)
         inner = np.ix_(judged, judged)
-        scale = np.sqrt(np.maximum(np.diag(self.covariance)[judged], 1e-300))
-        old = self.covariance[inner] / np.outer(scale, scale)
+        scale = np.sqrt(np.maximum(np.diag(covariance)[judged], 1e-300))
+        old, found = covariance[inner] / np.outer(scale, scale), np.zeros_like(covariance)
         size, ways = np.linalg.eigh(change[inner] * np.outer(scale, scale))
         some = np.abs(size) > _NO_CHANGE * np.abs(size).max(initial=0.0)
-        ways = ways[:, some] * np.sqrt(np.abs(size[some]))
-        sign = np.diag(np.sign(size[some]))
+        ways, sign = ways[:, some] * np.sqrt(np.abs(size[some])), np.sign(size[some])
         moved = old @ ways
-        middle, turn = np.linalg.eigh(sign + ways.T @ moved)
-        # what is known is never less than nothing, but for rounding
-        middle = np.where(middle > 0, np.maximum(middle, _ALL_LOST), np.minimum(middle, -_ALL_LOST))
-        if np.all(size[some] < 0):
+        middle, turn = np.linalg.eigh(np.diag(sign) + ways.T @ moved)
+        if np.all(sign < 0):  # never is more taken away than there is, but for rounding
             middle = np.minimum(middle, -_ALL_LOST)
         moved = moved @ turn
-        covariance = np.zeros_like(self.covariance)
-        covariance[inner] = (old - (moved / middle) @ moved.T) * np.outer(scale, scale)
-        return covariance
+        found[inner] = (old - (moved / middle) @ moved.T) * np.outer(scale, scale)
+        return found
 
 
 class Likelihood:
