@@ -16,6 +16,7 @@ cells with F free in every slice and a Lambertian part.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class Explanation(NamedTuple):
         candidates: fits of each family through the camera.
         fit: the lobe through the camera that explains the data best.
         shape: what is changed of its shape.
-        base: the same lobe in those slices that doubts and other lobes are fitted to: they differ from it.
+        base: the same lobe in those slices that doubts are fitted to: they differ from it.
         others: other lobes through the same camera, whose difference is uncertainty.
         doubts: fits with a parameter of the rig free.
         blind_setup: of `blind`.
@@ -212,7 +213,8 @@ def explain(
             base, base_setup = through_camera, bent_setup
             found, setup = in_all_slices(through_camera, bent_setup, every)
             shape = no_correction(found, shape.scale)
-            others = _as_probable(refused, through_camera)
+            rivals = [_whole(other, every) for other in _as_probable(refused, through_camera)]
+            others = _as_probable(rivals, found)
         else:
             others, shape = (OtherLobe(through_camera, bent_setup, 1.0),), no_correction(found, shape.scale)
     no_camera = _probability(blind, through_camera)
@@ -233,7 +235,13 @@ def _few_slices(setup: FitSetup) -> OtherLobe:
     return OtherLobe(few.solve(), few, 1.0)
 
 
-def _as_probable(others: list[OtherLobe], found: MaterialFit) -> tuple[OtherLobe, ...]:
+def _whole(other: OtherLobe, every: int) -> OtherLobe:
+    """Return a lobe that was fitted to a few slices in every `every`-th."""
+    setup = other.setup.with_(every=every)
+    return other._replace(fit=setup.solve(start=other.fit), setup=setup)
+
+
+def _as_probable(others: Sequence[OtherLobe], found: MaterialFit) -> tuple[OtherLobe, ...]:
     """Weigh other lobes by their probabilities, of all and the one that is corrected for; all are fits of the same slices."""
     if not others:
         return ()

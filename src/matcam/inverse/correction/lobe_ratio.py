@@ -39,7 +39,7 @@ class CorrectionFits(NamedTuple):
     Attributes:
         fit: of the lobe that is corrected for.
         shape: what was changed of its shape.
-        base: the same lobe in those slices that doubts and others were fitted to: they differ from it.
+        base: the same lobe in those slices that doubts were fitted to: they differ from it.
         doubts: fits with a parameter of the rig free.
         others: other lobes through the same camera, whose difference counts as uncertainty.
         maskings: what other maskings would make of `fit`; the same.
@@ -68,7 +68,7 @@ def lobe_ratio(
     base = fits.base.coordinates
     alternatives = [
         *((base, doubt.fit.coordinates, doubt.counted) for doubt in fits.doubts if doubt.counted),
-        *((base, other.fit.coordinates, other.weight) for other in fits.others),
+        *((at, other.fit.coordinates, other.weight) for other in fits.others),
         *((at, other.coordinates, other.weight) for other in fits.maskings),
     ]
     axes = tuple(dict.fromkeys(axis for one in (at, *(there for _, there, _ in alternatives)) for axis in one.axes))
