@@ -1,4 +1,4 @@
-"""Mixtures of two families: a coat over a base, facets of two finishes. Truth is the oracle's."""
+"""Lobes of no family: mixtures of two - a coat over a base, facets of two finishes - and Student's t. Truth is the oracle's."""
 
 import numpy as np
 import pytest
@@ -25,6 +25,10 @@ MIXTURES = {
     "GGX 0.01 (70 %), GGX 0.06": oracle.Lobes(((0.7, oracle.GGX(0.01)), (0.3, oracle.GGX(0.06)))),
     "coat: Beckmann 0.002 (30 %), GGX 0.1": oracle.Lobes(((0.3, beckmann(0.002)), (0.7, oracle.GGX(0.1)))),
     "coat: GGX 0.004 (50 %), Beckmann 0.2": oracle.Lobes(((0.5, oracle.GGX(0.004)), (0.5, beckmann(0.2)))),
+}
+TAILS = {
+    "Student's t 0.005, g 2.7": oracle.Tails(0.005, 2.7),
+    "Student's t 0.01, g 1.7": oracle.Tails(0.01, 1.7),
 }
 
 
@@ -55,10 +59,10 @@ def shot():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MIXTURES)
-def test_a_mixture_is_given_back(shot, name):
+@pytest.mark.parametrize("name", [*MIXTURES, *TAILS])
+def test_a_lobe_of_no_family_is_given_back(shot, name):
     """The lens is known to 3 %. Bars are no more than five times the errors, and no less than these."""
-    table, truth = shot.table(MIXTURES[name], 3)
+    table, truth = shot.table((MIXTURES | TAILS)[name], 3)
     done = Correction.of(table, recorded.rig(std=0.015))
     value, std, supported = shot.read(done)
     raw = table.values[shot.i, np.array(SLICES)[:, None], shot.k, 0]
@@ -66,8 +70,9 @@ def test_a_mixture_is_given_back(shot, name):
     error, bar = value[peak] / truth[peak] - 1, std[peak] / value[peak]
     rms = np.sqrt(np.mean(error**2))
     print(
-        f"{name}: before {np.median(raw[peak] / truth[peak] - 1):+.2f}, rms error {rms:.4f}, worst {np.abs(error).max():.3f}, "
-        f"std {np.median(bar):.4f}, supported {supported[peak].mean():.2f}, noise {done.shape.noise.relative:.4f}"
+        f"{name}: {done.fit.lobe_name}, before {np.median(raw[peak] / truth[peak] - 1):+.2f}, rms error {rms:.4f}, "
+        f"worst {np.abs(error).max():.3f}, std {np.median(bar):.4f}, supported {supported[peak].mean():.2f}, "
+        f"noise {done.shape.noise.relative:.4f}"
     )
     assert supported[peak].mean() > 0.9
     assert rms < 0.02

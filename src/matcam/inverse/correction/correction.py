@@ -20,6 +20,7 @@ from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
 from matcam.inverse.correction.explanation import explain
 from matcam.inverse.correction.harmless import LobeRatio, shrunk, withheld, within_energy
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
+from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -139,7 +140,7 @@ class Correction:
         workspace = workspace or default_workspace()
         found = explain(brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace)
         best = found.fit
-        fits = CorrectionFits(best, found.shape, found.doubts, found.others)
+        fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, other_maskings(best))
         fitted = lobe_ratio(found.located.rig, sampling_of(brdf), fits, workspace, found.located.std)
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)

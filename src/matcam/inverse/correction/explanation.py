@@ -4,9 +4,10 @@
 cells with F free in every slice and a Lambertian part.
 
 - The camera: its lens as the profile states it or as assumed, the shape of the lens's kernel uncertain, too.
-- Where no family explains the data two lobes may: a coat over a base, facets of two finishes.
-- A lobe that fails, too, is bent, where that explains the noise. Elsewhere what bending would change is uncertainty. What two
-  lobes in place of the bent one would change is uncertainty as far as they are probable.
+- Where no family explains the data Student's t may, whose tails are of any length; and then two lobes: a coat over a base,
+  facets of two finishes.
+- A lobe that fails, too, is bent, where that explains the noise. Elsewhere what bending would change is uncertainty. What
+  Student's t or two lobes in place of the bent one would change is uncertainty as far as they are probable.
 - No camera: the same lobe as a perfect camera would have recorded it. If it makes the data clearly more probable, the data
   show no blur by this camera, whatever the rig says.
 - Shadowing: where no lobe explains the noise, neither with a camera nor without, each colour has a lobe of its own, and masking
@@ -15,6 +16,7 @@ cells with F free in every slice and a Lambertian part.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +26,7 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core.remark import Remark
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
+from matcam.inverse.correction.bent_lobe import in_all_slices
 from matcam.inverse.correction.doubts import (
     Doubt,
     OtherLobe,
@@ -32,7 +35,8 @@ from matcam.inverse.correction.doubts import (
     rig_doubts,
     shape_correction,
 )
-from matcam.inverse.fit.fit_parameters import TWO_LOBES
+from matcam.inverse.correction.other_maskings import EVIDENCE
+from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
@@ -47,7 +51,8 @@ _STIFF = 0.125
 """Share of a lobe's half width below which a bend is stiff: a broad lobe has no fine structure."""
 _BEND_EVERY = 3 * SEARCH_EVERY
 _SMOOTH_CORE = "ggx"
-"""Family that is bent if it was tried: unlike EPD's it has no cusp, of which no pixel could say whether it is there."""
+"""Family that is bent if it was tried: unlike EPD's it has no cusp, of which no pixel could say whether it is there. Student's
+t, which has none either, is bent where it asks for less."""
 _MOST_NOISE = 0.05
 """Noise of a pixel, estimated, up to which a lobe explains its data."""
 _MOST_MISFIT = 2.0
@@ -58,8 +63,6 @@ _UNLIKELY = 0.05
 """Probability of no camera down to which a lens that is a guess moves nothing."""
 _NEGLIGIBLE = 1e-3
 """Probability below which another lobe counts for nothing."""
-_EVIDENCE = 0.1
-"""Share of a difference of log likelihoods that is believed: what a model misses is the same in neighbouring cells."""
 
 
 class Explanation(NamedTuple):
@@ -71,6 +74,7 @@ class Explanation(NamedTuple):
         candidates: fits of each family through the camera.
         fit: the lobe through the camera that explains the data best.
         shape: what is changed of its shape.
+        base: the same lobe in those slices that doubts are fitted to: they differ from it.
         others: other lobes through the same camera, whose difference is uncertainty.
         doubts: fits with a parameter of the rig free.
         blind_setup: of `blind`.
@@ -84,6 +88,7 @@ class Explanation(NamedTuple):
     candidates: list[MaterialFit]
     fit: MaterialFit
     shape: ShapeCorrection
+    base: MaterialFit
     others: tuple[OtherLobe, ...]
     doubts: tuple[Doubt, ...]
     blind_setup: FitSetup
@@ -173,31 +178,43 @@ def explain(
         view=sphere_view(rig), pixels=grid_of(rig), workspace=workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
-    few_two_lobes: OtherLobe | None = None
-    if shape.family_fails and ndf == AUTO:
-        few_two_lobes = _few_two_lobes(setup)
-        both = _two_lobes(setup.with_(ndf=TWO_LOBES), few_two_lobes.fit, noise)
-        if both is not None and both[0].log_likelihood > found.log_likelihood:
-            found, shape = both
-            candidates = [*candidates, found]
-            setup, blind_setup = setup.with_(ndf=TWO_LOBES), blind_setup.with_(ndf=TWO_LOBES)
+    refused: list[OtherLobe] = []
+    smooth, bend = next((one for one in candidates if one.family == _SMOOTH_CORE), found), shape.scale
+    for name in (STUDENT, TWO_LOBES) if shape.family_fails and ndf == AUTO else ():
+        few_of_it = _few_slices(setup.with_(ndf=name))
+        asked = shape_correction(few_of_it.fit, noise)  # it refuses most tables that fail
+        if not asked.family_fails:
+            whole = setup.with_(ndf=name).solve(start=few_of_it.fit)
+            asked = shape_correction(whole, noise)
+            likelier = whole.log_likelihood > found.log_likelihood
+            # free in two widths and a share, they bend to a lens that is wrong: what is left then is no pixel's noise
+            if likelier and _explains(whole, noise) and not asked.family_fails:
+                found, shape, candidates = whole, asked, [*candidates, whole]
+                setup, blind_setup = setup.with_(ndf=name), blind_setup.with_(ndf=name)
+                break
+        refused.append(few_of_it)
+        if name == STUDENT and asked.scale < bend:
+            smooth, bend = few_of_it.fit, asked.scale
     others: tuple[OtherLobe, ...] = ()
+    base, base_setup = found, setup
     if not shape.family_fails:
         blind, through_camera = blind_setup.solve(), found
     else:
         few = setup.with_(every=max(_BEND_EVERY, every))
-        bend = min(shape.scale, _MOST_BEND)
-        base = next((one for one in candidates if one.family == _SMOOTH_CORE), found)
-        stiff = _STIFF * base.hwhm if np.isfinite(base.hwhm) else 0.0
-        bent_setup = few.with_(bend=bend, stiff_below=stiff, ndf=base.family)
-        through_camera = bent_setup.solve(start=base)
-        blind_setup = blind_setup.with_(every=few.every, ndf=base.family)
+        bend = min(bend, _MOST_BEND)
+        stiff = _STIFF * smooth.hwhm if np.isfinite(smooth.hwhm) else 0.0
+        bent_setup = few.with_(bend=bend, stiff_below=stiff, ndf=smooth.family)
+        through_camera = bent_setup.solve(start=smooth)
+        blind_setup = blind_setup.with_(every=few.every, ndf=smooth.family)
         plain = blind_setup.solve()
         blind_setup = blind_setup.with_(bend=bend, stiff_below=stiff)
         blind = blind_setup.solve(start=plain)
         if _explains(through_camera, noise):
-            found, setup, shape = through_camera, bent_setup, no_correction(through_camera, shape.scale)
-            others = _as_probable(few_two_lobes, through_camera)
+            base, base_setup = through_camera, bent_setup
+            found, setup = in_all_slices(through_camera, bent_setup, every)
+            shape = no_correction(found, shape.scale)
+            rivals = [_whole(other, every) for other in _as_probable(refused, through_camera)]
+            others = _as_probable(rivals, found)
         else:
             others, shape = (OtherLobe(through_camera, bent_setup, 1.0),), no_correction(found, shape.scale)
     no_camera = _probability(blind, through_camera)
@@ -206,37 +223,33 @@ def explain(
         shadowed = _shadowed(blind_setup, blind)
     if shadowed is not None and not _explains(through_camera, noise):
         no_camera = max(no_camera, _probability(shadowed, through_camera))
-    doubts = rig_doubts(setup, rig, found)
+    doubts = rig_doubts(base_setup, rig, base)
     return Explanation(
-        located, setup, candidates, found, shape, others, doubts, blind_setup, blind, no_camera, shadowed
+        located, setup, candidates, found, shape, base, others, doubts, blind_setup, blind, no_camera, shadowed
     )
 
 
-def _few_two_lobes(setup: FitSetup) -> OtherLobe:
-    """Return the fit of two lobes to a few slices."""
-    few = setup.with_(ndf=TWO_LOBES, every=max(_BEND_EVERY, setup.every))
+def _few_slices(setup: FitSetup) -> OtherLobe:
+    """Return the fit of a lobe to a few slices."""
+    few = setup.with_(every=max(_BEND_EVERY, setup.every))
     return OtherLobe(few.solve(), few, 1.0)
 
 
-def _two_lobes(
-    setup: FitSetup, start: MaterialFit, noise: PixelNoise | None
-) -> tuple[MaterialFit, ShapeCorrection] | None:
-    """Return the fit of two lobes and what it leaves of their shape; None where two do not explain the data, either.
-
-    setup: of two lobes. start: the fit to a few slices, by which most tables that fail are refused.
-    """
-    if shape_correction(start, noise).family_fails:
-        return None
-    found = setup.solve(start=start)
-    shape = shape_correction(found, noise)
-    # free in two widths and a share, they bend to a lens that is wrong: what is left then is no pixel's noise
-    return (found, shape) if _explains(found, noise) and not shape.family_fails else None
+def _whole(other: OtherLobe, every: int) -> OtherLobe:
+    """Return a lobe that was fitted to a few slices in every `every`-th."""
+    setup = other.setup.with_(every=every)
+    return other._replace(fit=setup.solve(start=other.fit), setup=setup)
 
 
-def _as_probable(other: OtherLobe | None, found: MaterialFit) -> tuple[OtherLobe, ...]:
-    """Weigh another lobe by its probability against the one that is corrected for; both are fits of the same slices."""
-    share = 0.0 if other is None else _probability(other.fit, found)
-    return () if other is None or share < _NEGLIGIBLE else (other._replace(weight=float(np.sqrt(share))),)
+def _as_probable(others: Sequence[OtherLobe], found: MaterialFit) -> tuple[OtherLobe, ...]:
+    """Weigh other lobes by their probabilities, of all and the one that is corrected for; all are fits of the same slices."""
+    if not others:
+        return ()
+    odds = EVIDENCE * np.array([0.0, *(other.fit.log_likelihood - found.log_likelihood for other in others)])
+    shares = np.exp(odds - odds.max())
+    shares = shares[1:] / shares.sum()
+    pairs = zip(others, shares, strict=True)
+    return tuple(other._replace(weight=float(np.sqrt(share))) for other, share in pairs if share > _NEGLIGIBLE)
 
 
 def _shadowed(blind_setup: FitSetup, blind: MaterialFit) -> MaterialFit | None:
@@ -248,7 +261,7 @@ def _shadowed(blind_setup: FitSetup, blind: MaterialFit) -> MaterialFit | None:
 
 def _probability(one: MaterialFit, other: MaterialFit) -> float:
     """Return the probability of one explanation of some cells against another; parameters of free masking count (Akaike)."""
-    difference = _EVIDENCE * (one.log_likelihood - other.log_likelihood)
+    difference = EVIDENCE * (one.log_likelihood - other.log_likelihood)
     if one.coordinates.kind.shadows:
         difference -= one.effective_parameters() - other.effective_parameters()
     return float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))

@@ -14,6 +14,7 @@ from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.doubts import Doubt, OtherLobe, ShapeCorrection, shape_records
 from matcam.inverse.correction.harmless import LobeRatio
+from matcam.inverse.correction.other_maskings import OtherMasking
 from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
 from matcam.inverse.correction.response_lattice import (
     COARSE,
@@ -38,14 +39,18 @@ class CorrectionFits(NamedTuple):
     Attributes:
         fit: of the lobe that is corrected for.
         shape: what was changed of its shape.
+        base: the same lobe in those slices that doubts were fitted to: they differ from it.
         doubts: fits with a parameter of the rig free.
         others: other lobes through the same camera, whose difference counts as uncertainty.
+        maskings: what other maskings would make of `fit`; the same.
     """
 
     fit: MaterialFit
     shape: ShapeCorrection
+    base: MaterialFit
     doubts: Sequence[Doubt]
     others: Sequence[OtherLobe] = ()
+    maskings: Sequence[OtherMasking] = ()
 
 
 def lobe_ratio(
@@ -56,17 +61,17 @@ def lobe_ratio(
     phase_std: standard deviation of the phase of the real pixels that cells are looked up in, px.
 
     It is computed on a fine lattice with the rig as given. Three things are smooth, so that a coarse lattice holds them: what
-    fitted parameters of the rig change of the ratio, its derivatives, and what doubts and other lobes would make of it.
+    fitted parameters of the rig change of the ratio, its derivatives, and what doubts, other lobes and maskings would make.
     """
     at = fits.fit.coordinates
     fine = response_lattice(rig, sampling, FINE, (), workspace)
-    doubts = [doubt for doubt in fits.doubts if doubt.counted]
-    alternatives = [(doubt.fit, doubt.counted) for doubt in doubts] + [
-        (other.fit, other.weight) for other in fits.others
+    base = fits.base.coordinates
+    alternatives = [
+        *((base, doubt.fit.coordinates, doubt.counted) for doubt in fits.doubts if doubt.counted),
+        *((at, other.fit.coordinates, other.weight) for other in fits.others),
+        *((at, other.coordinates, other.weight) for other in fits.maskings),
     ]
-    axes = tuple(
-        dict.fromkeys(axis for one in (fits.fit, *(fit for fit, _ in alternatives)) for axis in one.coordinates.axes)
-    )
+    axes = tuple(dict.fromkeys(axis for one in (at, *(there for _, there, _ in alternatives)) for axis in one.axes))
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace)
     fitted = at.rig @ axis_selection(at.axes, axes)
 
@@ -75,9 +80,8 @@ def lobe_ratio(
     if fitted.any():
         log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
     variance = np.maximum(on_table(_variance(coarse, at, fits.shape, fitted), coarse), 0.0)
-    for other, weight in alternatives:
-        there = other.coordinates
-        change = _plain(coarse, there, there.rig @ axis_selection(there.axes, axes)) - here
+    for from_, there, weight in alternatives:
+        change = _at(coarse, there) - (here if from_ is at else _at(coarse, from_))
         variance += (weight * on_table(change, coarse)) ** 2
     pixels = grid_of(rig)
     if pixels is not None:
@@ -111,6 +115,10 @@ def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: ja
 
 def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     return np.asarray(_log_ratio(where, at.kind, placed(at.lobe), placed(shifts)))
+
+
+def _at(where: ResponseLattice, at: FitCoordinates) -> np.ndarray:
+    return _plain(where, at, at.rig @ axis_selection(at.axes, where.recorded.axes))
 
 
 class _Shares(NamedTuple):

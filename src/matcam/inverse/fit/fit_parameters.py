@@ -18,6 +18,7 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 from matcam.material.ndf.free_lobe import BentNDF, ShadowedNDF
 from matcam.material.ndf.ggx import AnisotropicGGX
+from matcam.material.ndf.student_lobe import StudentLobe
 from matcam.material.ndf.two_lobes import TwoLobes
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Schlick
 
@@ -27,8 +28,11 @@ FresnelModel = str
 NARROWEST_PX = 0.02
 """Lobes narrower than this on the sensor are the same point to any camera."""
 
-TWO_LOBES = TwoLobes.family
-"""A lobe that `correct` tries where no family explains the data; nobody chooses it by name."""
+STUDENT, TWO_LOBES = StudentLobe.family, TwoLobes.family
+"""Lobes that `correct` tries where no family explains the data; nobody chooses them by name."""
+_UNNAMED: dict[str, type[StudentLobe | TwoLobes]] = {STUDENT: StudentLobe, TWO_LOBES: TwoLobes}
+_EXCESS_BOUNDS = (-0.6, 3.7)
+"""Of ln(g - 1) of Student's t: from tails just short of hiding all facets (g = 3/2) to Beckmann's."""
 _SHARE_BOUNDS = (-6.0, 6.0)
 """Of ln(share / (1 - share)): a share of 0.25 % shows in no picture."""
 
@@ -45,7 +49,7 @@ class LobeKind(NamedTuple):
     """Say what the parameters of a lobe mean: its family and masking, and the splines that bend them.
 
     Attributes:
-        family: key of `FAMILIES`, or TWO_LOBES.
+        family: key of `FAMILIES`, STUDENT or TWO_LOBES.
         masking: the lobe's G.
         bends: number of parameters that bend the lobe away from its family; 0 or KNOTS.
         shadows: number of parameters of its masking where that is free; 0 or SHADOWS.
@@ -61,14 +65,14 @@ class LobeKind(NamedTuple):
     @property
     def family_names(self) -> tuple[str, ...]:
         """Name the family's own parameters as its constructor does; those of a stretched lobe by the tangents x and y."""
-        if self.family == TWO_LOBES:
-            return tuple(field.name for field in dataclasses.fields(TwoLobes))
+        if self.family in _UNNAMED:
+            return tuple(field.name for field in dataclasses.fields(_UNNAMED[self.family]))
         return ("alpha_x", "alpha_y") if self.stretched else _fields_of(self.family)
 
     @property
     def of_family(self) -> bool:
         """Say whether the lobe is a family's, so that its parameters say what it is."""
-        return not (self.bends or self.shadows or self.family == TWO_LOBES)
+        return not (self.bends or self.shadows or self.family in _UNNAMED)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,6 +93,8 @@ class LobeKind(NamedTuple):
         own = len(self.family_names)
         if self.family == TWO_LOBES:
             ndf: NDF = TwoLobes(jnp.exp(q[0]), jnp.exp(q[1]), jax.nn.sigmoid(q[2]), q[3], q[4])
+        elif self.family == STUDENT:
+            ndf = StudentLobe(jnp.exp(q[0]), jnp.exp(q[1]))
         else:
             ndf = FAMILIES[self.family](*(jnp.exp(one) for one in q[:own]))
         bends, shadows = q[own : own + self.bends], q[own + self.bends : self.size]
@@ -102,11 +108,13 @@ class LobeKind(NamedTuple):
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:
         """Bound the coordinates for a lobe on a sphere of `radius` px."""
-        largest = 1.0 if self.family == TWO_LOBES else FAMILIES[self.family].largest
+        largest = 1.0 if self.family in _UNNAMED else FAMILIES[self.family].largest
         bounds = [(float(np.log(NARROWEST_PX / radius)), float(np.log(0.999 * largest)))]
         bounds *= 1 + (self.stretched or self.family == TWO_LOBES)
         if self.family == TWO_LOBES:
             bounds += [_SHARE_BOUNDS, (0.0, 1.0), (0.0, 1.0)]
+        if self.family == STUDENT:
+            bounds.append(_EXCESS_BOUNDS)
         if self.family in WITH_POWER:
             low, high = _POWER_BOUNDS[self.family]
             bounds.append((float(np.log(low)), float(np.log(high))))

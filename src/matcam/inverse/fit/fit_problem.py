@@ -20,7 +20,7 @@ from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_re
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.material.ndf.free_lobe import SHADOWS, STIFFER, bend_smoothness, slope_of_knot
+from matcam.material.ndf.free_lobe import KNOTS, SHADOWS, STIFFER, bend_smoothness, slope_of_knot
 from matcam.numerics.approximation import smoothness
 
 
@@ -32,12 +32,14 @@ class Prior(NamedTuple):
         root: (rows, axes), root of the information matrix of their coordinates; 0 where nothing is known.
         bend: standard deviation of the second differences of a spline's coefficients.
         finest: slope below which the camera shows no structure, where a bend is ten times stiffer.
+        learned: as `bend`, of a bend where it is not stiff, as data that show it asked for; None: as `bend`.
     """
 
     axes: tuple[Axis, ...] = ()
     root: np.ndarray = np.zeros((0, 0))
     bend: float = 0.0
     finest: float = 0.0
+    learned: float | None = None
 
     def rows(self, layout: Layout) -> np.ndarray:
         """Return (rows, parameters): combinations of the parameters that are 0 +- 1."""
@@ -46,20 +48,27 @@ class Prior(NamedTuple):
         rows = [rig]
         kind = layout.kind
         first = len(kind.family_names)
-        splines = (
-            (first, kind.bends, bend_smoothness(), self.finest),
-            (first + kind.bends, kind.shadows, smoothness(SHADOWS), 0.0),
-        )
-        for start, count, rows_of, finest in splines:
+        splines = ((first, kind.bends, self._of_bend), (first + kind.bends, kind.shadows, self._of_masking))
+        for start, count, rows_of in splines:
             for lobe in range(layout.lobes if count else 0):
-                smooth = rows_of.copy()
+                smooth = rows_of()
                 own = np.zeros((len(smooth), layout.size))
                 place = layout.lobe(lobe).start + start
-                middle = np.abs(smooth) @ np.arange(count) / np.abs(smooth).sum(axis=1)
-                smooth[slope_of_knot(middle) < finest] *= STIFFER  # what no pixel resolves is the family's
-                own[:, place : place + count] = smooth / self.bend
+                own[:, place : place + count] = smooth
                 rows.append(own)
         return np.concatenate(rows)
+
+    def _of_bend(self) -> np.ndarray:
+        smooth = bend_smoothness()
+        middle = np.abs(smooth) @ np.arange(KNOTS) / np.abs(smooth).sum(axis=1)
+        smooth[slope_of_knot(middle) < self.finest] *= STIFFER  # what no pixel resolves is the family's
+        if self.learned is not None:
+            shown = (smooth == smoothness(KNOTS)).all(axis=1) & (np.arange(len(smooth)) < KNOTS - 2)
+            smooth[shown] *= self.bend / self.learned
+        return smooth / self.bend
+
+    def _of_masking(self) -> np.ndarray:
+        return smoothness(SHADOWS) / self.bend
 
     def rig_information(self) -> np.ndarray:
         """Return the information matrix of the rig's coordinates; almost none where they are free."""

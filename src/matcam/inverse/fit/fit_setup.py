@@ -25,7 +25,7 @@ from matcam.core.registry import FAMILIES, FRESNEL_MODELS
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.pixel_grid import PixelGrid
 from matcam.inverse.fit.fit_data import fit_data
-from matcam.inverse.fit.fit_parameters import TWO_LOBES, FresnelModel, Layout, LobeKind
+from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, FresnelModel, Layout, LobeKind
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
@@ -77,6 +77,7 @@ class FitSetup:
             False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
         stiff_below: slope (no unit) below which a bend is ten times stiffer; below a pixel it always is. Default: 0.
+        learned_bend: as `bend`, of the slopes where it is not stiff, if the data said it. Default: None, as `bend`.
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
         every: spacing of the slices of theta_d (no unit). Default: 1.
@@ -111,6 +112,7 @@ class FitSetup:
     lens_shape: bool = False
     bend: float = 0.0
     stiff_below: float = 0.0
+    learned_bend: float | None = None
     free_masking: bool = False
     noise: PixelNoise | None = None
     every: int = 1
@@ -124,7 +126,7 @@ class FitSetup:
             raise ArgumentError("brdf must be a table or a list of at least one, got none")
         if len({sampling_of(table) for table in tables}) > 1:
             raise ArgumentError("tables that are fitted together must have the same attrs['sampling']")
-        checks.choice("ndf", self.ndf, (*FAMILIES, TWO_LOBES))
+        checks.choice("ndf", self.ndf, (*FAMILIES, STUDENT, TWO_LOBES))
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
         if type(self.every) is not int or not 1 <= self.every <= 30:
@@ -222,7 +224,7 @@ class FitSetup:
                 raise ArgumentError(
                     "without a rig there is no camera to fit: camera_parameters must be None or 'fixed'"
                 )
-            return Prior(bend=self.bend, finest=self.stiff_below)
+            return Prior(bend=self.bend, finest=self.stiff_below, learned=self.learned_bend)
         check_rig(self.rig)
         known = known_lens(self.rig.camera)
         if camera_parameters is None:
@@ -246,7 +248,7 @@ class FitSetup:
             axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))
             root[-1, -1] = 1.0
         finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_view(self.rig).radius
-        return Prior(axes, root, self.bend, max(finest, self.stiff_below))
+        return Prior(axes, root, self.bend, max(finest, self.stiff_below), self.learned_bend)
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:

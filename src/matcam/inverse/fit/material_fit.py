@@ -42,9 +42,10 @@ class MaterialFit:
     """Hold a material as `fit` found it, with its errors.
 
     Attributes:
-        family: family of the lobe ("ggx", "epd", "sgd", "beckmann", "gaussian", or "two-lobes" as `correct` may find them).
+        family: family of the lobe ("ggx", "epd", "sgd", "beckmann", "gaussian", or "student-t" and "two-lobes" as `correct`
+            may find them).
         params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit. A lobe
-            that is bent, or two, has "hwhm_rad", "tail_exponent" and "haze_share" instead of its family's.
+            that is bent, Student's, or two, has "hwhm_rad", "tail_exponent" and "haze_share" instead of its family's.
         std: standard deviation of each parameter, by the same names and in the same units.
         covariance: covariance of all parameters (parameters, parameters), in the order of `params`.
         hwhm: half width at half maximum of D, rad. It stays well determined where a width and a power trade for each other.

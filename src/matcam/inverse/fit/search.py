@@ -17,7 +17,7 @@ from matcam.inverse.fit.fit_data import (
     huber_weights,
     standardised_residual,
 )
-from matcam.inverse.fit.fit_parameters import TWO_LOBES, fresnel_start
+from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, fresnel_start
 from matcam.inverse.fit.fit_problem import FitModel, FitProblem
 from matcam.numerics.linalg import scaled_inverse
 
@@ -30,6 +30,8 @@ _TWO_LOBES: list[tuple[float, ...]] = [
     for share in (-0.8, 0.8)
     for tails in ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
 ]
+_STUDENT: list[tuple[float, ...]] = [(width, excess) for excess in np.log([0.7, 2.0, 6.0]) for width in _WIDTHS[::2]]
+_UNNAMED = {STUDENT: _STUDENT, TWO_LOBES: _TWO_LOBES}
 _ROUNDS = 6
 _SETTLED = 0.02
 """Change of the parameters, in standard deviations, below which weights need no further round."""
@@ -100,8 +102,8 @@ class Search:
         layout, problem = self.problem.layout, self.problem
         family = layout.kind.family
         lattice: list[tuple[float, ...]] = [(q,) for q in _WIDTHS]
-        if family == TWO_LOBES:
-            lattice = _TWO_LOBES
+        if family in _UNNAMED:
+            lattice = _UNNAMED[family]
         elif family in WITH_POWER:
             lattice = [(q, power) for power in _POWERS[family] for q in _WIDTHS[::2]]
         kind = layout.kind._replace(bends=0, shadows=0)

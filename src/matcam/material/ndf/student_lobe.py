@@ -1,0 +1,40 @@
+"""Student's t distribution of slopes: tails between those of GGX and of Beckmann, and longer ones."""
+
+from __future__ import annotations
+
+from matcam.core.jax import jax, jnp
+from matcam.material.masking import tabulated_lambda
+from matcam.material.ndf.distribution import SlopeNDF
+
+
+class StudentLobe(SlopeNDF):
+    """Distribute slopes by Student's t in two dimensions (Ribardiere et al. 2017, STD).
+
+    P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. g = 2 is GGX of alpha^2 = 2 beta^2, and with g it becomes
+    Beckmann of roughness beta. Written so, beta hardly trades for g.
+
+    Attributes:
+        beta: roughness, a slope, shape ().
+        excess: g - 1, above 0, no unit, shape (): half the power with which P22 falls, less the one that its integral needs.
+    """
+
+    beta: jax.Array
+    excess: jax.Array
+
+    family = "student-t"
+    largest = 1.0
+
+    def slope_density(self, slope2: jax.Array) -> jax.Array:
+        """Return P22."""
+        g = 1 + self.excess
+        square = g * self.beta**2
+        return self.excess / (jnp.pi * square) * jnp.exp(-g * jnp.log1p(slope2 / square))
+
+    def smith_lambda(self, cos: jax.Array) -> jax.Array:
+        """Return Smith's Lambda by its integral over slopes."""
+        return tabulated_lambda(self.slope_density, self.beta, cos)
+
+    @property
+    def roughness(self) -> jax.Array:
+        """Return beta."""
+        return self.beta
