@@ -16,7 +16,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, checked_azimuth, closeness
+from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, checked_azimuth, checked_azimuths, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
 
@@ -61,8 +61,8 @@ class Rig(eqx.Module):
             plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of each
             slice of theta_d. Default: None: a fit finds it from the table, and takes a "mean" that shows no pixels for that
             of pixels of any phase.
-        lamp_azimuth: of the lamp about the optical axis in the pictures behind a table, from +x towards +y, in [-2 pi, 2 pi],
-            rad; the pixels do not turn. Default: None, as the table's attrs["lamp_azimuth"] says, or 0.
+        lamp_azimuth: of the lamp about the optical axis in pictures and those behind a table, from +x towards +y, rad, in
+            [-2 pi, 2 pi]; the pixels do not turn. Default: None, as the table's attrs["lamp_azimuth"] says, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -132,6 +132,21 @@ class Rig(eqx.Module):
     def lamp_radius(self) -> jax.Array:
         """Return the lamp's angular radius, seen from the sample, rad."""
         return self.lamp.angular_radius
+
+    def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
+        """Return where the lamp stands about the optical axis, rad.
+
+        Args:
+            azimuth: in [-2 pi, 2 pi], rad, any shape. Default: None, the rig's `lamp_azimuth`, or 0, towards +x.
+
+        Raises:
+            ArgumentError: an azimuth is out of its range.
+
+        Example:
+            >>> float(matcam.Rig(matcam.rigs.merl().camera, matcam.Sphere(256.0), lamp_azimuth=0.5).azimuths())
+            0.5
+        """
+        return checked_azimuths((self.lamp_azimuth or 0.0) if azimuth is None else azimuth)
 
     def px_per_rad(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal, px/rad.

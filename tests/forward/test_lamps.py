@@ -1,5 +1,7 @@
 """Lamps anywhere: near, at any azimuth, with a disc; against an oracle with a quadrature of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,6 @@ from matcam import (
 )
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
-from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
@@ -40,11 +41,15 @@ def made(camera=np.inf, lamp=np.inf, radius=24.0, sigma=0.5, half_width=0.5, dis
     return rig, lamp_record.Rig(radius, camera, lamp, sigma, half_width, disc, kind)
 
 
-def check_picture(alpha, lamp_angle, azimuth, pixels, shape=SHAPE, rule=(1, 1), **geometry):
-    """`pixels` random ones and the brightest: 1e-4 of the value or 1e-7 of the peak."""
+def check_picture(alpha, lamp_angle, azimuth, pixels, shape=SHAPE, rule=(1, 1), by_rig=False, **geometry):
+    """`pixels` random ones and the brightest: 1e-4 of the value or 1e-7 of the peak. by_rig: the rig states the azimuth."""
     rig, theirs = made(**geometry)
+    rig = replace(rig, lamp_azimuth=azimuth if by_rig else azimuth / 3)  # one that is given goes before the rig's
+    given = None if by_rig else azimuth
     surface = lamp_record.Surface(alpha, 0.2)
-    ours = np.asarray(picture_values(Microfacet(GGX(alpha), 1.0, 0.2), rig, lamp_angle, shape, azimuth))[..., 0]
+    seen = picture(Microfacet(GGX(alpha), 1.0, 0.2), rig, lamp_angle, given, shape=shape)
+    assert seen.attrs["lamp_azimuth"] == azimuth
+    ours = seen.values[..., 0]
     random = np.random.default_rng(11)
     chosen = [np.unravel_index(ours.argmax(), shape), *zip(*random.integers(0, shape, (pixels, 2)).T, strict=True)]
     half = (np.array(shape) - 1) / 2
@@ -57,9 +62,10 @@ def check_picture(alpha, lamp_angle, azimuth, pixels, shape=SHAPE, rule=(1, 1), 
     assert max(missed) < 1
 
 
-def test_a_near_lamp_before_a_near_camera_at_an_azimuth():
+@pytest.mark.parametrize(("by_rig", "pixels"), [(False, 8), (True, 3)])
+def test_a_near_lamp_before_a_near_camera_at_an_azimuth(by_rig, pixels):
     """Around the highlight; the ends of the light are in the slow tests."""
-    check_picture(0.1, 0.5, 2.3, 12, (7, 7), camera=6.0, lamp=4.0, radius=12.0)
+    check_picture(0.1, 0.5, 2.3, pixels, (7, 7), camera=6.0, lamp=4.0, radius=12.0, by_rig=by_rig)
 
 
 @pytest.mark.slow

@@ -205,14 +205,25 @@ def summed(width, lamp_angle, azimuth, where, q, w, radius=256.0, sigma=0.5):
 
 
 @pytest.mark.parametrize(
-    ("camera", "lamp", "degrees", "azimuth"),
-    [(np.inf, np.inf, 60.0, 0.0), (20.0, 28.0, 100.0, 0.0), (6.0, 4.0, 70.0, 0.6), (np.inf, 3.0, 20.0, 2.0)],
+    ("camera", "lamp", "degrees", "azimuth", "by_rig"),
+    [
+        (np.inf, np.inf, 60.0, 0.0, False),
+        (20.0, 28.0, 100.0, 0.0, False),
+        (6.0, 4.0, 70.0, 0.6, False),
+        (np.inf, 3.0, 20.0, 2.0, False),
+        (6.0, 4.0, 70.0, 0.6, True),
+    ],
 )
-def test_highlights_of_a_rig(camera, lamp, degrees, azimuth):
-    """Nine pixels about the highlight, against a sum over normals that knows no tangent plane."""
+def test_highlights_of_a_rig(camera, lamp, degrees, azimuth, by_rig):
+    """Nine pixels about the highlight, against a sum over normals that knows no tangent plane.
+
+    The rig states the azimuth, or another, which the one that is given goes before.
+    """
     light = None if np.isinf(lamp) else NearLamp(lamp)
-    rig = Rig(Camera(GaussianOptics(0.5)), Sphere(256.0, camera), light)
-    found = rig_highlights(rig, 0.002, np.radians(degrees), azimuth, reflectance=0.5)
+    stated = azimuth if by_rig else azimuth + 1
+    rig = Rig(Camera(GaussianOptics(0.5)), Sphere(256.0, camera), light, lamp_azimuth=stated)
+    given = None if by_rig else azimuth
+    found = rig_highlights(rig, 0.002, np.radians(degrees), given, reflectance=0.5)
     middle = np.round([float(found.x), float(found.y)])
     stamp = highlight_stamps(rig.camera, 3, found._replace(x=found.x - middle[0], y=found.y - middle[1]))
     where = [(middle[0] + column, middle[1] - row) for row in (-1, 0, 1) for column in (-1, 0, 1)]

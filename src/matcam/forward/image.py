@@ -29,7 +29,7 @@ from matcam.forward.integral.discs import disc_fineness, nearer, turned_cylinder
 from matcam.forward.integral.integrals import Scene, Turn, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
-from matcam.lamp.lamps import LampPoint, checked_azimuth, checked_lamp_angle, lamp_points
+from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.curved import Sphere
@@ -46,7 +46,7 @@ def picture(
     material: Material,
     rig: Rig,
     lamp_angle: ArrayLike,
-    azimuth: ArrayLike = 0.0,
+    azimuth: ArrayLike | None = None,
     *,
     shape: tuple[int, int] | None = None,
     shift: tuple[float, float] = (0.0, 0.0),
@@ -69,7 +69,7 @@ def picture(
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d if all is distant. In
             [0, pi), or up to where a near lamp lights nothing that a near camera sees.
         azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. The pixels do not turn with it. On a cylinder 0
-            or pi. Default: 0, the lamp towards +x (right); pi / 2 is towards +y (up).
+            or pi. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2 is towards +y (up).
         shape: (height, width), px. Default: the rig's crop, or what holds the sample and its blur.
         shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
             none.
@@ -138,7 +138,7 @@ def picture_values(
     rig: Rig,
     lamp_angle: ArrayLike,
     shape: tuple[int, int] | None = None,
-    azimuth: ArrayLike = 0.0,
+    azimuth: ArrayLike | None = None,
 ) -> jax.Array:
     """Return the radiance of `picture` as an array.
 
@@ -149,7 +149,7 @@ def picture_values(
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
         lamp_angle: angle between lamp and optical axis, see `picture`, rad; it cannot be traced.
         shape: (height, width), px. Default: see `picture`.
-        azimuth: of the lamp about the optical axis, rad; it cannot be traced. Default: 0, towards +x.
+        azimuth: of the lamp about the optical axis, rad; it cannot be traced. Default: None, see `picture`.
 
     Returns:
         Radiance under unit irradiance, (height, width, channels), 1/sr.
@@ -197,7 +197,9 @@ class _Filter(NamedTuple):
     limit: BandLimit
 
 
-def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape: tuple[int, int] | None) -> _View:
+def _view(
+    material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike | None], shape: tuple[int, int] | None
+) -> _View:
     if not isinstance(material, Material):
         raise ArgumentError(
             f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
@@ -212,7 +214,7 @@ def _view(material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike], shape
         lens = _Filter(rig.camera.optics, limit)
         rig = eqx.tree_at(lambda one: one.camera.optics, rig, GaussianOptics(limit.sigma))
     angle = checked_lamp_angle(lamp[0], rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
-    azimuth, imaging = checked_azimuth(lamp[1]), imaging_of(rig)
+    azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
     if isinstance(rig.sample, Sphere):

@@ -15,6 +15,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 
 from matcam.camera.sensor import PixelNoise
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import (
     CHANNEL_WAVELENGTHS,
@@ -36,7 +37,7 @@ from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
-from matcam.lamp.lamps import checked_azimuth, disc_of, lamp_points
+from matcam.lamp.lamps import disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
@@ -156,7 +157,7 @@ def table_values(
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
     """Return the lamp's azimuth in a table's pictures: as given, else the rig's, else 0."""
-    return (rig.lamp_azimuth or 0.0) if azimuth is None else checked_azimuth(azimuth)
+    return float(checks.scalar("azimuth", rig.azimuths(azimuth)))
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:

@@ -22,7 +22,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.integral.blur import blur_of
-from matcam.lamp.lamps import checked_azimuths, checked_lamp_angles, closeness
+from matcam.lamp.lamps import checked_lamp_angles, closeness
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -99,7 +99,7 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
 
 
 def rig_highlights(
-    rig: Rig, width: ArrayLike, lamp_angle: ArrayLike, azimuth: ArrayLike = 0.0, *, reflectance: ArrayLike = 1.0
+    rig: Rig, width: ArrayLike, lamp_angle: ArrayLike, azimuth: ArrayLike | None = None, *, reflectance: ArrayLike = 1.0
 ) -> Highlights:
     """Return the highlights that a rig's sphere shows of a lobe.
 
@@ -111,8 +111,8 @@ def rig_highlights(
         rig: camera, sample and lamp; the sample is a `Sphere`. Its lens and pixel are for `highlight_stamps`.
         width: standard deviation of the lobe, rad, (0, 0.5].
         lamp_angle: between lamp and optical axis, seen from the sphere's centre, rad. All arguments broadcast.
-        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: 0, towards +x, for stamps along the pixel
-            grid, which are faster.
+        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: None, the rig's `lamp_azimuth`, or 0,
+            towards +x, for stamps along the pixel grid, which are faster.
         reflectance: F of each highlight, no unit, >= 0. Default: 1.
 
     Returns:
@@ -139,7 +139,7 @@ def rig_highlights(
     lobe = checks.within("width", width, 0, GaussianNDF.largest, "rad", open_low=True)
     angle = checked_lamp_angles(lamp_angle, rig.lamp, sample.distance)
     share = checks.within("reflectance", reflectance, 0, np.inf, open_high=True)
-    turn = checked_azimuths(azimuth)
+    turn = rig.azimuths(azimuth)
     try:
         lobe, angle, share, turn = jnp.broadcast_arrays(lobe, angle, share, turn)
     except ValueError:
