@@ -43,6 +43,8 @@ _FREE = 1e3  # by this a standard deviation is multiplied to see what its source
 _GUESSED, _BY_SHAPE = 0.25, 0.01
 """Relative standard deviation from which a lens is a guess; unexplained share from which its blur and the lobe's, which then
 differ in shape only, are not told apart by that shape."""
+_IN_EACH = ("lamp", "gain", "shift")
+"""Sources that state something of each picture."""
 _WIDENED = {
     "lens": "the lens differs from its profile",
     "distortion": "the lens's distortion is not as its profile states",
@@ -282,8 +284,10 @@ class _Blame(NamedTuple):
     def holds(self, fit: SphereFit) -> bool:
         """Say whether chi squared truly falls by much on the way.
 
-        Freed of what is stated, little may be left that determines it, and the first order goes astray.
+        Freed of what is stated in each picture, little is left that determines it, and the first order goes astray.
         """
+        if self.source not in _IN_EACH:
+            return True
         judge, p = Likelihood(fit.solution.left), fit.solution.p
         problem = self.freed
         ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
@@ -300,12 +304,9 @@ def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Rema
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
     sources = np.array(problem.prior_sources)
     pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
-    found = sorted(_blamed(fit, scene), key=lambda one: -one.explains)
-    blamed = next((one for one in found if one.explains > _MUCH and one.holds(fit)), None)
-    if blamed is None:
-        if not (pushed and found):
-            return None
-        blamed = found[0]
+    blamed = max(_blamed(fit, scene), key=lambda one: one.explains, default=None)
+    if blamed is None or not (pushed or (blamed.explains > _MUCH and blamed.holds(fit))):
+        return None
     pull = max(blamed.pull, _CONTRADICTED)
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",

@@ -223,9 +223,9 @@ def fit_sphere(
         # the windows of the first round are laid anew
         rough = rounds > 1 if turn == 0 else left.share > _SYSTEMATIC
         p = solve(problem, p, left, _ROUGHLY if rough else _ENOUGH)
-        share = unexplained_by(problem, p).share
-        settled = abs(share - left.share) < 0.05 * left.share + 1e-4
-        left = UnexplainedLight(share)
+        now = unexplained_by(problem, p)
+        settled = abs(now.noise - left.noise) < 0.05 * left.noise + 1e-4
+        left = now
         solution = summed_up(problem, p, left)
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
         lamps_now = _lamps_again(found, pictures) if again else found.lamps
@@ -239,10 +239,7 @@ def fit_sphere(
             and np.all(np.abs(p - before)[: layout.shared] < 0.2 * std[: layout.shared])
         ):
             break
-    # only now: what is far from the best fit leaves residuals that are all alike, and would not get nearer
-    left = unexplained_by(problem, p, likeness=True)
-    p = solve(problem, p, left, _ROUGHLY if left.share > _SYSTEMATIC else _ENOUGH)
-    return replace(found, solution=summed_up(problem, p, left))
+    return found
 
 
 def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:

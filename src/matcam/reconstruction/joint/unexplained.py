@@ -43,7 +43,7 @@ class UnexplainedLight(NamedTuple):
         return float(self.share * np.sqrt(self.alike))
 
 
-def unexplained_by(problem: JointProblem, p: np.ndarray, *, likeness: bool = False) -> UnexplainedLight:
+def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
     """Return what the noise leaves unexplained at some parameters.
 
     The share is judged by the median of squared residuals, so that dust on a few pixels does not decide.
@@ -51,11 +51,10 @@ def unexplained_by(problem: JointProblem, p: np.ndarray, *, likeness: bool = Fal
     Args:
         problem: what is fitted.
         p: parameters, (size,).
-        likeness: whether it is looked for, too. Default: False, each pixel has a residual of its own.
     """
     bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
     share = _share(*(np.concatenate([getattr(one, name) for one in bright]) for name in ("value", "residual", "std")))
-    if not likeness or share == 0:
+    if share == 0:
         return UnexplainedLight(share)
     some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
     return UnexplainedLight(share, _alike([bright[k] for k in some], share))
