@@ -335,8 +335,8 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         count = values.get(name, int(rows.sum()))
         explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
-        # no source explains more than there is, or is further off than it was freed by: there the first order does not hold
-        if explains < solution.cost and pull < _FREE:
+        # no source explains more than there is to explain: where the first order says so, it does not hold
+        if explains < solution.cost and np.isfinite(pull):
             others = ~rows
             freed = replace(
                 problem,
