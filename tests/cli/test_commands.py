@@ -220,7 +220,7 @@ from matcam.cli import main
 def interrupt(*arguments, **options):
     signal.raise_signal(signal.SIGINT)
 
-def write_half(frame, path, **options):
+def write_half(path, data):
     path.write_text("half")
     interrupt()
 
@@ -231,7 +231,7 @@ INTERRUPTIONS = {
     "loading": "import typer; typer.Typer = interrupt",
     "fitting": "import matcam.inverse.fresnel_term as module; module.fresnel = interrupt",
     "writing": """
-import numpy, pandas, xarray
+import pathlib, numpy, xarray
 import matcam.inverse.fresnel_term as module
 
 theta_d = numpy.radians(numpy.arange(5.0, 80.0, 10.0))
@@ -239,7 +239,7 @@ coords = {"theta_d": theta_d, "channel": ["R", "G", "B"]}
 curves = {name: (("theta_d", "channel"), numpy.ones((8, 3))) for name in ("raw", "corrected")}
 found = xarray.Dataset({**curves, "supported_angle": ("channel", [1.3] * 3)}, coords, {"normalised_over": [0.17, 0.79]})
 module.fresnel = lambda *arguments, **options: found
-pandas.DataFrame.to_csv = write_half
+pathlib.Path.write_bytes = write_half
 """,
 }
 

@@ -31,9 +31,9 @@ def test_a_bent_lobe_that_the_lens_mimics_is_named_by_its_half_width():
     covariance = np.linalg.inv(others + 1e8 * np.outer(row, row) + stated)
     solution = SimpleNamespace(
         p=np.r_[q, np.zeros(size - q.size)],
-        covariance=covariance,
+        fitted=covariance,
         problem=SimpleNamespace(information_of=lambda source: stated if source == "lens" else np.zeros_like(stated)),
-        covariance_with=lambda change: np.linalg.inv(np.linalg.inv(covariance) + change),
+        covariance_without=lambda change: np.linalg.inv(np.linalg.inv(covariance) - change),
     )
     pairs = inseparable(SimpleNamespace(kind=KIND, solution=solution, channels=("G",)))
     print(pairs)
