@@ -19,7 +19,7 @@ from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
 from matcam.reconstruction.joint.joint_problem import JointProblem
 from matcam.reconstruction.joint.unexplained import UnexplainedLight
 from matcam.reconstruction.picture_model import SCENE
-from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
+from matcam.reconstruction.sphere_fit import SphereFit, counted_alike, fit_sphere
 from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
 
 _BEND = 1.0
@@ -196,7 +196,7 @@ def chosen_fit(
         return ChosenFit(best, few.tried, tuple(remarks), few.widened)
     widened: dict[str, float] = {}
     for _ in range(_TURNS):
-        found = _contradiction(best, scene)
+        found = _contradiction(counted_alike(best), scene)
         if found is None:
             break
         source, factor, remark = found
@@ -224,7 +224,7 @@ def chosen_fit(
     if best.kind.bends:
         text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
         remarks.append(Remark("lobe-bent", text))
-    return ChosenFit(_with_its_lens_open(best), tried, tuple(remarks), widened)
+    return ChosenFit(_with_its_lens_open(counted_alike(best)), tried, tuple(remarks), widened)
 
 
 def _with_its_lens_open(fit: SphereFit) -> SphereFit:

@@ -223,9 +223,9 @@ def fit_sphere(
         # the windows of the first round are laid anew
         rough = rounds > 1 if turn == 0 else left.share > _SYSTEMATIC
         p = solve(problem, p, left, _ROUGHLY if rough else _ENOUGH)
-        now = unexplained_by(problem, p)
-        settled = abs(now.noise - left.noise) < 0.05 * left.noise + 1e-4
-        left = now
+        share = unexplained_by(problem, p).share
+        settled = abs(share - left.share) < 0.05 * left.share + 1e-4
+        left = UnexplainedLight(share)
         solution = summed_up(problem, p, left)
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
         lamps_now = _lamps_again(found, pictures) if again else found.lamps
@@ -240,6 +240,19 @@ def fit_sphere(
         ):
             break
     return found
+
+
+def counted_alike(fit: SphereFit) -> SphereFit:
+    """Return the fit that is best where pixels which share a residual count as one.
+
+    A search must not begin there: what is far from the best leaves residuals that are all alike, and would not get nearer.
+    """
+    problem, p = fit.solution.problem, fit.solution.p
+    left = unexplained_by(problem, p)
+    if left.share == 0:
+        return fit
+    p = solve(problem, p, left, _ROUGHLY if left.share > _SYSTEMATIC else _ENOUGH)
+    return replace(fit, solution=summed_up(problem, p, left))
 
 
 def _write_scene(p: np.ndarray, layout: JointLayout, scene: SphereScene) -> None:
