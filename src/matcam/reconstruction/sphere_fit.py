@@ -22,7 +22,7 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
-from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_by
+from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_by, unexplained_share
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
 from matcam.reconstruction.picture_rule import lamp_places
@@ -223,7 +223,7 @@ def fit_sphere(
         # the windows of the first round are laid anew
         rough = rounds > 1 if turn == 0 else left.share > _SYSTEMATIC
         p = solve(problem, p, left, _ROUGHLY if rough else _ENOUGH)
-        share = unexplained_by(problem, p).share
+        share = unexplained_share(problem, p)
         settled = abs(share - left.share) < 0.05 * left.share + 1e-4
         left = UnexplainedLight(share)
         solution = summed_up(problem, p, left)

@@ -43,17 +43,22 @@ class UnexplainedLight(NamedTuple):
         return float(self.share * np.sqrt(self.alike))
 
 
-def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
-    """Return what the noise leaves unexplained at some parameters.
+def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
+    """Return the share of the light that the noise leaves unexplained at some parameters.
 
-    The share is judged by the median of squared residuals, so that dust on a few pixels does not decide.
+    It is judged by squared residuals cut at `_CUT` standard deviations, so that dust on a few pixels does not decide.
 
     Args:
         problem: what is fitted.
         p: parameters, (size,).
     """
-    bright = [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
-    share = _share(*(np.concatenate([getattr(one, name) for one in bright]) for name in ("value", "residual", "std")))
+    return _share(_bright_pixels(problem, p))
+
+
+def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
+    """Return that share, and how alike it is in pixels near each other. Arguments as of `unexplained_share`."""
+    bright = _bright_pixels(problem, p)
+    share = _share(bright)
     if share == 0:
         return UnexplainedLight(share)
     some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
@@ -88,7 +93,12 @@ def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
     return expected
 
 
-def _share(value: np.ndarray, residual: np.ndarray, std: np.ndarray) -> float:
+def _bright_pixels(problem: JointProblem, p: np.ndarray) -> list[_Bright]:
+    return [_Bright.of(problem, p, k) for k in range(problem.layout.pictures)]
+
+
+def _share(pictures: list[_Bright]) -> float:
+    value, residual, std, *_ = (np.concatenate(column, axis=-1) for column in zip(*pictures, strict=True))
     if value.size < _FEWEST:
         return 0.0
 
