@@ -28,7 +28,8 @@ _CUT = 6.0  # standard deviations of the lens
 
 
 class Surface(NamedTuple):
-    """family "ggx" or "epd" (power: its exponent p); n, k and diffuse albedo: a number, or one for each channel."""
+    """family "ggx" or "epd" (power: its exponent p); n, k and diffuse albedo: a number, or one for each channel. coat: refractive
+    index of a smooth layer over the diffuse part, which loses what that reflects; 1: none."""
 
     family: str = "ggx"
     alpha: float = 0.02
@@ -36,6 +37,7 @@ class Surface(NamedTuple):
     n: tuple = (1.5,)
     k: tuple = (0.0,)
     diffuse: tuple = (0.0,)
+    coat: float = 1.0
 
 
 class View(NamedTuple):
@@ -226,7 +228,11 @@ def _light(n, surface, view, towards):
     # D G / (4 cos_o), with both cosines brought into the denominator: finite at the limb
     lobe = d * cos_i / (4 * (cos_o * cos_i + cos_o * into + cos_i * out)) / far2
     cos_d = np.sqrt(np.clip((1 + (light * seen).sum(0)) / 2, 0, 1))
-    return np.where(lit, lobe, 0.0), np.where(lit, cos_i / np.pi / far2, 0.0), cos_d
+    body = cos_i / np.pi / far2
+    if surface.coat != 1:
+        for cos in (cos_i, cos_o):
+            body = body * (1 - fresnel(cos, surface.coat, 0.0)) / (1 - fresnel(1.0, surface.coat, 0.0))
+    return np.where(lit, lobe, 0.0), np.where(lit, body, 0.0), cos_d
 
 
 @lru_cache

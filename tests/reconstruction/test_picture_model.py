@@ -9,6 +9,7 @@ from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.material.diffuse_shape import TERMS
 from matcam.reconstruction import picture_rule
 from matcam.reconstruction.observed_pixels import HighlightPlace, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
@@ -120,12 +121,14 @@ def test_a_change_of_the_field_is_seen_by_the_same_nodes(model):
     )
 
 
-def test_derivatives_are_those_of_the_values(model):
+@pytest.mark.parametrize("shape", [0, TERMS])
+def test_derivatives_are_those_of_the_values(model, shape):
     """Each parameter's derivative against central differences; at the terminator, where a node appears or goes, a pixel or two
-    may differ."""
+    may differ. With a diffuse part of Lambert's law, and with one of another shape."""
     bent = VIEW._replace(k1=0.01)
     lamp, pixels = seen(0.02, 60, 0.7, bent, field_of(bent))
-    frame, p = lamp_frame(lamp), parameters(0.02)
+    model = PictureModel(model.kind, model.blur, model.places, model.weights, shape)
+    frame, p = lamp_frame(lamp), np.insert(parameters(0.02), 5, 0.05 * np.arange(1, shape + 1))
     calls = (
         lambda p, slopes: model.window(p, frame, pixels.window, slopes=slopes),
         lambda p, slopes: model.pixels(p, frame, pixels.column[:200], pixels.row[:200], slopes=slopes),
@@ -136,7 +139,7 @@ def test_derivatives_are_those_of_the_values(model):
             step = np.zeros(p.size)
             step[index] = 1e-5 * max(1.0, abs(p[index]))
             up, down = (call(p + sign * step, False)[0] for sign in (1, -1))
-            for name in ("lobe", "theta_d"):
+            for name in ("lobe", "lambert", "theta_d"):
                 ahead, behind, slope = (np.asarray(getattr(one, name)) for one in (up, down, slopes))
                 difference = (ahead - behind) / (2 * step[index])
                 missed = np.abs(slope[..., index] - difference) / (2e-5 * np.abs(difference).max() + 1e-9)

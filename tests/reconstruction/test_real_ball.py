@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import curve_fit
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
@@ -72,17 +72,34 @@ def test_a_real_ball_without_a_profile(ball):
     assert "7 pixels are clipped" in " ".join(str(remark) for remark in found.remarks)
 
 
-def read_radius(real_data):
-    """The limb by 72 radial profiles of the mean of all pictures: a straight line of light that ends, blurred by erf.
-
-    Light goes to the limb as a root: on an exact Lambertian ball of this size this reading is 0.04 px small.
-    """
-    source = real_data / "captures" / "diligent_ball"
-    total = np.zeros((208, 208))
+def all_lights(real_data):
+    """The sum of all 96 pictures under lamps of one light, and the published directions."""
+    source, total, lamps = real_data / "captures" / "diligent_ball", np.zeros((208, 208)), []
     with (source / "lights.csv").open() as file:
         for row in csv.DictReader(file):
             total += read_photograph(source / row["file"])[..., 1] / float(row["intensity_g"])
-    at, azimuth = np.arange(-4, 4.1, 0.25), np.arange(72) * np.pi / 36
+            lamps.append([float(row[axis]) for axis in ("lx", "ly", "lz")])
+    return total, np.array(lamps) / np.linalg.norm(lamps, axis=1)[:, None]
+
+
+def drawn_ball(radius, lamps, shape, sigma=0.65, fine=8):
+    """The same sum of a distant ball whose diffuse part has a shape (docs/reconstruct.md), by 64 points in each pixel."""
+    at = (np.arange(208 * fine) + 0.5) / fine - 0.5
+    x, y = (at[None] - 103.81) / radius, (103.68 - at[:, None]) / radius
+    inside, cos_o = x**2 + y**2 < 1, np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    total = np.zeros(inside.shape)
+    for lamp in lamps:
+        cos_i = np.maximum(x * lamp[0] + y * lamp[1] + cos_o * lamp[2], 0)
+        u, v = 1 - cos_i, 1 - cos_o
+        m = (lamp[2] - cos_i * cos_o) / np.sqrt((1 + cos_i) * (1 + cos_o))
+        terms = u + v, u * v, m, 2 * m**2 - u * v, u**5 + v**5, (u * v) ** 5
+        total += inside * cos_i * (1 + sum(c * term for c, term in zip(shape, terms, strict=True)))
+    return gaussian_filter(total, sigma * fine).reshape(208, fine, 208, fine).mean((1, 3))
+
+
+def read_radius(total):
+    """The limb by 72 radial profiles, 6 px to either side: a straight line of light that ends, blurred by erf."""
+    at, azimuth = np.arange(-6, 6.1, 0.25), np.arange(72) * np.pi / 36
 
     def light(s, edge, width, dark, step, slope):
         inside = edge - s
@@ -97,7 +114,7 @@ def read_radius(real_data):
             found.append(curve_fit(light, at, values, (0, 0.7, values.min(), np.ptp(values), 0))[0][0])
         step = np.linalg.lstsq(np.stack([np.sin(azimuth), np.cos(azimuth), np.ones(72)], 1), found, rcond=None)[0]
         row, column, radius = np.array([row, column, radius]) + step
-    return radius + 0.04
+    return radius
 
 
 def turned(lamps, published):
@@ -113,15 +130,28 @@ def apart(lamps, published):
 
 @pytest.mark.slow
 def test_outline_of_a_real_ball(ball, real_data):
+    """The published reading, 71.13 px, takes the limb's light for a straight line. How small that reads is seen on a drawn ball."""
     fit = ball[0].fit
-    radius = fit.solution.p[fit.layout.scene][1]
-    print(f"radius {radius:.2f} px, by radial profiles {read_radius(real_data):.2f}")
-    assert radius == pytest.approx(read_radius(real_data), abs=0.1)
+    radius, shape = fit.solution.p[fit.layout.scene][1], fit.solution.p[fit.layout.diffuse_shape]
+    total, lamps = all_lights(real_data)
+    read = read_radius(total)
+    assert read == pytest.approx(71.13, abs=0.02)
+    small = 71.4 - read_radius(drawn_ball(71.4, lamps[::4], shape))
+    print(f"radius {radius:.2f} px, by radial profiles {read:.2f} + {small:.2f}")
+    assert radius == pytest.approx(read + small, abs=0.1)
     assert not any(remark.code.endswith("contradicted") for remark in ball[0].remarks)
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="0.6 degrees: the 2 % by which the diffuse part is not Lambert's are taken for a near lamp")
+def test_a_real_ball_is_not_lambertian(ball):
+    """Under a coat, light falls towards the limb. Taken for Lambert's, the fit found a lamp at 17 radii."""
+    found, _ = ball
+    assert "diffuse-not-lambertian" in {remark.code for remark in found.remarks}
+    nearness = found.fit.solution.p[found.fit.layout.scene][3]
+    assert 1 / nearness > 35
+
+
+@pytest.mark.slow
 def test_lamps_of_a_real_ball(ball):
     lamps, published = ball[0].fit.lamps, ball[1]
     again, turn = turned(lamps, published)

@@ -174,3 +174,26 @@ def test_a_rig_is_used_again(tmp_path):
     assert not {code for code in codes if "contradict" in code or "lamp" in code}
     is_right(again, second)
     assert again.geometry["lamp_radii"][1] <= 1.05 * result.geometry["lamp_radii"][1]
+
+
+def test_a_diffuse_part_that_is_not_lambertian(tmp_path):
+    """A glossy dielectric whose light enters and leaves its body through a smooth coat; no distance is stated."""
+    surface = Surface("ggx", ALPHA, n=(1.5,), k=(0.0,), diffuse=(0.4,), coat=1.5)
+    capture = draw(surface, VIEW, THETA_D, azimuth=AZIMUTH, sensor=Sensor(cfa=None), exposures=4, seed=1)
+    capture.settings.pop("distances")
+    result, codes = found(capture, tmp_path)
+    assert "diffuse-not-lambertian" in codes
+    pulls, rms = lamp_errors(result, capture)
+    seen, theta = result.measured_range, np.radians(range(10, 50, 5))
+    normal = theta[(theta >= seen[0]) & (theta <= seen[1])]
+    truth = fresnel(np.cos(np.radians(75)), 1.5, 0.0) / np.mean(fresnel(np.cos(normal), 1.5, 0.0))
+    ratio = result.ratio(np.radians(75))
+    near = dict(zip(("camera", "lamp"), result.fit.solution.p[result.fit.layout.scene][2:], strict=True))
+    std = np.sqrt(np.diag(result.fit.solution.covariance)[result.fit.layout.scene][2:])
+    print(f"lamps {rms:.3f} degrees, F(75) {ratio.value / truth - 1:.2%} at {ratio.std / truth:.2%}, {near} +- {std}")
+    assert abs(ratio.value - truth) < 3 * ratio.std
+    assert abs(ratio.value / truth - 1) < 0.015
+    assert rms < 0.15
+    assert pulls.max() < 5
+    assert abs(near["camera"] - 1 / VIEW.camera) < 3 * std[0]
+    assert abs(near["lamp"] - 1 / VIEW.lamp) < 3 * std[1]

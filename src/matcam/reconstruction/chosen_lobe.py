@@ -34,6 +34,9 @@ _EACH = 4.0
 """By how much a source must explain more for each value that it states: many values explain much by chance."""
 _MUCH = 20.0
 """Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
+_DIFFUSE_PIXELS = 0.2
+"""Share of the pixels that show more diffuse light than lobe, from which the shape of the diffuse part is looked at."""
+_SEEN = 3.0  # standard deviations of a pixel's noise from which it shows light
 _TURNS = 3  # sources that may be wrong
 _MANY, _SOME = 32, 16
 """Pictures beyond which the lobe is chosen by an even choice of them, and how many these are; all are fitted in the end."""
@@ -126,6 +129,8 @@ def chosen_fit(
         for source, factor in few.widened.items():
             scene = _widened(scene, source, factor)
 
+    shaped = few is not None and few.fit.layout.shape > 0
+
     def fitted(name: str, scene: SphereScene, **more: object) -> SphereFit:
         return fit_pictures(
             pictures,
@@ -135,7 +140,7 @@ def chosen_fit(
             diffuse=diffuse,
             lamps=lamps,
             progress=lambda line: say(f"{name}: {line}"),
-            **more,
+            **{"shaped": shaped, **more},
         )
 
     chosen: dict[str, object] = {"rivals": CANDIDATES[1:]} if family == AUTO else {}
@@ -143,6 +148,15 @@ def chosen_fit(
         chosen = {"start": few.fit, "bend": _BEND if few.fit.kind.bends else 0.0}
     best = fitted(first, scene, **chosen)
     tried = {best.kind.family: best.solution.unexplained}
+
+    def with_shape(best: SphereFit) -> SphereFit:
+        """Return the fit whose diffuse part is not Lambert's, where that leaves less unexplained."""
+        if not diffuse or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
+            return best
+        other = fitted(best.kind.family, scene, start=best, shaped=True)
+        tried[f"{best.kind.family}, diffuse part shaped"] = other.solution.unexplained
+        less = other.solution.unexplained < _CLEARLY * best.solution.unexplained
+        return other if less and _likelier(other, best) else best
 
     def rivalled(best: SphereFit) -> SphereFit:
         """Return the likeliest of a fit that noise alone does not explain and those of the other candidates."""
@@ -174,6 +188,8 @@ def chosen_fit(
 
     if few is None:
         # before anything is blamed: a wrong lobe makes pictures unexplained, and what is stated look wrong
+        best = with_shape(best)
+        shaped = best.layout.shape > 0
         best = bent(rivalled(best), _AT_ONCE)
         if best.kind.bends:
             chosen = {"start": best, "bend": _BEND}
@@ -221,6 +237,9 @@ def chosen_fit(
             # under other priors, or without what no lobe explained, another one may be likelier
             best = rivalled(best)
         best = bent(best, _CLEARLY)
+    if shaped:
+        text = "Lambert's law does not explain the diffuse part: its shape was fitted"
+        remarks.append(Remark("diffuse-not-lambertian", text))
     if best.kind.bends:
         text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
         remarks.append(Remark("lobe-bent", text))
@@ -236,17 +255,31 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
     if scene.lens_std < _GUESSED or solution.unexplained < _BY_SHAPE:
         return fit
     lens = fit.layout.lobe + SCENE.index("lens")
-    own = float(solution.covariance[lens, lens])
-    moved = solution.covariance[:, lens] / max(own, 1e-30)
-    opened = max(scene.lens_std**2 - own, 0.0) * np.outer(moved, moved)
-    return replace(
-        fit, solution=solution._replace(covariance=solution.covariance + opened, fitted=solution.fitted + opened)
-    )
+
+    def opened(covariance: np.ndarray) -> np.ndarray:
+        own = float(covariance[lens, lens])
+        moved = covariance[:, lens] / max(own, 1e-30)
+        return np.asarray(covariance + max(scene.lens_std**2 - own, 0.0) * np.outer(moved, moved))
+
+    covariance, fitted = opened(solution.covariance), opened(solution.fitted)
+    return replace(fit, solution=solution._replace(covariance=covariance, fitted=fitted))
 
 
 def _explained(fit: SphereFit) -> bool:
     """Say whether photon and read noise explain the pictures: then no other lobe is looked for."""
     return fit.solution.unexplained < _NOISE_ALONE or float(np.median(fit.solution.chi2)) < _AS_NOISE
+
+
+def _diffuse_pixels(fit: SphereFit) -> float:
+    """Return the share of the pixels in which more than half of the light is the diffuse part's."""
+    problem, p = fit.solution.problem, fit.solution.p
+    more = []
+    for k, pixels in enumerate(problem.pixels):
+        recorded, _ = problem.recorded(p, k, slopes=False)
+        diffuse = p[problem.layout.diffuse][pixels.channel] * recorded.lambert
+        lobe = p[problem.layout.strengths(k)][pixels.channel] * recorded.lobe
+        more.append((diffuse > lobe)[pixels.used & (pixels.values > _SEEN * pixels.std)])
+    return float(np.mean(np.concatenate(more)))
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from matcam.core.grid import CHANNELS, brdf_table, merl_grid
+from matcam.core.grid import CHANNELS, brdf_table, cosines, merl_grid
 from matcam.core.jax import jax
 from matcam.inverse.correction.correction import SUPPORTED
 from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.material.diffuse_shape import departure, terms
 from matcam.material.microfacet import Microfacet
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.sphere_fit import SphereFit
@@ -38,15 +40,12 @@ def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Se
     Returns:
         Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over the MERL grid. A grey capture has three equal channels.
     """
-    layout, solution = fit.layout, fit.solution
     grid = merl_grid("centre")
     half = len(grid.phi_d) // 2  # isotropic and reciprocal: phi_d and pi - phi_d are the same
-    q = solution.p[: layout.lobe]
-    theta_h, theta_d = grid.theta_h[:, None, None], grid.theta_d[:, None]
-    lobe, by_q = lobe_and_slopes(fit.kind, q, theta_h, theta_d, grid.phi_d[:half])
+    unit = unit_entries(fit, grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d[:half])
     values, stds = [], []
     for channel, curve in enumerate(curves):
-        value, std = channel_entries(fit, curve, channel, units[channel], lobe, by_q, grid.theta_d)
+        value, std = channel_entries(fit, curve, channel, units[channel], unit, grid.theta_d)
         values.append(value)
         stds.append(std)
     value, std = (np.stack([_mirrored(one) for one in many], axis=-1) for many in (values, stds))
@@ -75,25 +74,39 @@ def covered(fit: SphereFit, theta_d: np.ndarray) -> np.ndarray:
     return np.asarray((theta_d > seen.min() - _BEYOND) & (theta_d < seen.max() + _BEYOND))
 
 
+class UnitEntries(NamedTuple):
+    """Hold what entries of a table are of strengths and albedos of 1; axes of the entries last, theta_d the last but one.
+
+    Attributes:
+        lobe: with F = 1, 1/sr, NaN below the horizon.
+        by_lobe: its derivatives by the lobe's coordinates, in front.
+        diffuse: of the diffuse part, 1/sr.
+        by_shape: its derivatives by the terms that depart from Lambert's law, in front.
+    """
+
+    lobe: np.ndarray
+    by_lobe: np.ndarray
+    diffuse: np.ndarray
+    by_shape: np.ndarray
+
+
 def channel_entries(
     fit: SphereFit,
     curve: ReflectanceCurve,
     channel: int,
     unit: Known,
-    lobe: np.ndarray,
-    by_q: np.ndarray,
+    entries: UnitEntries,
     theta_d: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return one channel's entries and their standard deviations, 1/sr, shape of `lobe`.
+    """Return one channel's entries and their standard deviations, 1/sr, shape of the unit entries.
 
     Args:
         fit: strengths, diffuse parts and their covariance.
         curve: F of the channel, in the fit's own unit.
         channel: its index.
         unit: value per radiance under unit irradiance, with relative standard deviation; NaN: F is relative.
-        lobe: with F = 1, 1/sr; theta_d along the last axis but one.
-        by_q: its derivatives by the lobe's coordinates, in front.
-        theta_d: angles along that axis, rad.
+        entries: of strengths and albedos of 1.
+        theta_d: angles along their last axis but one, rad.
     """
     layout, solution, n = fit.layout, fit.solution, fit.layout.lobe
     reading = fit.strengths_rows()[channel :: layout.channels]
@@ -101,28 +114,41 @@ def channel_entries(
     joint = turn @ solution.covariance @ turn.T
     joint[n:, n:] += curve.own
     f, by_c = curve.at(theta_d)[:, None] / unit.value, curve.slopes(theta_d) / unit.value
-    diffuse = solution.p[layout.diffuse][channel] / unit.value
-    diffuse_var = solution.covariance[layout.diffuse, layout.diffuse][channel, channel] / unit.value**2
-    value = lobe * f + diffuse / np.pi
+    albedo = solution.p[layout.diffuse][channel] / unit.value
+    lobe, by_q = entries.lobe, entries.by_lobe
+    value = lobe * f + albedo * entries.diffuse
     # the derivatives by lobe and curve, weighted with their joint covariance
     variance = np.einsum("q...,qr,r...->...", by_q, joint[:n, :n], by_q) * f**2
     variance += 2 * lobe * f * np.einsum("q...dp,dq->...dp", by_q, by_c @ joint[n:, :n])
     variance += lobe**2 * np.einsum("dc,ce,de->d", by_c, joint[n:, n:], by_c)[:, None]
-    variance = np.maximum(variance, 0.0) + diffuse_var / np.pi**2
+    of_diffuse = [layout.diffuse.start + channel, *range(layout.diffuse_shape.start, layout.diffuse_shape.stop)]
+    row = np.concatenate([entries.diffuse[None] / unit.value, albedo * entries.by_shape])
+    joint = solution.covariance[np.ix_(of_diffuse, of_diffuse)]
+    variance = np.maximum(variance, 0.0) + np.maximum(np.einsum("q...,qr,r...->...", row, joint, row), 0.0)
     variance += (solution.unexplained**2 + np.nan_to_num(unit.std) ** 2) * value**2
     return np.maximum(value, 0.0), np.sqrt(variance)
 
 
-def lobe_and_slopes(kind: LobeKind, q: np.ndarray, *angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a lobe with F = 1, 1/sr, NaN below the horizon, and its derivatives by each coordinate, in front.
+def unit_entries(fit: SphereFit, *angles: np.ndarray) -> UnitEntries:
+    """Return a fit's lobe with F = 1 and its diffuse part of albedo 1, with their derivatives.
 
     Args:
-        kind: of the lobe.
-        q: its coordinates.
+        fit: lobe and shape of the diffuse part.
         angles: theta_h, theta_d, phi_d and, where the lobe depends on it, phi_h, rad, which broadcast.
     """
-    pairs = [_lobe_slope(kind, q, unit, *angles) for unit in np.eye(len(q))]
-    return np.asarray(pairs[0][0]), np.stack([np.asarray(slope) for _, slope in pairs])
+    p, layout = fit.solution.p, fit.layout
+    q, shape = p[: layout.lobe], p[layout.diffuse_shape]
+    pairs = [_lobe_slope(fit.kind, q, unit, *angles) for unit in np.eye(len(q))]
+    lobe = np.asarray(pairs[0][0])
+    cos_i, cos_o = cosines(*angles[:3])
+    diffuse = np.broadcast_to(departure(shape, cos_i, cos_o, angles[1]), lobe.shape) / np.pi
+    by_shape = [np.broadcast_to(term, lobe.shape) / np.pi for term in terms(cos_i, cos_o, angles[1])[: shape.size]]
+    return UnitEntries(
+        lobe,
+        np.stack([np.asarray(slope) for _, slope in pairs]),
+        diffuse,
+        np.stack(by_shape) if by_shape else np.empty((0, *lobe.shape)),
+    )
 
 
 @partial(jax.jit, static_argnums=0)

@@ -21,7 +21,8 @@ from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 
 SCENE = ("lens", "radius", "camera", "lamp")
-"""Parameters of all pictures behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses."""
+"""Parameters of all pictures behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses. The terms of the
+diffuse part follow, if any."""
 OWN = ("column", "row", "lamp_a", "lamp_b")
 """Parameters of one picture: the outline's centre, px, and the lamp's turn from its base direction along two tangents, rad."""
 
@@ -78,17 +79,19 @@ class PictureModel(eqx.Module):
         blur: the camera's kernel, its lens a sum of Gaussians.
         places: places on the lamp's disc as turns of the lamp, rad, (points, 2).
         weights: of these places, (points,); their sum is 1.
+        shape: number of terms of the diffuse part beside Lambert's. Default: 0.
     """
 
     kind: LobeKind = eqx.field(static=True)
     blur: Blur
     places: np.ndarray
     weights: np.ndarray
+    shape: int = eqx.field(static=True, default=0)
 
     @property
     def size(self) -> int:
-        """Count the parameters of one picture: lobe, scene, own."""
-        return self.kind.size + len(SCENE) + len(OWN)
+        """Count the parameters of one picture: lobe, scene, diffuse part, own."""
+        return self.kind.size + len(SCENE) + self.shape + len(OWN)
 
     def window(
         self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
@@ -105,8 +108,8 @@ class PictureModel(eqx.Module):
 
     def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Part the parameters that change the radiance from those that change the kernel."""
-        n = self.kind.size
-        return np.concatenate([p[:n], p[n + 2 : n + 4], p[n + 6 :]]), np.concatenate([p[n : n + 2], p[n + 4 : n + 6]])
+        n, own = self.kind.size, self.size - len(OWN)
+        return np.concatenate([p[:n], p[n + 2 : own], p[own + 2 :]]), np.concatenate([p[n : n + 2], p[own : own + 2]])
 
     def _window_value(
         self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window
@@ -152,8 +155,8 @@ class PictureModel(eqx.Module):
         count = light.size
         pair = jnp.moveaxis(slopes, 0, -1)
         angle = jax.jacfwd(theta_d, argnums=(0, 1))(light, kernel)
-        lobe, lambert = (_in_order(part[..., :count], part[..., count:]) for part in pair)
-        derivative = Recorded(lobe, lambert, _in_order(*angle))
+        lobe, lambert = (self._in_order(part[..., :count], part[..., count:]) for part in pair)
+        derivative = Recorded(lobe, lambert, self._in_order(*angle))
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
     def _emitted(self, light: jax.Array, frame: LampFrame, window: Window) -> jax.Array:
@@ -211,7 +214,7 @@ class PictureModel(eqx.Module):
             return recorded, recorded
 
         slopes, recorded = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)(light, kernel)
-        return recorded, Recorded(*(_in_order(*pair) for pair in slopes))
+        return recorded, Recorded(*(self._in_order(*pair) for pair in slopes))
 
     def _of_pixels(
         self, light: jax.Array, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
@@ -238,13 +241,14 @@ class PictureModel(eqx.Module):
     ) -> tuple[jax.Array, jax.Array]:
         """Return the radiance of both parts at places of the disc, the mean over the lamp's own disc."""
         n = self.kind.size
-        ndf, (camera, lamp, a, b) = self.kind.ndf(light[:n]), light[n:]
+        ndf, (camera, lamp, *shape, a, b) = self.kind.ndf(light[:n]), light[n:]
+        terms = jnp.asarray(shape)
         normal = normal_at(p_x, p_y, depth, camera)
 
         def under(point: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             place, weight = point
             x, y, z = turned_lamp(frame, a + place[0], b + place[1])
-            lobe, lambert = radiance(ndf, self.kind.masking, *sphere_shading(normal, (x, y, z), camera, lamp))
+            lobe, lambert = radiance(ndf, self.kind.masking, terms, *sphere_shading(normal, (x, y, z), camera, lamp))
             return weight * lobe, weight * lambert
 
         if len(self.weights) == 1:
@@ -256,9 +260,21 @@ class PictureModel(eqx.Module):
         start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
         return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
 
+    def _in_order(self, by_light: jax.Array, by_kernel: jax.Array) -> jax.Array:
+        """Put derivatives into the order of a picture's parameters: lobe, scene, diffuse part, own."""
+        n, lamp = self.kind.size, by_light.shape[-1] - 2
+        parts = [
+            by_light[..., :n],
+            by_kernel[..., :2],
+            by_light[..., n:lamp],
+            by_kernel[..., 2:],
+            by_light[..., lamp:],
+        ]
+        return jnp.concatenate(parts, axis=-1)
+
     def _theta_d(self, light: jax.Array, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
         """Return theta_d where the line of sight through a pixel's centre meets the sphere, or passes closest."""
-        camera, lamp, a, b = light[self.kind.size :]
+        camera, lamp, *_, a, b = light[self.kind.size :]
         beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
         shrink = 1 / jnp.maximum(beyond, 1.0)
         p_x, p_y = p_x * shrink, p_y * shrink
@@ -298,16 +314,3 @@ def _area(window: Window) -> jax.Array:
     """Return by how much the lens magnifies an area at the highlight."""
     (uu, uv), (vu, vv) = window.stretch
     return uu * vv - uv * vu
-
-
-def _in_order(by_light: jax.Array, by_kernel: jax.Array) -> jax.Array:
-    """Put derivatives into the order of a picture's parameters: lobe, scene, own."""
-    n = by_light.shape[-1] - 4
-    parts = [
-        by_light[..., :n],
-        by_kernel[..., :2],
-        by_light[..., n : n + 2],
-        by_kernel[..., 2:],
-        by_light[..., n + 2 :],
-    ]
-    return jnp.concatenate(parts, axis=-1)

@@ -18,6 +18,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.registry import WITH_POWER
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.material.diffuse_shape import TERMS
 from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
@@ -52,6 +53,7 @@ class LayProblem(Protocol):
         pictures: Sequence[MergedPicture],
         scene: SphereScene,
         known: SphereScene,
+        layout: JointLayout,
         kind: LobeKind,
         p: np.ndarray,
         slope: np.ndarray,
@@ -152,6 +154,7 @@ def fit_sphere(
     lay: LayProblem | None = None,
     stretched: bool = False,
     rivals: Sequence[str] = (),
+    shaped: bool = False,
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere, or of another sample.
 
@@ -170,6 +173,7 @@ def fit_sphere(
         progress: is called with a line about each round. Default: None.
         lay: lays out the problem of another sample than a sphere. Default: None, a sphere.
         stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
+        shaped: whether the diffuse part may depart from Lambert's law, on a sphere. Default: False.
         rivals: families that take the place of `family` where their lattice explains more. Default: ().
     """
     if len(pictures) < 2:
@@ -191,7 +195,7 @@ def fit_sphere(
             if least < cost:
                 cost, lobe, kind = least, found_lobe, other
         say(f"start: {kind.family} of width {np.exp(lobe[0]):.4g}")
-    layout = JointLayout(kind.size, len(channels), len(pictures))
+    layout = JointLayout(kind.size, len(channels), len(pictures), TERMS if shaped else 0)
     p = np.zeros(layout.size)
     _write_scene(p, layout, scene)
     if start is None:
@@ -200,7 +204,9 @@ def fit_sphere(
         old, q = start.layout, start.solution.p
         common = min(old.lobe, layout.lobe)
         p[:common] = q[:common]
-        p[layout.lobe : layout.shared] = q[old.lobe : old.shared]
+        p[layout.scene.start : layout.field.stop] = q[old.scene.start : old.field.stop]
+        if shaped and old.shape:
+            p[layout.diffuse_shape] = q[old.diffuse_shape]
         directions = known.lamps.copy()
         for k, one in enumerate(pictures):
             if one.name in start.names:
@@ -213,7 +219,7 @@ def fit_sphere(
     left, solution = UnexplainedLight(0.02), None
     for turn in range(rounds):
         last = None if solution is None else solution.problem.pixels
-        problem = lay(pictures, scene, known, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
+        problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
@@ -280,7 +286,7 @@ def _searched(
         p[: len(lobe)] = np.log(lobe)
         _write_scene(p, layout, part)
         slope = np.zeros((layout.pictures, layout.channels))
-        problem = lay(some, part, part, kind, p, slope, diffuse=True, bend=0.0, disc=False)
+        problem = lay(some, part, part, layout, kind, p, slope, diffuse=True, bend=0.0, disc=False)
         p = _with_strengths(problem, p, 0.05)
         judge = Likelihood(UnexplainedLight(0.05))
         cost = sum(
@@ -329,6 +335,7 @@ def sphere_problem(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
     known: SphereScene,
+    layout: JointLayout,
     kind: LobeKind,
     p: np.ndarray,
     slope: np.ndarray,
@@ -339,12 +346,11 @@ def sphere_problem(
     keep: Sequence[ObservedPixels] | None = None,
 ) -> JointProblem:
     """Lay the windows about the highlights at p, with the lamps of `known` as base, and state the prior of `scene`."""
-    layout = JointLayout(kind.size, len(pictures[0].channels), len(pictures))
     width = float(np.exp(p[0]))
     _, radius, camera, lamp = p[layout.scene]
     lit = lamp_places(scene.lamp_radius if disc else 0.0, width)
     blur = blur_of(Rig(scene.camera, Sphere(scene.radius)))
-    model = PictureModel(kind, blur, lit.turns, lit.weights)
+    model = PictureModel(kind, blur, lit.turns, lit.weights, layout.shape)
     frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
     pixels, changes = [], list[FieldChange]()
     known_field = scene.camera.field

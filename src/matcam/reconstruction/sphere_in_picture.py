@@ -11,6 +11,7 @@ from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
 from matcam.inverse.operator.lobe_operator import quick_lambda
+from matcam.material.diffuse_shape import departure
 from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
@@ -66,9 +67,9 @@ def sphere_shading(
 
 
 def radiance(
-    slopes: SlopeDistribution, masking: Masking, at: Shading, closeness: jax.Array
+    slopes: SlopeDistribution, masking: Masking, shape: jax.Array, at: Shading, closeness: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the radiance of a lobe with F = 1, and of a white Lambertian surface, under unit irradiance at the centre.
+    """Return the radiance of a lobe with F = 1, and of a diffuse surface of albedo 1, under unit irradiance at the centre.
 
     It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
     """
@@ -86,8 +87,8 @@ def radiance(
         else:
             lambdas = slopes.lambdas(at._replace(cos_i=cos_i, cos_o=cos_o))
         lobe *= g2(masking, *lambdas, azimuth)
-    lambert = jnp.maximum(at.cos_i, 0.0) / jnp.pi
-    return jnp.where(seen, lobe * closeness, 0.0), jnp.where(at.cos_o > _LEAST, lambert * closeness, 0.0)
+    diffuse = jnp.maximum(at.cos_i, 0.0) / jnp.pi * departure(shape, at.cos_i, at.cos_o, at.theta_d)
+    return jnp.where(seen, lobe * closeness, 0.0), jnp.where(at.cos_o > _LEAST, diffuse * closeness, 0.0)
 
 
 def _towards(source: Vector, point: Vector, nearness: jax.Array) -> tuple[Vector, jax.Array]:

@@ -24,6 +24,10 @@ _UNSTATED_DISTORTION = 5e-4
 """Of the radius, at the sphere's limb: standard deviation where nothing is stated of a distortion."""
 
 
+_DEPARTURE = 0.5
+"""Of a diffuse part that is not Lambert's: standard deviation of each term's coefficient, no unit."""
+
+
 class Known(NamedTuple):
     """Hold a value with its standard deviation."""
 
@@ -176,6 +180,8 @@ def prior_of(
         row = np.zeros(layout.size)
         row[[layout.gain(i) for i in range(k)]] = line
         add("gain", row, float(line @ gains))
+    for index in range(layout.diffuse_shape.start, layout.diffuse_shape.stop):
+        unit("diffuse shape", index, _DEPARTURE, 0.0)
     if bend:
         smooth = bend_smoothness()
         for line in smooth:
@@ -217,7 +223,7 @@ def joint_problem(
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
     if not diffuse:
-        fixed[layout.diffuse] = True
+        fixed[layout.diffuse] = fixed[layout.diffuse_shape] = True
     for name, known_value in (("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness)):
         if known_value.std == 0:
             fixed[layout.lobe + SCENE.index(name)] = True

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.inverse.correction.correction import SUPPORTED
-from matcam.reconstruction.material_table import ATTRIBUTES, channel_entries, covered, lobe_and_slopes
+from matcam.reconstruction.material_table import ATTRIBUTES, channel_entries, covered, unit_entries
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known
@@ -36,12 +36,10 @@ def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units:
     theta_h, phi_h = ((np.arange(n_h) + 0.5) / n_h) ** 2 * np.pi / 2, (np.arange(n_p) + 0.5) / n_p * np.pi
     theta_d, phi_d = (np.arange(n_d) + 0.5) / n_d * np.pi / 2, (np.arange(n_q) + 0.5) / n_q * np.pi
     angles = np.meshgrid(theta_h, phi_h, theta_d, phi_d, indexing="ij", sparse=True)
-    lobe, by_q = lobe_and_slopes(
-        fit.kind, fit.solution.p[: fit.layout.lobe], angles[0], angles[2], angles[3], angles[1]
-    )
+    entries = unit_entries(fit, angles[0], angles[2], angles[3], angles[1])
     values, stds = [], []
     for channel, curve in enumerate(curves):
-        value, std = channel_entries(fit, curve, channel, units[channel], lobe, by_q, theta_d)
+        value, std = channel_entries(fit, curve, channel, units[channel], entries, theta_d)
         values.append(value)
         stds.append(std)
     value, std = np.stack(values, axis=-1), np.stack(stds, axis=-1)

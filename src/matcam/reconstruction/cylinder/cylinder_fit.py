@@ -63,6 +63,7 @@ def _cylinder_problem(
     pictures: Sequence[MergedPicture],
     scene: SphereScene,
     known: SphereScene,
+    layout: JointLayout,
     kind: LobeKind,
     p: np.ndarray,
     slope: np.ndarray,
@@ -75,8 +76,6 @@ def _cylinder_problem(
     profiles: dict[str, Any],
 ) -> JointProblem:
     """Choose the columns of every strip about the highlights at p, with the lamps of `known` as base."""
-    channels = len(pictures[0].channels)
-    layout = JointLayout(kind.size, channels, len(pictures))
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
     _, radius, camera, lamp = p[layout.scene]
@@ -85,7 +84,7 @@ def _cylinder_problem(
     rows = np.array([np.add(*strip.read) / 2 + (strip.read[1] - strip.read[0] + 1) / 2 * nodes for strip in strips])
     model = ProfileModel(
         kind=kind,
-        channels=channels,
+        channels=layout.channels,
         blur=blur_of(Rig(scene.camera, Sphere(scene.radius))),
         places=lit.turns,
         weights=lit.weights,

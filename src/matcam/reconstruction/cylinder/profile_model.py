@@ -18,7 +18,7 @@ from matcam.core.shading import shading
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_rule import ProfileWindow
-from matcam.reconstruction.picture_model import SCENE, LampFrame, Recorded, turned_lamp
+from matcam.reconstruction.picture_model import OWN, SCENE, LampFrame, Recorded, turned_lamp
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance
 
 
@@ -107,7 +107,7 @@ class ProfileModel(eqx.Module):
 
     def _kernel_parameters(self, p: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         n = self.kind.size
-        return p[n + SCENE.index("lens")], p[n + SCENE.index("radius")], p[n + len(SCENE)]
+        return p[n + SCENE.index("lens")], p[n + SCENE.index("radius")], p[-len(OWN)]
 
     def _mean_over_rows(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
@@ -124,12 +124,13 @@ class ProfileModel(eqx.Module):
         slopes = self.kind.slopes(p[: self.kind.size])
         normal, point, camera, lamp, (a, b) = self._surface(p, out, depth, row)
         tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
+        shape = p[self.kind.size + len(SCENE) : -len(OWN)]  # of the diffuse part
 
         def under(place: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             at, weight = place
             x, y, z = turned_lamp(frame, a + at[0], b + at[1])
             light, view, closeness = light_and_view(point, (x, y, z), camera, lamp)
-            lobe, lambert = radiance(slopes, self.kind.masking, shading(normal, tangent, light, view), closeness)
+            lobe, lambert = radiance(slopes, self.kind.masking, shape, shading(normal, tangent, light, view), closeness)
             return weight * lobe, weight * lambert
 
         if len(self.weights) == 1:
@@ -145,7 +146,7 @@ class ProfileModel(eqx.Module):
         """Return normal, point, both nearnesses and the lamp's turn, where a line of sight meets the cylinder."""
         n = self.kind.size
         radius, camera, lamp = (p[n + SCENE.index(name)] for name in ("radius", "camera", "lamp"))
-        centre_row, a, b = p[n + len(SCENE) + 1 :]
+        centre_row, a, b = p[1 - len(OWN) :]
         x, _, z = normal_at(out, jnp.zeros(()), depth, camera)
         height = (centre_row - row) / (radius * jnp.sqrt(1 - camera**2)) * (1 - camera * z)
         return (x, jnp.zeros(()), z), (x, height, z), camera, lamp, (a, b)

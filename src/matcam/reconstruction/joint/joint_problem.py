@@ -27,16 +27,18 @@ class JointLayout(NamedTuple):
         lobe: number of the lobe's parameters.
         channels: number of channels.
         pictures: number of pictures.
+        shape: number of terms by which the diffuse part departs from Lambert's law. Default: 0.
     """
 
     lobe: int
     channels: int
     pictures: int
+    shape: int = 0
 
     @property
     def shared(self) -> int:
         """Count the parameters of all pictures."""
-        return self.lobe + len(SCENE) + self.channels + len(FIELD)
+        return self.lobe + len(SCENE) + self.channels + len(FIELD) + self.shape
 
     @property
     def each(self) -> int:
@@ -61,7 +63,12 @@ class JointLayout(NamedTuple):
     @property
     def field(self) -> slice:
         """Place of what the lens's field differs by from its profile."""
-        return slice(self.diffuse.stop, self.shared)
+        return slice(self.diffuse.stop, self.diffuse.stop + len(FIELD))
+
+    @property
+    def diffuse_shape(self) -> slice:
+        """Place of the terms of the diffuse part."""
+        return slice(self.field.stop, self.shared)
 
     def own(self, k: int) -> slice:
         """Place of a picture's centre and lamp."""
@@ -79,8 +86,10 @@ class JointLayout(NamedTuple):
 
     def of_picture(self, k: int) -> np.ndarray:
         """Return the places of the parameters that the picture model takes."""
-        own = self.own(k)
-        return np.concatenate([np.arange(self.lobe + len(SCENE)), np.arange(own.start, own.stop)])
+        own, shape = self.own(k), self.diffuse_shape
+        return np.concatenate(
+            [np.arange(self.scene.stop), np.arange(shape.start, shape.stop), np.arange(own.start, own.stop)]
+        )
 
 
 class PixelModel(Protocol):
