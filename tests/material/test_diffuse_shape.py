@@ -1,4 +1,4 @@
-"""The shape of a diffuse part against laws that others wrote: rough plaster (Oren and Nayar), a smooth coat (Fresnel, Snell)."""
+"""The shape of a diffuse part against laws that others wrote: rough plaster (Oren and Nayar), a smooth coat (Fresnel)."""
 
 import numpy as np
 import pytest

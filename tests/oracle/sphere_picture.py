@@ -28,8 +28,8 @@ _CUT = 6.0  # standard deviations of the lens
 
 
 class Surface(NamedTuple):
-    """family "ggx" or "epd" (power: its exponent p); n, k and diffuse albedo: a number, or one for each channel. coat: refractive
-    index of a smooth layer over the diffuse part, which loses what that reflects; 1: none."""
+    """family "ggx" or "epd" (power: its exponent p); n, k and diffuse albedo: a number, or one for each channel. coat: index of
+    a smooth layer over the diffuse part, which loses what that reflects; 1: none."""
 
     family: str = "ggx"
     alpha: float = 0.02

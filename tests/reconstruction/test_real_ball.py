@@ -130,7 +130,7 @@ def apart(lamps, published):
 
 @pytest.mark.slow
 def test_outline_of_a_real_ball(ball, real_data):
-    """The published reading, 71.13 px, takes the limb's light for a straight line. How small that reads is seen on a drawn ball."""
+    """The published reading, 71.13 px, takes the limb's light for a straight line. A drawn ball shows how small that reads."""
     fit = ball[0].fit
     radius, shape = fit.solution.p[fit.layout.scene][1], fit.solution.p[fit.layout.diffuse_shape]
     total, lamps = all_lights(real_data)
