@@ -1,5 +1,7 @@
 """Profiles of strips round a cylinder, its straight outline, and the fit of many captures, against an independent renderer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from matcam import Camera, GaussianOptics, reconstruct
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
 from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.material.diffuse_shape import TERMS
 from matcam.reconstruction.cylinder.cylinder_fit import _cylinder_problem
 from matcam.reconstruction.cylinder.straight_outline import straight_outline
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
@@ -53,7 +56,7 @@ def problem():
     profiles = {one.name: strip_profiles(one, STRIPS) for one in pictures}
     slope = np.zeros((len(LAMPS), 1))
     made = _cylinder_problem(
-        pictures, scene, scene, kind, p, slope, diffuse=True, bend=0.0, strips=STRIPS, profiles=profiles
+        pictures, scene, scene, layout, kind, p, slope, diffuse=True, bend=0.0, strips=STRIPS, profiles=profiles
     )
     return made, p
 
@@ -70,6 +73,25 @@ def test_columns_record_what_an_independent_quadrature_says(problem, k):
     assert missed[pixels.used & near].max() < 3e-5 * top
     far = pixels.used & ~near
     assert np.all(missed[far] < np.maximum(1e-3 * pixels.values[far], 1e-6 * top))
+
+
+@pytest.mark.slow
+def test_a_diffuse_part_may_have_a_shape(problem):
+    """Terms of 0 change nothing; what a coat takes is most where light or view graze."""
+    made, p = problem
+    layout = made.layout._replace(shape=TERMS)
+    shaped = np.insert(p, layout.diffuse_shape.start, np.zeros(TERMS))
+    before, _ = made.recorded(p, 0, slopes=False)
+    again = replace(made, layout=layout)
+    after, slopes = again.recorded(shaped, 0, slopes=True)
+    assert after.lambert == pytest.approx(before.lambert, rel=1e-12)
+    assert slopes.lambert.shape == (*after.lambert.shape, layout.of_picture(0).size)
+    shaped[layout.diffuse_shape.start + 4] = -0.5
+    coated, _ = again.recorded(shaped, 0, slopes=False)
+    lit = before.lambert > 1e-3 * before.lambert.max()
+    share = coated.lambert[lit] / before.lambert[lit]
+    assert 0.9 < share.max() <= 1
+    assert share.min() < 0.7
 
 
 @pytest.mark.slow
