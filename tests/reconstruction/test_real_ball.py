@@ -51,7 +51,7 @@ def capture(real_data, folder, every):
 def ball(real_data, tmp_path_factory):
     """Every 16th picture: what is found, and the published directions."""
     folder, lamps = capture(real_data, tmp_path_factory.mktemp("real") / "ball", 16)
-    return reconstruct(folder, ndf="ggx"), lamps
+    return reconstruct(folder), lamps
 
 
 @pytest.mark.slow

@@ -165,12 +165,14 @@ def chosen_fit(
                 continue
             if tried.get(name, 0.0) > _HOPELESS * best.solution.unexplained:
                 continue
-            width = float(np.exp(best.solution.p[0]))
-            other = fitted(name, scene, widths=width * np.array([0.4, 0.7, 1.1, 1.8]), rounds=1)
+            # at the end of a family its width says nothing of another's
+            about = {} if _at_bound(best) else {"widths": np.exp(best.solution.p[0]) * np.array([0.4, 0.7, 1.1, 1.8])}
+            other = fitted(name, scene, rounds=1, **about)
             tried[name] = other.solution.unexplained
-            if _likelier(other, best):
-                best = fitted(name, scene, start=other)
-                tried[name] = best.solution.unexplained
+            if _likelier(other, best) or _at_bound(best):
+                again = fitted(name, scene, start=other)
+                tried[name] = again.solution.unexplained
+                best = again if _preferred(again, best) else best
         return best
 
     bends: list[SphereFit] = []
@@ -295,6 +297,24 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
             )
         )
     return surprise[0] < surprise[1]
+
+
+def _preferred(one: SphereFit, other: SphereFit) -> bool:
+    """Say whether a fit is taken for another: the likelier, but no lobe at the end of its family that explains little more.
+
+    What is there is no lobe of that family: a spike with long tails takes the place of a haze, and its width says nothing.
+    """
+    if _at_bound(one) == _at_bound(other):
+        return _likelier(one, other)
+    within, at_bound = (other, one) if _at_bound(one) else (one, other)
+    clearly = at_bound.solution.unexplained < _CLEARLY * within.solution.unexplained
+    return clearly == (at_bound is one)
+
+
+def _at_bound(fit: SphereFit) -> bool:
+    """Say whether a parameter of the lobe is at the end of what its family has."""
+    own, problem, p = len(fit.kind.family_names), fit.solution.problem, fit.solution.p
+    return bool(np.any((p <= problem.low)[:own] | (p >= problem.high)[:own]))
 
 
 class _Blame(NamedTuple):
