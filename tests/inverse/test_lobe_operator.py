@@ -101,7 +101,7 @@ def test_the_camera_is_followed():
         ("optics.sigma_px", (0.05, 0.2, 0.4, 0.7), 0.02, 1e-3),
         pytest.param("optics.sigma_px", (0.15, 0.4, 0.7), 0.003, 1e-3, marks=pytest.mark.slow),
         pytest.param("lamp_radius", (0.002, 0.0044), 0.003, 5e-4, marks=pytest.mark.slow),
-        ("lamp_radius", (0.002, 0.0044), 0.02, 1e-4),
+        pytest.param("lamp_radius", (0.002, 0.0044), 0.02, 1e-4, marks=pytest.mark.slow),
         ("jitter", (0.1, 0.25), 0.003, 1e-4),
     ],
 )

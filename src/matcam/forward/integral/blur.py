@@ -2,7 +2,8 @@
 
 - The lens is a sum of Gaussians (`camera/optics/gaussian_sum.py`). Registration jitter adds its variance to each.
 - A lens out of focus spreads light over a disc. A lamp's disc spreads the half vector over an ellipse (docs/model.md 3). Both
-  are taken as Gaussians with the disc's own standard deviation, a quarter of its diameter. They vary over the picture.
+  are taken as Gaussians with the disc's own standard deviation, a quarter of its diameter. They vary over the picture. On
+  spheres a lamp's disc is a disc instead: records are means over its points, and a fit's operator has `lamp_lines`.
 - Terms of about one width share the lengths of their integral: a `BlurGroup`.
 """
 
@@ -74,6 +75,10 @@ class Blur(eqx.Module):
     def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
         """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
         return self.pixel.of_gaussian(offset, self._std(term, variance))
+
+    def kernel_until(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
+        """Return the integral of `kernel` up to an offset, no unit."""
+        return self.pixel.until_gaussian(offset, self._std(term, variance))
 
     def turned_kernel(
         self,
@@ -151,6 +156,11 @@ class Blur(eqx.Module):
             g8 + 28 * g6 * p2 + 70 * g4 * p4 + 28 * g2 * p6 + p8,
         )
 
+    def of_point(self) -> Blur:
+        """Return the blur under a lamp without a disc."""
+        varies = not (is_concrete(self.aperture) and float(self.aperture) == 0)
+        return dataclasses.replace(self, lamp_radius=jnp.zeros(()), varies=varies)
+
 
 class BlurTerms(eqx.Module):
     """Some terms of a blur, integrated over the same nodes.
@@ -218,8 +228,7 @@ def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
         )
     blur = blur_of(rig)
     if isinstance(rig.sample, Sphere) and not gaussian_disc:
-        varies = not (is_concrete(rig.aperture) and float(rig.aperture) == 0)
-        blur = dataclasses.replace(blur, lamp_radius=jnp.zeros(()), varies=varies)
+        blur = blur.of_point()
     return Imaging(rig.sample, blur, rig.lamp.nearness)
 
 

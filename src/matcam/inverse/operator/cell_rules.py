@@ -10,6 +10,7 @@ import numpy as np
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.near_rule import (
     NearPixels,
     NearRule,
@@ -38,14 +39,16 @@ class _Blurs(NamedTuple):
     Attributes:
         blurs: the rig's own first.
         spreads: for each, the variances along x and y, (pixels,), px^2.
-        reaches: for each, the half side of the square that a pixel sees, (pixels,), px.
+        reaches: for each, the half sides of what a pixel sees, (2, pixels), px along its axes.
         terms: of the blurs, those that are looked at.
+        discs: for each, the lamp's disc, where it is not in the spreads.
     """
 
     blurs: list[Blur]
     spreads: list[tuple[np.ndarray, ...]]
     reaches: list[np.ndarray]
     terms: tuple[int, ...]
+    discs: list[LampDisc | None]
 
 
 class _Found(NamedTuple):
@@ -70,9 +73,16 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig)
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
+    depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
+
+    discs: list[LampDisc | None] = [None] * len(blurs)
+    moved = np.zeros((len(blurs), 2, *x.shape))
+    found = lamp_discs(view, blurs, lamp_angle, x, y)
+    if found is not None:
+        discs, moved = found  # type: ignore[assignment]
+        blurs = [blur.of_point() for blur in blurs]
     if any(blur.varies for blur in blurs):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]
-    depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
     spreads = [
         tuple(np.broadcast_to(v, x.shape) for v in blur.spread(rig.sample, depth, lamp_angle, nearness))  # type: ignore[arg-type]
         for blur in blurs
@@ -88,15 +98,16 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
         widths = [np.asarray(blur.stds)[list(terms)].max() for blur in blurs]
         reaches = [
-            kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) for s, v in zip(widths, spreads, strict=True)
+            kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m
+            for s, v, m in zip(widths, spreads, moved, strict=True)
         ]
-        through = _Blurs(blurs, spreads, reaches, terms)
+        through = _Blurs(blurs, spreads, reaches, terms, discs)
         if view.plain:
-            found = _far_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+            rules = _far_rules(view.radius, Pixels(x, y, theta_d, factor), through)
         else:
-            found = _near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)
-        weight, *others = found.weights
-        named = {"theta": found.theta, "weight": weight, **{name: a[:, None] for name, a in found.samples.items()}}
+            rules = _near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)
+        weight, *others = rules.weights
+        named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
         for n, changes in enumerate(_changes_along(axes, weight, others)):
             named |= {f"along{n}.{point}": change for point, change in enumerate(changes)}
         columns.append({name: full(part) for name, part in named.items()})
@@ -107,15 +118,17 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
 
 def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
-    blurs, spreads, reaches, terms = through
+    blurs, spreads, reaches, terms, discs = through
 
     def rule(n: int, window: PolarWindow):  # type: ignore[no-untyped-def]
-        return polar_rule(jnp.asarray(radius), blurs[n], tuple(spreads[n]), terms, pixels, window)
+        return polar_rule(jnp.asarray(radius), blurs[n], tuple(spreads[n]), terms, pixels, window, discs[n])
 
-    rules = [rule(n, polar_window(radius, pixels, reach)) for n, reach in enumerate(reaches)]
+    rules = [rule(n, polar_window(radius, pixels, *reach)) for n, reach in enumerate(reaches)]
     shown, weights = rules[0], [rules[0].weight]
     if len(blurs) > 1:  # all on the nodes of the widest
-        widest = polar_window(radius, pixels, np.max(reaches, axis=0))._replace(reach=reaches[0])
+        widest = polar_window(radius, pixels, *np.max(reaches, axis=0))._replace(
+            reach=reaches[0][0], rows=reaches[0][1]
+        )
         shown = rule(0, widest)
         weights = [transfer(rule, widest) for rule in rules]
     theta = np.asarray(shown.theta)
@@ -124,12 +137,14 @@ def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
 
 
 def _near_rules(view: SphereView, pixels: NearPixels, through: _Blurs) -> _Found:
-    blurs, spreads, reaches, terms = through
-    onto = near_window(view, pixels, np.max(reaches, axis=0)).theta
+    blurs, spreads, reaches, terms, discs = through
+    onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
     nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0
     rules: list[NearRule] = [
-        near_rule(view, blur, spread, terms, pixels, near_window(view, pixels, reach), onto, pixel_nodes=nodes)
-        for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
+        near_rule(
+            view, blur, spread, terms, pixels, near_window(view, pixels, *reach), onto, pixel_nodes=nodes, disc=disc
+        )
+        for blur, spread, reach, disc in zip(blurs, spreads, reaches, discs, strict=True)
     ]
     names = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
     samples = dict(zip(names, near_masking_samples(rules[0]), strict=True))

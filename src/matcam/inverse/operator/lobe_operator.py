@@ -24,8 +24,9 @@ from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
+from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.polar_rule import THROUGH_SAMPLES
-from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.operator.rig_axes import LAMP, Axis
 from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view
 from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
 from matcam.material.ndf.beckmann import Beckmann
@@ -242,6 +243,8 @@ def operator_in(
     rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
 ) -> LobeOperator:
     """Return the rule of any cells. description: of all that it depends on, under which the workspace keeps it on disk."""
+    if float(rig.lamp_radius) > 0 or any(axis.name == LAMP for axis in axes):
+        description = f"{description}, discs by {DISC_RULE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     # before a near camera G is taken at every node: close to the limb no polynomial follows it

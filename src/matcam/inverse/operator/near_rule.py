@@ -20,6 +20,7 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.forward.pixel_grid import turned
+from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, stretched
 from matcam.inverse.operator.sphere_view import SphereView, angles_between, square_border
 
@@ -82,27 +83,29 @@ class NearRule(NamedTuple):
     share: jax.Array
 
 
-def near_window(view: SphereView, pixels: NearPixels, reach: np.ndarray) -> NearWindow:
-    """Return what is seen under a kernel of half side `reach` px.
+def near_window(view: SphereView, pixels: NearPixels, reach: np.ndarray, rows: np.ndarray) -> NearWindow:
+    """Return what is seen under a kernel of half sides `reach` and `rows` px, along the pixel's axes.
 
-    The extremes lie on the border of the kernel's square, or on the limb where the square leaves the sphere.
+    The extremes lie on the border of the kernel's rectangle, or on the limb where it leaves the sphere.
     """
-    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach, view.azimuth))
+    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach, rows, view.azimuth))
     peak = np.sin(pixels.highlight), 0 * pixels.x, np.cos(pixels.highlight)
     circle = angles_between(normal, tuple(a[..., None] for a in peak))  # type: ignore[arg-type]
     lamp, q, w = pixels.lamp_angle[..., None], view.camera, view.lamp
     theta = _directions(normal, np.sin(lamp), np.cos(lamp), q, w).theta_h
     at = view.stretch * peak[0] / (1 - q * peak[2])
-    inside = np.maximum(*np.abs(turned(at - pixels.x, -pixels.y, view.azimuth))) < reach
-    around = reach * (np.cos(view.azimuth) + np.sin(view.azimuth))  # of a square along the plane of camera and lamp
-    return NearWindow(*(_between(angle, inside, around) for angle in (circle, theta)))
+    first, second = np.abs(turned(at - pixels.x, -pixels.y, view.azimuth))
+    inside = (first < reach) & (second < rows)
+    cosine, sine = np.cos(view.azimuth), np.sin(view.azimuth)
+    around = reach * cosine + rows * sine, reach * sine + rows * cosine  # along the plane of camera and lamp
+    return NearWindow(*(_between(angle, inside, *around) for angle in (circle, theta)))
 
 
-def _between(angle: np.ndarray, inside: np.ndarray, reach: np.ndarray) -> PolarWindow:
+def _between(angle: np.ndarray, inside: np.ndarray, reach: np.ndarray, rows: np.ndarray) -> PolarWindow:
     low, high = angle.min(-1), angle.max(-1)
     slack = 0.02 * (high - low)
     low = np.where(inside, 0.0, np.maximum(low - slack, 0.0))
-    return PolarWindow(low, np.minimum(high + slack, np.pi / 2), reach)
+    return PolarWindow(low, np.minimum(high + slack, np.pi / 2), reach, rows)
 
 
 class _Directions(NamedTuple):
@@ -142,19 +145,22 @@ def near_rule(
     window: NearWindow,
     onto: PolarWindow,
     pixel_nodes: int = 0,
+    disc: LampDisc | None = None,
 ) -> NearRule:
     """Return the rule for some terms of a blur; differentiable in its parameters.
 
     variances: px^2, (pixels,), that lamp and focus add along x and y. window: what this blur sees. onto: the theta_h between
     which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`. pixel_nodes: of a
-    pixel that is turned against the plane of camera and lamp, see `Blur.turned_kernel`; 0: it is not.
+    pixel that is turned against the plane of camera and lamp, see `Blur.turned_kernel`; 0: it is not. disc: of a lamp
+    whose disc is not in the variances.
     """
     radius, stretch, q, w = view.radius, view.stretch, view.camera, view.lamp
     turn = jnp.cos(view.azimuth), jnp.sin(view.azimuth)
     around = _MORE_AZIMUTHS if pixel_nodes else AZIMUTHS
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        x, y, lamp, peak, factor, low, high, reach, from_theta, to_theta, var_x, var_y = (
+        arguments, disc = arguments
+        x, y, lamp, peak, factor, low, high, reach, high_rows, from_theta, to_theta, var_x, var_y = (
             a[:, None, None] for a in arguments
         )
         scale, first, last = stretched(low, high)
@@ -175,7 +181,7 @@ def near_rule(
         from_ = jnp.arccos(jnp.clip(jnp.minimum(seen[1], horizon), -1, 1))
         to = jnp.arccos(jnp.clip(jnp.maximum(seen[0], shade), -1, 1))
         # rows: the sine of the azimuth less a lean
-        rows = [jnp.clip(y + side * reach, 0.0, radius) for side in (-1, 1)]
+        rows = [jnp.clip(y + side * high_rows, 0.0, radius) for side in (-1, 1)]
         lean = [jnp.arctan2(at * q * sin_p, stretch) for at in rows]
         rise = [
             jnp.arcsin(jnp.clip(at * (1 - q * c * cos_p) / (s * jnp.hypot(stretch, at * q * sin_p)), 0, 1))
@@ -196,7 +202,9 @@ def near_rule(
         at = _directions(normal, sin_l, cos_l, q, w)
         depth = 1 - q * normal[2]
         dx, dy = stretch * normal[0] / depth - x, stretch * normal[1] / depth
-        if pixel_nodes:
+        if disc is not None:
+            kernel = lamp_kernel(view, blur, terms, disc, normal, (x, own_y), (var_x, var_y))
+        elif pixel_nodes:
             kernel = sum(
                 blur.weights[j] * blur.turned_kernel(dx, side * dy - own_y, j, (var_x, var_y), turn, pixel_nodes)
                 for j in terms
@@ -219,8 +227,8 @@ def near_rule(
         return nodes[:, 0], weight, *_azimuths(at, place, share)
 
     circles, theta = window.circles, onto
-    arguments = (*pixels, circles.low, circles.high, circles.reach, theta.low, theta.high, *variances)
-    blocks = tuple(a.reshape(-1, _BLOCK) for a in arguments)
+    arguments = (*pixels, circles.low, circles.high, circles.reach, circles.rows, theta.low, theta.high, *variances)
+    blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
     found = jax.lax.map(block, blocks)
     return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
 

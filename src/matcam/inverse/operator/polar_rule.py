@@ -19,7 +19,8 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
-from matcam.inverse.operator.sphere_view import square_border
+from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
+from matcam.inverse.operator.sphere_view import SphereView, square_border
 from matcam.numerics.approximation import lagrange_basis
 
 NODES = np.polynomial.legendre.leggauss(40)
@@ -80,27 +81,31 @@ class PolarWindow(NamedTuple):
     Attributes:
         low: smallest angle from the half vector, rad.
         high: largest angle, rad.
-        reach: half side of the kernel's square, px.
+        reach: half side of what the kernel reaches along x, px.
+        rows: the same along y.
     """
 
     low: np.ndarray
     high: np.ndarray
     reach: np.ndarray
+    rows: np.ndarray
 
 
-def polar_window(radius: float, pixels: Pixels, reach: np.ndarray) -> PolarWindow:
-    """Return the angles from the half vector under a kernel of half side `reach` px.
+def polar_window(radius: float, pixels: Pixels, reach: np.ndarray, rows: np.ndarray) -> PolarWindow:
+    """Return the angles from the half vector under a kernel of half sides `reach` and `rows` px, along x and y.
 
-    The extremes lie on the border of the kernel's square, or on the limb where the square leaves the sphere.
+    The extremes lie on the border of the kernel's rectangle, or on the limb where it leaves the sphere.
     """
-    x, y = (a / radius for a in square_border(radius, pixels.x, pixels.y, reach))
+    x, y = (a / radius for a in square_border(radius, pixels.x, pixels.y, reach, rows))
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     sin, cos = np.sin(pixels.theta_d)[..., None], np.cos(pixels.theta_d)[..., None]
     theta = np.arctan2(np.hypot(y, x * cos - z * sin), x * sin + z * cos)
-    inside = (np.abs(pixels.x - radius * sin[..., 0]) < reach) & (np.abs(pixels.y) < reach)
+    inside = (np.abs(pixels.x - radius * sin[..., 0]) < reach) & (np.abs(pixels.y) < rows)
     low, high = theta.min(-1), theta.max(-1)
     slack = 0.02 * (high - low)
-    return PolarWindow(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2), reach)
+    return PolarWindow(
+        np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2), reach, rows
+    )
 
 
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
@@ -110,15 +115,23 @@ def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
 
 @partial(jit_plainly, static=("terms",))
 def polar_rule(
-    radius: jax.Array, blur: Blur, variances: tuple, terms: tuple[int, ...], pixels: Pixels, window: PolarWindow
+    radius: jax.Array,
+    blur: Blur,
+    variances: tuple,
+    terms: tuple[int, ...],
+    pixels: Pixels,
+    window: PolarWindow,
+    disc: LampDisc | None = None,
 ) -> PolarRule:
     """Return the rule for some terms of a blur; differentiable in its parameters.
 
     variances: px^2, (pixels,), that lamp and focus add along x and y. pixels: a multiple of the block, see `padded`.
+    disc: of a lamp whose disc is not in the variances.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        x, y, theta_d, factor, low, high, reach, var_x, var_y = (a[:, None, None] for a in arguments)
+        arguments, disc = arguments
+        x, y, theta_d, factor, low, high, reach, rows, var_x, var_y = (a[:, None, None] for a in arguments)
         scale, first, last = stretched(low, high)
         t = first + (last - first) * (NODES[0][:, None] + 1) / 2
         theta = scale * jnp.sinh(t)
@@ -130,21 +143,25 @@ def polar_rule(
         along = [((x + side * reach) / radius - cos * sin_d) / (sin * cos_d) for side in (-1, 1)]
         from_ = jnp.arccos(jnp.clip(jnp.minimum(along[1], horizon), -1, 1))
         to = jnp.arccos(jnp.clip(jnp.maximum(along[0], -horizon), -1, 1))
-        rise = [jnp.arcsin(jnp.clip((y + side * reach) / radius / sin, 0, 1)) for side in (-1, 1)]
+        rise = [jnp.arcsin(jnp.clip((y + side * rows) / radius / sin, 0, 1)) for side in (-1, 1)]
         total, mean, square = 0.0, 0.0, 0.0
         for begin, end in ((rise[0], rise[1]), (jnp.pi - rise[1], jnp.pi - rise[0])):
             begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
             half = jnp.maximum(end - begin, 0.0) / 2
             psi = begin + half * (AZIMUTHS[0] + 1)
             cos_psi, sin_psi = jnp.cos(psi), jnp.sin(psi)
-            dx = radius * (cos * sin_d + sin * cos_psi * cos_d) - x
-            dy = radius * sin * sin_psi
-            kernel = sum(
-                blur.weights[j]
-                * blur.kernel(dx, j, var_x)
-                * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
-                for j in terms
-            )
+            if disc is None:
+                dx = radius * (cos * sin_d + sin * cos_psi * cos_d) - x
+                dy = radius * sin * sin_psi
+                kernel = sum(
+                    blur.weights[j]
+                    * blur.kernel(dx, j, var_x)
+                    * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
+                    for j in terms
+                )
+            else:
+                normal = cos * sin_d + sin * cos_psi * cos_d, sin * sin_psi, cos * cos_d - sin * cos_psi * sin_d
+                kernel = lamp_kernel(SphereView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
             mean += jnp.sum(share * cos_psi, -1)
@@ -158,7 +175,7 @@ def polar_rule(
         return PolarRule(theta[..., 0], weight, pair)
 
     arguments = (*pixels, *window, *variances)
-    blocks = tuple(a.reshape(-1, _BLOCK) for a in arguments)
+    blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
 
 

@@ -143,17 +143,17 @@ def with_azimuth(rig: Rig, table: xr.DataArray) -> Rig:
 
 
 def square_border(
-    radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray, azimuth: float = 0.0
+    radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray, rows: np.ndarray, azimuth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (..., 100) round squares of half side `reach` about places, px; on the limb where squares leave it.
+    """Return points (..., 100) round rectangles about places, px; on the limb where they leave it.
 
-    azimuth: of the axes against the squares' sides, rad.
+    reach, rows: half their sides, px. azimuth: of the axes against the first sides, rad.
     """
     t = np.linspace(-1, 1, 25)
     border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
     border = np.concatenate([border, border[:, ::-1]])
-    border = np.stack(turned(border[:, 0], border[:, 1], -azimuth), -1)
-    at_x, at_y = (c[..., None] + reach[..., None] * border[:, n] for n, c in enumerate((x, y)))
+    sides = turned(reach[..., None] * border[:, 0], rows[..., None] * border[:, 1], -azimuth)
+    at_x, at_y = (c[..., None] + offset for c, offset in zip((x, y), sides, strict=True))
     out = np.maximum(np.hypot(at_x, at_y) / (radius * (1 - 1e-12)), 1.0)
     return at_x / out, at_y / out
 

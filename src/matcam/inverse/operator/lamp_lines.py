@@ -1,0 +1,268 @@
+"""A lamp's disc in a pixel's rule: chords of the disc, over each of which the pixel's kernel is integrated in closed form.
+
+A point of the lamp turns the half vector, and with it the lobe over the sphere. So a place that the lamp's centre shows at some
+angles from the half vector is shown turned by as much, and the kernel is asked for there (docs/model.md 3). That is exact for
+distant cameras and lamps, and at the highlight itself for near ones.
+
+Chords run so that their images lie along the pixel's second axis. Where on a chord the pixel is met says how far the image
+bends aside there, and how densely it is run through. Their distance from the disc's centre is sin t, with Gauss's nodes in t:
+that is smooth for chords that are long beside the blur and for short ones. Few chords of a small disc are Gauss's for the disc
+itself (Chebyshev's second kind), which keep all light and its variance.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import is_concrete, jax, jnp
+from matcam.forward.integral.blur import Blur
+from matcam.inverse.operator.sphere_view import SphereView
+
+COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
+"""Numbers of chords: each pixel has one of these. The first is for small discs."""
+_SMALL = 1.2
+"""Radius of the lamp's image over the blur's standard deviation up to which a disc is small."""
+_GAUSSIAN = 0.45
+"""Radius of the lamp's image over the blur's standard deviation up to which a Gaussian of its variance is within 1e-3."""
+_LEAST, _ACROSS, _ALONG = 2.0, 2.4, 1.0
+"""Chords, and how many more for each standard deviation of the blur in half the image's width across them, and along."""
+_PIXELS_SHARE = 0.3
+"""Share of the pixel's half width that counts as its blur: its borders are steps before a sharp lens."""
+DISC_RULE = (COUNTS, _SMALL, _GAUSSIAN, _LEAST, _ACROSS, _ALONG, _PIXELS_SHARE)
+"""All that says how many chords a rig's pixels have: a kept rule is of no use where this is different."""
+_SMALLEST = 1e-5
+"""Least angular radius of a disc, rad: that of a lamp which is a point."""
+_SLACK = 1.1
+"""Share by which an image may be larger at the kernel's end than at its middle."""
+_NEWTONS = 12
+"""Steps to a highlight before a near camera or under a near lamp."""
+_ROUND = np.pi * np.arange(16) / 8
+
+
+def _chords() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return distances from the centre, half lengths and shares of the light for each of `COUNTS`; without light at the end."""
+    at, half, share = np.zeros((3, len(COUNTS), COUNTS[-1]))
+    half += 1.0
+    for n, count in enumerate(COUNTS):
+        node, weight = np.polynomial.legendre.leggauss(count)
+        if n == 0:
+            node, weight = 2 * np.arange(1, count + 1) / (count + 1) - 1, np.full(count, 2 / (count + 1))
+        at[n, :count], half[n, :count] = np.sin(np.pi / 2 * node), np.cos(np.pi / 2 * node)
+        share[n, :count] = weight * half[n, :count] ** 2
+    return at, half, share
+
+
+_AT, _HALF, _SHARE = _chords()
+
+
+class LampDisc(NamedTuple):
+    """Hold the disc of a lamp and the chords that each pixel needs.
+
+    Attributes:
+        radius: (pixels,), angular radius of the disc, rad.
+        lamp_angle: (pixels,), between the lamp's centre and the optical axis, rad.
+        chord: (pixels, 2), direction of the chords along the plane of camera and lamp, and across it.
+        rule: (pixels,), which of `COUNTS`.
+        turn: (pixels, 2), cosine and sine of the plane of camera and lamp against the pixel's first axis.
+    """
+
+    radius: jax.Array
+    lamp_angle: np.ndarray
+    chord: np.ndarray
+    rule: np.ndarray
+    turn: np.ndarray
+
+
+def lamp_discs(
+    view: SphereView, blurs: list[Blur], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[list[LampDisc], np.ndarray] | None:
+    """Return the discs of some blurs, and how far they move what pixels see, (blurs, 2, pixels), px along the pixels' axes.
+
+    None where Gaussians of the discs' variances do. lamp_angle, x, y: of the pixels.
+    """
+    half = float(blurs[0].pixel.half_width)
+    sharpest = [float(np.min(np.asarray(blur.stds))) for blur in blurs]
+    turn = view.azimuth if view.azimuth <= np.pi / 4 else view.azimuth - np.pi / 2  # a square has four axes
+    cosine, sine = np.cos(turn), np.sin(turn)
+    moved = [_moved(view, blur, lamp_angle, x, y) for blur in blurs]
+    if all(
+        np.hypot(*at_peak).max() <= _GAUSSIAN * np.hypot(std, half / np.sqrt(3))
+        for (at_peak, _), std in zip(moved, sharpest, strict=True)
+    ):
+        return None
+    needed = np.zeros(x.shape)
+    for (at_peak, _), std in zip(moved, sharpest, strict=True):
+        first, second = (np.abs(a).max(0) for a in _rotated(*at_peak, cosine, sine))
+        first, second = (a / np.hypot(std, _PIXELS_SHARE * half) for a in (first, second))
+        large = np.maximum(COUNTS[1], _LEAST + _ACROSS * first + _ALONG * second)
+        needed = np.maximum(needed, np.where(np.maximum(first, second) <= _SMALL, 0.0, large))
+    rule = np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)
+    along, across = _image(view, lamp_angle)
+    chord = np.stack([across * sine, along * cosine], -1)
+    chord /= np.hypot(chord[:, :1], chord[:, 1:])
+    turns = np.broadcast_to([cosine, sine], (x.size, 2))
+    discs = [
+        LampDisc(jnp.broadcast_to(jnp.asarray(blur.lamp_radius), x.shape), lamp_angle, chord, rule, turns)
+        for blur in blurs
+    ]
+    return discs, np.stack([_SLACK * reach for _, reach in moved])
+
+
+def lamp_kernel(
+    view: SphereView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
+) -> jax.Array:
+    """Return the kernel over the disc, 1/px^2, at places on either side of the plane of camera and lamp, added up.
+
+    Differentiable in the disc's radius.
+
+    Args:
+        view: how the sphere is seen and lit.
+        blur: the blur under a point.
+        terms: of the blur.
+        disc: of a block of pixels.
+        normal: (block, nodes, azimuths) each, normals where the lamp's centre shows them.
+        at: (block, 1, 1) each, the pixel's place in the plane's axes, px.
+        variances: px^2, (block, 1, 1), that are added along x and y besides.
+    """
+    cosine, sine = (a[:, None, None] for a in disc.turn.T)
+    own_x, own_y = _rotated(at[0], at[1], cosine, sine)
+    radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
+    peak, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
+    from_ = [a[:, None, None] for a in peak]
+
+    sides = np.array([1.0, -1.0]).reshape(2, 1, 1, 1)
+    here = normal[0], sides * normal[1], normal[2]
+    # its beginning, middle and end, and two places in between
+    on_chord = np.array([-1.0, 0.0, 1.0, -0.5, 0.5])[:, None]
+
+    def of_chord(total, chord):  # type: ignore[no-untyped-def]
+        distance, half_length, share = chord
+        u, v = (
+            distance * disc.chord[:, 1 - n] * side + on_chord * half_length * disc.chord[:, n]
+            for n, side in ((0, 1), (1, -1))
+        )
+        to, light = _highlights(view, u, v, radius, lamp)
+        run = _rotated(*_place(view, to), *disc.turn.T)[1]
+        # the image's y is a cubic of the place on the chord: less of it is linear than the whole chord says
+        less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None, None]
+        light = [(share * part / own_light)[:, None, None] for part in light[:3]]
+        there = _turned(from_, [a[:3, None, :, None, None] for a in to], here)
+        x, y = _rotated(*_place(view, there), cosine, sine)
+        x, (y_0, y_1, y_2) = x - own_x, y - own_y
+        half, bend = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
+        # where on the chord, in [-1, 1], the pixel is met
+        on = -y_1 / half
+        on = jnp.clip(on - bend * on**2 / half - less * (on**3 - on), -1, 1)
+        seen = sum(
+            blur.weights[j]
+            * blur.kernel(_parabola(*x, on), j, variances[0])
+            * (blur.kernel_until(y_2, j, variances[1]) - blur.kernel_until(y_0, j, variances[1]))
+            for j in terms
+        )
+        density = 2 * (half * (1 + less * (3 * on**2 - 1)) + 2 * bend * on)
+        return total + jnp.sum(seen * _parabola(*light, on) / density, axis=0)
+
+    def step(total, chord):  # type: ignore[no-untyped-def]
+        return jax.lax.cond(jnp.any(chord[2] > 0), of_chord, lambda total, _: total, total, chord), None
+
+    start = jnp.zeros(jnp.broadcast_shapes(*(a.shape for a in normal)))
+    chords = tuple(jnp.asarray(table)[disc.rule].T for table in (_AT, _HALF, _SHARE))
+    return jax.lax.scan(step, start, chords)[0]
+
+
+def _moved(
+    view: SphereView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return how far the disc's rim moves the highlight along x and y, (rim, pixels), and at most what is seen, px."""
+    radius = jnp.maximum(blur.lamp_radius, _SMALLEST)
+    peak = _highlights(view, 0.0, 0.0, radius, lamp_angle)[0]
+    seen = view.normals(x, y)
+    at_peak: list[list[np.ndarray]] = []
+    farthest = np.zeros((2, *x.shape))
+    for angle in _ROUND:
+        to = _highlights(view, np.cos(angle), np.sin(angle), radius, lamp_angle)[0]
+        at_peak.append([np.asarray(a - b) for a, b in zip(_place(view, to), _place(view, peak), strict=True)])
+        here = [
+            np.asarray(a - b) for a, b in zip(_place(view, _turned(peak, to, seen)), _place(view, seen), strict=True)
+        ]
+        for offset in (at_peak[-1], here):
+            on_pixel = _rotated(offset[0], offset[1], np.cos(view.azimuth), np.sin(view.azimuth))
+            farthest = np.maximum(farthest, np.abs(on_pixel))
+    along, across = np.moveaxis(np.array(at_peak), 1, 0)
+    return (along, across), farthest
+
+
+def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far the highlight moves with the lamp along and across its plane, px/rad."""
+    step = 1e-4
+    ends = [_highlights(view, u, v, jnp.asarray(step), lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
+    (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)
+    return np.asarray(x - other) / 2 / step, np.asarray(y) / step
+
+
+def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, jax.Array]:
+    """Return the normals at the highlights of points of the disc, and the points' light.
+
+    u, v: of the points in radii of the disc, along the plane of camera and lamp, and across. The light is what a picture reads
+    of a point, but for a factor.
+    """
+    square = u**2 + v**2
+    # a distant disc shines evenly over its solid angle; a near one is flat and faces the centre
+    sunk, distant = square * 2 * jnp.sin(radius / 2) ** 2, view.lamp == 0
+    up = jnp.where(distant, 1 - sunk, 1.0)
+    aside = jnp.where(distant, np.sqrt(2) * jnp.sin(radius / 2) * jnp.sqrt(2 - sunk), jnp.tan(radius))
+    length = jnp.where(distant, 1.0, jnp.sqrt(1 + square * jnp.tan(radius) ** 2))
+    sin, cos = jnp.sin(lamp_angle), jnp.cos(lamp_angle)
+    lamp = [a / length for a in (up * sin + aside * u * cos, aside * v, up * cos - aside * u * sin)]
+    off = jnp.sqrt(jnp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
+    w = view.lamp / length
+    angle = _highlight(view, jnp.arctan2(off, lamp[2]), w)
+    normal = jnp.sin(angle) * lamp[0] / off, jnp.sin(angle) * lamp[1] / off, jnp.cos(angle)
+    up = sum(a * b for a, b in zip(normal, lamp, strict=True))
+    depth, view_2 = 1 - view.camera * normal[2], 1 + view.camera**2 - 2 * view.camera * normal[2]
+    return normal, jnp.sqrt(view_2) / depth**3 / (1 + w**2 - 2 * w * up) / length**2
+
+
+def _highlight(view: SphereView, lamp_angle: jax.Array, nearness: Any) -> jax.Array:
+    """Return the angle of the highlight's normal from the optical axis, rad: `Curved.highlight` inside a program."""
+    if is_concrete(view.camera) and is_concrete(view.lamp) and view.distant:
+        return lamp_angle / 2
+
+    def newton(_: int, angle: jax.Array) -> jax.Array:
+        miss, slope = 2 * angle - lamp_angle, jnp.full_like(angle, 2.0)
+        for aside, near, side in ((angle, view.camera, 1), (lamp_angle - angle, nearness, -1)):
+            sin, cos = near * jnp.sin(aside), near * jnp.cos(aside)
+            miss += side * jnp.arctan2(sin, 1 - cos)
+            slope += (cos - near**2) / (1 + near**2 - 2 * cos)
+        return jnp.clip(angle - miss / slope, 0, lamp_angle)
+
+    return jax.lax.fori_loop(0, _NEWTONS, newton, lamp_angle / 2)
+
+
+def _turned(one: Any, other: Any, normal: Any) -> tuple:
+    """Return a normal turned as the shortest turn takes one unit vector to another."""
+    axis = [one[j] * other[k] - one[k] * other[j] for j, k in ((1, 2), (2, 0), (0, 1))]
+    cos = sum(a * b for a, b in zip(one, other, strict=True))
+    part = sum(a * b for a, b in zip(axis, normal, strict=True)) / (1 + cos)
+    return tuple(
+        cos * normal[i] + axis[j] * normal[k] - axis[k] * normal[j] + axis[i] * part
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    )
+
+
+def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
+    """Return places of the plane's axes in the pixel's."""
+    return x * cosine - y * sine, x * sine + y * cosine
+
+
+def _place(view: SphereView, normal: Any) -> tuple[Any, Any]:
+    """Return where the picture shows a normal, px."""
+    depth = 1 - view.camera * normal[2]
+    return view.stretch * normal[0] / depth, view.stretch * normal[1] / depth
+
+
+def _parabola(first: Any, middle: Any, last: Any, on: Any) -> Any:
+    """Return the parabola through values at -1, 0 and 1."""
+    return middle + on * ((last - first) / 2 + on * ((last + first) / 2 - middle))
