@@ -14,8 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from matcam.core.errors import OutputError
 from matcam.core.io import check_output, replacing
@@ -62,12 +65,16 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
     """Write a figure without a date, so that the same data give the same file. `dpi` is a PNG's."""
     path = check_picture(path, force=force)
-    metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower())
-    drawn = io.BytesIO()  # on a full disk Matplotlib would raise what it likes
-    with styled():
-        figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
+    if path.suffix.lower() == ".png":
+        drawn = _png(figure, dpi)
+    else:
+        metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[path.suffix.lower()]
+        stream = io.BytesIO()  # on a full disk Matplotlib would raise what it likes
+        with styled():
+            figure.savefig(stream, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
+        drawn = stream.getvalue()  # an open view of it, kept by an error, brings Python 3.12 down
     with replacing(path, force=force) as temporary:
-        temporary.write_bytes(drawn.getvalue())  # an open view of it, kept by an error, brings Python 3.12 down
+        temporary.write_bytes(drawn)
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
@@ -85,10 +92,19 @@ def nyquist_line(axes: Axes, height: float = 1.0) -> None:
 
 def inline_png(figure: Figure) -> str:
     """Return a figure as the address of an image that stands in its page."""
-    stream = io.BytesIO()
+    return "data:image/png;base64," + base64.b64encode(_png(figure, 110)).decode()
+
+
+def _png(figure: Figure, dpi: float) -> bytes:
+    """Return a figure as a PNG file. `savefig` would lay it out twice, which takes longer than to draw it."""
+    stream, drawn_for = io.BytesIO(), figure.dpi
     with styled():
-        figure.savefig(stream, format="png", dpi=110)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+        figure.dpi = dpi
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        figure.dpi = drawn_for
+    Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(stream, format="png")
+    return stream.getvalue()
 
 
 def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, force: bool = False) -> None:

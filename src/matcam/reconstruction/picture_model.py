@@ -8,7 +8,7 @@ scale, take Gauss's rule of the kernel.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,6 +17,7 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.operator.lobe_operator import quick_table
 from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 
@@ -47,6 +48,32 @@ class Recorded(NamedTuple):
     lobe: Any
     lambert: Any
     theta_d: Any
+
+
+class Light(NamedTuple):
+    """Hold the parameters of one picture that change the radiance; their derivatives are found apart.
+
+    Attributes:
+        lobe: coordinates of the lobe: they change no angle.
+        pose: both nearnesses and the lamp's turn: camera, lamp, a, b.
+        shape: terms of the diffuse part.
+        table: of the lobe's Lambda where that is an integral: all pictures share it. Default: None.
+        by_lobe: its derivatives by the lobe's coordinates, (coordinates, nodes), where they are asked for. Default: None.
+    """
+
+    lobe: Any
+    pose: Any
+    shape: Any
+    table: Any = None
+    by_lobe: Any = None
+
+
+class LightSlopes(NamedTuple):
+    """Hold derivatives by the parameters of a `Light`, each with a trailing axis for the parameters."""
+
+    lobe: Any
+    pose: Any
+    shape: Any
 
 
 class KernelSlopes(NamedTuple):
@@ -97,23 +124,24 @@ class PictureModel(eqx.Module):
         self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
         """Return what a window records, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
-        return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p), frame, window)
+        return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p, slopes), frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
         """Return what single pixels record, (pixels,), and the derivatives, with a trailing (size,)."""
         name = "_pixels_slopes" if slopes else "_pixels_value"
-        return _compiled(name)(self, *self._split(p), frame, (column, row))
+        return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
 
-    def _split(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _split(self, p: np.ndarray, slopes: bool) -> tuple[Light, np.ndarray]:
         """Part the parameters that change the radiance from those that change the kernel."""
         n, own = self.kind.size, self.size - len(OWN)
-        return np.concatenate([p[:n], p[n + 2 : own], p[own + 2 :]]), np.concatenate([p[n : n + 2], p[own : own + 2]])
+        shape = n + len(SCENE)
+        table = (None, None) if self.kind.masking is None else _lambda_table(self.kind, p[:n].tobytes(), slopes)
+        light = Light(p[:n], np.concatenate([p[n + 2 : shape], p[own + 2 :]]), p[shape:own], *table)
+        return light, np.concatenate([p[n : n + 2], p[own : own + 2]])
 
-    def _window_value(
-        self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window
-    ) -> tuple[Recorded, None]:
+    def _window_value(self, light: Light, kernel: jax.Array, frame: LampFrame, window: Window) -> tuple[Recorded, None]:
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         emitted = self._emitted(light, frame, window) * kernel[1] ** 2 * _area(window)
         lobe, lambert = sum(
@@ -123,14 +151,15 @@ class PictureModel(eqx.Module):
         return Recorded(lobe, lambert, theta_d(light, kernel)), None
 
     def _window_slopes(
-        self, light: jax.Array, kernel: jax.Array, frame: LampFrame, window: Window
+        self, light: Light, kernel: jax.Array, frame: LampFrame, window: Window
     ) -> tuple[Recorded, Recorded]:
         """Return value and derivatives, put together by hand: of the kernel three arrays serve all its parameters."""
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         radius, turned, (lateral, height) = kernel[1], window.turned > 0, _seen_disc(window)
         area = radius**2 * _area(window)
         emitted = self._emitted(light, frame, window) * area
-        by_light = jax.jacfwd(lambda x: self._emitted(x, frame, window))(light) * area
+        by_each = _by_each(lambda x: self._emitted(x, frame, window), light)
+        by_light = jnp.concatenate(by_each, axis=-1) * area
         value, slopes = jnp.zeros(()), jnp.zeros(())
         for weight, of_u, of_v in zip(self.blur.weights, sum_u, sum_v, strict=True):
             rows = jnp.einsum("avu,kvu->kva", of_u.value, emitted)
@@ -152,14 +181,17 @@ class PictureModel(eqx.Module):
             by_kernel = jnp.stack([by_lens, by_radius, jnp.where(turned, by_v, by_u), jnp.where(turned, by_u, by_v)])
             value += weight * one
             slopes += weight * jnp.concatenate([over_v(of_v.value, lit), by_kernel])
-        count = light.size
+        ends = np.cumsum([part.shape[-1] for part in by_each])
         pair = jnp.moveaxis(slopes, 0, -1)
-        angle = jax.jacfwd(theta_d, argnums=(0, 1))(light, kernel)
-        lobe, lambert = (self._in_order(part[..., :count], part[..., count:]) for part in pair)
+        angle = _by_each(lambda x: theta_d(x, kernel), light), jax.jacfwd(theta_d, argnums=1)(light, kernel)
+        lobe, lambert = (
+            self._in_order(LightSlopes(*by_light), by_kernel)
+            for *by_light, by_kernel in (jnp.split(part, ends, axis=-1) for part in pair)
+        )
         derivative = Recorded(lobe, lambert, self._in_order(*angle))
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
-    def _emitted(self, light: jax.Array, frame: LampFrame, window: Window) -> jax.Array:
+    def _emitted(self, light: Light, frame: LampFrame, window: Window) -> jax.Array:
         """Return the radiance of both parts at the nodes times their weights, (2, v, u)."""
         u, v = window.u[None, :], window.v[:, None]
         along, across = _along(window), jnp.sin(v) + 0 * u
@@ -171,7 +203,7 @@ class PictureModel(eqx.Module):
 
     def _projection(
         self, kernel: jax.Array, window: Window, frame: LampFrame
-    ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[jax.Array, jax.Array], jax.Array]]:
+    ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[Light, jax.Array], jax.Array]]:
         """Return each term's kernel from nodes to pixels along u and v, and theta_d of the pixels as a function."""
         lens, radius, column, row = kernel
         turned = window.turned > 0
@@ -187,7 +219,7 @@ class PictureModel(eqx.Module):
         where_u, where_v = jnp.einsum("ij,jkl->ikl", jnp.linalg.inv(window.stretch), where)
         pixel_column, pixel_row = jnp.where(turned, where_v, where_u), jnp.where(turned, where_u, where_v)
 
-        def theta_d(light: jax.Array, kernel: jax.Array) -> jax.Array:
+        def theta_d(light: Light, kernel: jax.Array) -> jax.Array:
             _, radius, column, row = kernel
             return self._theta_d(light, frame, (pixel_column - column) / radius, (row - pixel_row) / radius)
 
@@ -208,16 +240,14 @@ class PictureModel(eqx.Module):
     def _pixels_value(self, *parts: Any) -> tuple[Recorded, None]:
         return self._of_pixels(*parts), None
 
-    def _pixels_slopes(self, light: jax.Array, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
-        def twice(light: jax.Array, kernel: jax.Array) -> tuple[Recorded, Recorded]:
-            recorded = self._of_pixels(light, kernel, *rest)
-            return recorded, recorded
-
-        slopes, recorded = jax.jacfwd(twice, argnums=(0, 1), has_aux=True)(light, kernel)
-        return recorded, Recorded(*(self._in_order(*pair) for pair in slopes))
+    def _pixels_slopes(self, light: Light, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
+        by_light = _by_each(lambda x: self._of_pixels(x, kernel, *rest), light)
+        by_kernel = jax.jacfwd(lambda x: self._of_pixels(light, x, *rest))(kernel)
+        slopes = (self._in_order(LightSlopes(*each), own) for *each, own in zip(*by_light, by_kernel, strict=True))
+        return self._of_pixels(light, kernel, *rest), Recorded(*slopes)
 
     def _of_pixels(
-        self, light: jax.Array, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
+        self, light: Light, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
     ) -> Recorded:
         lens, radius, column, row = kernel
         centre_x, centre_y = (at[0] - column) / radius, (row - at[1]) / radius
@@ -237,18 +267,17 @@ class PictureModel(eqx.Module):
         return Recorded(lobe, lambert, self._theta_d(light, frame, centre_x, centre_y))
 
     def _radiance(
-        self, light: jax.Array, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
+        self, light: Light, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Return the radiance of both parts at places of the disc, the mean over the lamp's own disc."""
-        n = self.kind.size
-        ndf, (camera, lamp, *shape, a, b) = self.kind.ndf(light[:n]), light[n:]
-        terms = jnp.asarray(shape)
+        ndf, (camera, lamp, a, b), terms = self.kind.ndf(light.lobe), light.pose, light.shape
         normal = normal_at(p_x, p_y, depth, camera)
 
         def under(point: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             place, weight = point
             x, y, z = turned_lamp(frame, a + place[0], b + place[1])
-            lobe, lambert = radiance(ndf, self.kind.masking, terms, *sphere_shading(normal, (x, y, z), camera, lamp))
+            shaded = sphere_shading(normal, (x, y, z), camera, lamp)
+            lobe, lambert = radiance(ndf, self.kind.masking, terms, *shaded, light.table)
             return weight * lobe, weight * lambert
 
         if len(self.weights) == 1:
@@ -260,21 +289,14 @@ class PictureModel(eqx.Module):
         start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
         return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
 
-    def _in_order(self, by_light: jax.Array, by_kernel: jax.Array) -> jax.Array:
+    def _in_order(self, light: LightSlopes, kernel: jax.Array) -> jax.Array:
         """Put derivatives into the order of a picture's parameters: lobe, scene, diffuse part, own."""
-        n, lamp = self.kind.size, by_light.shape[-1] - 2
-        parts = [
-            by_light[..., :n],
-            by_kernel[..., :2],
-            by_light[..., n:lamp],
-            by_kernel[..., 2:],
-            by_light[..., lamp:],
-        ]
+        parts = [light.lobe, kernel[..., :2], light.pose[..., :2], light.shape, kernel[..., 2:], light.pose[..., 2:]]
         return jnp.concatenate(parts, axis=-1)
 
-    def _theta_d(self, light: jax.Array, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
+    def _theta_d(self, light: Light, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
         """Return theta_d where the line of sight through a pixel's centre meets the sphere, or passes closest."""
-        camera, lamp, *_, a, b = light[self.kind.size :]
+        camera, lamp, a, b = light.pose
         beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
         shrink = 1 / jnp.maximum(beyond, 1.0)
         p_x, p_y = p_x * shrink, p_y * shrink
@@ -284,6 +306,50 @@ class PictureModel(eqx.Module):
         towards_lamp, view, _ = light_and_view(normal, (x, y, z), camera, lamp)
         cos2 = sum(s * t for s, t in zip(towards_lamp, view, strict=True))
         return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
+
+
+def _by_each(function: Callable[[Light], Any], light: Light) -> LightSlopes:
+    """Return the derivatives of a function of the light: along each part apart, what the others change is not carried along."""
+
+    def of_lobe(lobe: jax.Array, table: jax.Array | None) -> Any:
+        return function(light._replace(lobe=lobe, table=table))
+
+    def along_lobe(change: jax.Array, of_table: jax.Array | None) -> Any:
+        return jax.jvp(of_lobe, (light.lobe, light.table), (change, of_table))[1]
+
+    return LightSlopes(
+        jax.vmap(along_lobe, out_axes=-1)(jnp.eye(light.lobe.size), light.by_lobe),
+        jax.jacfwd(lambda pose: function(light._replace(pose=pose)))(light.pose),
+        jax.jacfwd(lambda shape: function(light._replace(shape=shape)))(light.shape),
+    )
+
+
+@lru_cache(maxsize=8)
+def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return the table of a lobe's Lambda, and its derivatives where asked for; None where Lambda has a closed form.
+
+    Args:
+        kind: what the lobe is.
+        lobe: its coordinates, the bytes of (kind.size,).
+        slopes: whether derivatives are asked for.
+    """
+    q = np.frombuffer(lobe)
+    if not slopes:
+        return _table_of(kind, q), None
+    return _table_slopes(kind, q)
+
+
+@partial(jit_plainly, static=("kind",))
+def _table_of(kind: LobeKind, q: jax.Array) -> jax.Array | None:
+    return quick_table(kind.ndf(q))
+
+
+@partial(jit_plainly, static=("kind",))
+def _table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
+    table = quick_table(kind.ndf(q))
+    if table is None:
+        return None, None
+    return table, jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T
 
 
 @cache

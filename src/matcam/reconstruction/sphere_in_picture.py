@@ -67,11 +67,18 @@ def sphere_shading(
 
 
 def radiance(
-    slopes: SlopeDistribution, masking: Masking, shape: jax.Array, at: Shading, closeness: jax.Array
+    slopes: SlopeDistribution,
+    masking: Masking,
+    shape: jax.Array,
+    at: Shading,
+    closeness: jax.Array,
+    table: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """Return the radiance of a lobe with F = 1, and of a diffuse surface of albedo 1, under unit irradiance at the centre.
 
     It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
+
+    table: that table, where it is at hand. Default: None.
     """
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)
@@ -83,7 +90,7 @@ def radiance(
     if masking is not None:
         azimuth = azimuth_difference(theta_h_of(at), at.theta_d, at.phi_d)
         if isinstance(slopes, NDF):
-            lambdas = quick_lambda(slopes, cos_i), quick_lambda(slopes, cos_o)
+            lambdas = quick_lambda(slopes, cos_i, table), quick_lambda(slopes, cos_o, table)
         else:
             lambdas = slopes.lambdas(at._replace(cos_i=cos_i, cos_o=cos_o))
         lobe *= g2(masking, *lambdas, azimuth)

@@ -178,9 +178,12 @@ class _Rules(NamedTuple):
         )
 
 
-def quick_lambda(ndf: NDF, cos: jax.Array) -> jax.Array:
-    """Return Lambda; where it is an integral, from a small table, which the operator's own accuracy allows."""
-    table = quick_table(ndf)
+def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> jax.Array:
+    """Return Lambda; where it is an integral, from a small table, which the operator's own accuracy allows.
+
+    table: as `quick_table` returns it, where it is at hand. Default: None.
+    """
+    table = quick_table(ndf) if table is None else table
     return ndf.smith_lambda(cos) if table is None else lambda_from_table(table, ndf.roughness, cot_of(cos))
 
 

@@ -26,6 +26,8 @@ _CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says noth
 _HUBER = 4.0
 _STEPS, _ATTEMPTS = 25, 9
 _SETTLED = 1e-3  # of a standard deviation
+_SLIGHT, _LOOK_BACK = 10.0, 3
+"""A step that gains less, of what is enough, is the last where the cost is not below that of so many steps before."""
 _NO_CHANGE, _ALL_LOST = 1e-12, 1e-6
 """Of the largest change of information; and least share of it that is left."""
 _MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
@@ -156,10 +158,11 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
     free = np.flatnonzero(~problem.fixed)
     damping, mixing = 1e-3, AndersonMixing()
     at = _assembled(problem, judge, p)
+    costs = [at.cost]
     for _ in range(_STEPS):
         scale = np.sqrt(np.maximum(np.diag(at.normal), 1e-30))
         first = _damped_step(problem, at, scale, free, damping, p)
-        step, accepted = mixing.step(p, first, at.normal), False
+        step, accepted, raised = mixing.step(p, first, at.normal), False, False
         mixed = step is not first
         for _ in range(_ATTEMPTS):
             trial = np.clip(p + step, problem.low, problem.high)
@@ -171,15 +174,19 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
             if mixed:
                 mixed, step = False, first
             else:
-                damping *= 8
+                damping, raised = 8 * damping, True
                 step = _damped_step(problem, at, scale, free, damping, p)
         if not accepted:
             break
         gained, moved = at.cost - cost, np.abs((trial - p) * scale).max()
-        p, damping = trial, max(damping / 10, 1e-9)
+        p, damping = trial, damping if raised else max(damping / 10, 1e-9)
         if moved < _SETTLED or (gained < enough and (not mixed or abs(at.gradient @ first) < 5 * enough)):
             break
         at = _assembled(problem, judge, p)
+        costs.append(at.cost)
+        # the noise is the model's: near the end a step may gain what the noise that belongs to it takes back
+        if gained < _SLIGHT * enough and len(costs) > _LOOK_BACK and at.cost > costs[-1 - _LOOK_BACK] - enough:
+            break
     if not np.all(np.isfinite(p)):
         raise FitError(
             "the fit of the pictures ran into numbers that are none: they do not look like a sphere's highlights"
