@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from matcam.core.jax import jax, jit_plainly, jnp
+from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import quick_table
@@ -325,7 +325,7 @@ def _by_each(function: Callable[[Light], Any], light: Light) -> LightSlopes:
 
 
 @lru_cache(maxsize=8)
-def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[AnyArray | None, AnyArray | None]:
     """Return the table of a lobe's Lambda, and its derivatives where asked for; None where Lambda has a closed form.
 
     Args:
@@ -340,16 +340,16 @@ def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[np.ndarray
 
 
 @partial(jit_plainly, static=("kind",))
-def _table_of(kind: LobeKind, q: jax.Array) -> jax.Array | None:
-    return quick_table(kind.ndf(q))
+def _table_of(kind: LobeKind, q: AnyArray) -> jax.Array | None:
+    return quick_table(kind.ndf(jnp.asarray(q)))
 
 
 @partial(jit_plainly, static=("kind",))
-def _table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
-    table = quick_table(kind.ndf(q))
+def _table_slopes(kind: LobeKind, q: AnyArray) -> tuple[jax.Array | None, jax.Array | None]:
+    table = quick_table(kind.ndf(jnp.asarray(q)))
     if table is None:
         return None, None
-    return table, jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T
+    return table, jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(jnp.asarray(q)).T
 
 
 @cache
