@@ -172,9 +172,9 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
             found = noise_from_residuals(residual[known], model[known])
             gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
             weight = known / (gain * np.maximum(model, 0) + read)
-        normal = np.einsum("npi,np,npj->nij", design, weight, design)
-        inverse = scaled_inverse(normal)
-        change = np.einsum("nij,npj,np->ni", inverse, design, weight * residual)
+        across = design.transpose(0, 2, 1)
+        inverse = scaled_inverse((across * weight[:, None]) @ design)
+        change = (inverse @ (across @ (weight * residual)[..., None]))[..., 0]
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
         std = np.sqrt(np.einsum("nii->ni", inverse))

@@ -297,12 +297,12 @@ def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFS
     mean = float(np.mean(pilot))
     # about one sigma for all: what a dot's own adds to it is taken back, to first order
     residual = dots.residual + dots.design[:, :, 6] * (pilot - mean)[:, None]
-    a = np.einsum("npi,np,npj->nij", own, weight, own)
-    b = np.einsum("npi,np,npj->nij", own, weight, shared)
-    r = np.einsum("npi,np->ni", own, weight * residual)
-    solved = np.linalg.solve(a, np.concatenate([b, r[..., None]], axis=2))
-    normal = (np.einsum("npi,np,npj->nij", shared, weight, shared) - b.transpose(0, 2, 1) @ solved[:, :, :5]).sum(0)
-    right = (np.einsum("npi,np->ni", shared, weight * residual) - np.einsum("nji,nj->ni", b, solved[:, :, 5])).sum(0)
+    by_own, by_shared = ((part * weight[..., None]).transpose(0, 2, 1) for part in (own, shared))
+    b, r = by_own @ shared, by_own @ residual[..., None]
+    solved = np.linalg.solve(by_own @ own, np.concatenate([b, r], axis=2))
+    back = b.transpose(0, 2, 1)
+    normal = (by_shared @ shared - back @ solved[:, :, :5]).sum(0)
+    right = (by_shared @ residual[..., None] - back @ solved[:, :, 5:])[..., 0].sum(0)
     covariance = np.linalg.inv(normal)
     found = covariance @ right
     wx, wy = (2 * np.pi * _FREQUENCY * t for t in (np.cos(_DIRECTION), np.sin(_DIRECTION)))
