@@ -103,7 +103,7 @@ def test_other_models():
     assert abs(fit.values[0] - 0.5) < 4 * fit.std[0]
     # the fit takes edges for endless: a halo of 12 px sees the corners of squares of 74 px
     assert fit.values[1:] == pytest.approx([0.1, 12.0], rel=0.1)
-    assert fit.misfit < 3 * fit.misfit_std
+    assert fit.consistent  # the largest of many differences: up to 3 standard deviations by chance
     gaussian = calibrate([counts]).channels["grey"]
     assert not gaussian.consistent
     # light that bends over a square takes a part of so wide a halo: three times the misfit, not thirty, as in even light
