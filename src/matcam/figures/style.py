@@ -96,7 +96,7 @@ def inline_png(figure: Figure) -> str:
 
 
 def _png(figure: Figure, dpi: float) -> bytes:
-    """Return a figure as a PNG file. `savefig` would lay it out twice, which takes longer than to draw it."""
+    """Return a figure as a PNG file. `savefig` would lay it out twice."""
     stream, drawn_for = io.BytesIO(), figure.dpi
     with styled():
         figure.dpi = dpi
