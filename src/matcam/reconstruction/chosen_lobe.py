@@ -211,7 +211,7 @@ def chosen_fit(
             first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None and not best.kind.bends else chosen)
         )
     if few is not None:
-        return ChosenFit(best, few.tried, tuple(remarks), few.widened)
+        return ChosenFit(_with_its_lens_open(counted_alike(best)), few.tried, tuple(remarks), few.widened)
     widened: dict[str, float] = {}
     for _ in range(_TURNS):
         found = _contradiction(counted_alike(best), scene)
