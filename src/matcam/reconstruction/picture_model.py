@@ -50,7 +50,7 @@ class Recorded(NamedTuple):
     theta_d: Any
 
 
-class Light(NamedTuple):
+class ShownLight(NamedTuple):
     """Hold the parameters of one picture that change the radiance; their derivatives are found apart.
 
     Attributes:
@@ -68,8 +68,8 @@ class Light(NamedTuple):
     by_lobe: Any = None
 
 
-class LightSlopes(NamedTuple):
-    """Hold derivatives by the parameters of a `Light`, each with a trailing axis for the parameters."""
+class ShownSlopes(NamedTuple):
+    """Hold derivatives by the parameters of a `ShownLight`, each with a trailing axis for the parameters."""
 
     lobe: Any
     pose: Any
@@ -133,15 +133,17 @@ class PictureModel(eqx.Module):
         name = "_pixels_slopes" if slopes else "_pixels_value"
         return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
 
-    def _split(self, p: np.ndarray, slopes: bool) -> tuple[Light, np.ndarray]:
+    def _split(self, p: np.ndarray, slopes: bool) -> tuple[ShownLight, np.ndarray]:
         """Part the parameters that change the radiance from those that change the kernel."""
         n, own = self.kind.size, self.size - len(OWN)
         shape = n + len(SCENE)
         table = (None, None) if self.kind.masking is None else _lambda_table(self.kind, p[:n].tobytes(), slopes)
-        light = Light(p[:n], np.concatenate([p[n + 2 : shape], p[own + 2 :]]), p[shape:own], *table)
+        light = ShownLight(p[:n], np.concatenate([p[n + 2 : shape], p[own + 2 :]]), p[shape:own], *table)
         return light, np.concatenate([p[n : n + 2], p[own : own + 2]])
 
-    def _window_value(self, light: Light, kernel: jax.Array, frame: LampFrame, window: Window) -> tuple[Recorded, None]:
+    def _window_value(
+        self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
+    ) -> tuple[Recorded, None]:
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         emitted = self._emitted(light, frame, window) * kernel[1] ** 2 * _area(window)
         lobe, lambert = sum(
@@ -151,7 +153,7 @@ class PictureModel(eqx.Module):
         return Recorded(lobe, lambert, theta_d(light, kernel)), None
 
     def _window_slopes(
-        self, light: Light, kernel: jax.Array, frame: LampFrame, window: Window
+        self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
     ) -> tuple[Recorded, Recorded]:
         """Return value and derivatives, put together by hand: of the kernel three arrays serve all its parameters."""
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
@@ -185,13 +187,13 @@ class PictureModel(eqx.Module):
         pair = jnp.moveaxis(slopes, 0, -1)
         angle = _by_each(lambda x: theta_d(x, kernel), light), jax.jacfwd(theta_d, argnums=1)(light, kernel)
         lobe, lambert = (
-            self._in_order(LightSlopes(*by_light), by_kernel)
+            self._in_order(ShownSlopes(*by_light), by_kernel)
             for *by_light, by_kernel in (jnp.split(part, ends, axis=-1) for part in pair)
         )
         derivative = Recorded(lobe, lambert, self._in_order(*angle))
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
-    def _emitted(self, light: Light, frame: LampFrame, window: Window) -> jax.Array:
+    def _emitted(self, light: ShownLight, frame: LampFrame, window: Window) -> jax.Array:
         """Return the radiance of both parts at the nodes times their weights, (2, v, u)."""
         u, v = window.u[None, :], window.v[:, None]
         along, across = _along(window), jnp.sin(v) + 0 * u
@@ -203,7 +205,7 @@ class PictureModel(eqx.Module):
 
     def _projection(
         self, kernel: jax.Array, window: Window, frame: LampFrame
-    ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[Light, jax.Array], jax.Array]]:
+    ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[ShownLight, jax.Array], jax.Array]]:
         """Return each term's kernel from nodes to pixels along u and v, and theta_d of the pixels as a function."""
         lens, radius, column, row = kernel
         turned = window.turned > 0
@@ -219,7 +221,7 @@ class PictureModel(eqx.Module):
         where_u, where_v = jnp.einsum("ij,jkl->ikl", jnp.linalg.inv(window.stretch), where)
         pixel_column, pixel_row = jnp.where(turned, where_v, where_u), jnp.where(turned, where_u, where_v)
 
-        def theta_d(light: Light, kernel: jax.Array) -> jax.Array:
+        def theta_d(light: ShownLight, kernel: jax.Array) -> jax.Array:
             _, radius, column, row = kernel
             return self._theta_d(light, frame, (pixel_column - column) / radius, (row - pixel_row) / radius)
 
@@ -240,14 +242,14 @@ class PictureModel(eqx.Module):
     def _pixels_value(self, *parts: Any) -> tuple[Recorded, None]:
         return self._of_pixels(*parts), None
 
-    def _pixels_slopes(self, light: Light, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
+    def _pixels_slopes(self, light: ShownLight, kernel: jax.Array, *rest: Any) -> tuple[Recorded, Recorded]:
         by_light = _by_each(lambda x: self._of_pixels(x, kernel, *rest), light)
         by_kernel = jax.jacfwd(lambda x: self._of_pixels(light, x, *rest))(kernel)
-        slopes = (self._in_order(LightSlopes(*each), own) for *each, own in zip(*by_light, by_kernel, strict=True))
+        slopes = (self._in_order(ShownSlopes(*each), own) for *each, own in zip(*by_light, by_kernel, strict=True))
         return self._of_pixels(light, kernel, *rest), Recorded(*slopes)
 
     def _of_pixels(
-        self, light: Light, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
+        self, light: ShownLight, kernel: jax.Array, frame: LampFrame, at: tuple[jax.Array, jax.Array]
     ) -> Recorded:
         lens, radius, column, row = kernel
         centre_x, centre_y = (at[0] - column) / radius, (row - at[1]) / radius
@@ -267,7 +269,7 @@ class PictureModel(eqx.Module):
         return Recorded(lobe, lambert, self._theta_d(light, frame, centre_x, centre_y))
 
     def _radiance(
-        self, light: Light, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
+        self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
         """Return the radiance of both parts at places of the disc, the mean over the lamp's own disc."""
         ndf, (camera, lamp, a, b), terms = self.kind.ndf(light.lobe), light.pose, light.shape
@@ -289,12 +291,12 @@ class PictureModel(eqx.Module):
         start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
         return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
 
-    def _in_order(self, light: LightSlopes, kernel: jax.Array) -> jax.Array:
+    def _in_order(self, light: ShownSlopes, kernel: jax.Array) -> jax.Array:
         """Put derivatives into the order of a picture's parameters: lobe, scene, diffuse part, own."""
         parts = [light.lobe, kernel[..., :2], light.pose[..., :2], light.shape, kernel[..., 2:], light.pose[..., 2:]]
         return jnp.concatenate(parts, axis=-1)
 
-    def _theta_d(self, light: Light, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
+    def _theta_d(self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
         """Return theta_d where the line of sight through a pixel's centre meets the sphere, or passes closest."""
         camera, lamp, a, b = light.pose
         beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
@@ -308,7 +310,7 @@ class PictureModel(eqx.Module):
         return jnp.arccos(jnp.clip(cos2, -1 + 1e-12, 1 - 1e-12)) / 2
 
 
-def _by_each(function: Callable[[Light], Any], light: Light) -> LightSlopes:
+def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> ShownSlopes:
     """Return the derivatives of a function of the light: along each part apart, what the others change is not carried along."""
 
     def of_lobe(lobe: jax.Array, table: jax.Array | None) -> Any:
@@ -317,7 +319,7 @@ def _by_each(function: Callable[[Light], Any], light: Light) -> LightSlopes:
     def along_lobe(change: jax.Array, of_table: jax.Array | None) -> Any:
         return jax.jvp(of_lobe, (light.lobe, light.table), (change, of_table))[1]
 
-    return LightSlopes(
+    return ShownSlopes(
         jax.vmap(along_lobe, out_axes=-1)(jnp.eye(light.lobe.size), light.by_lobe),
         jax.jacfwd(lambda pose: function(light._replace(pose=pose)))(light.pose),
         jax.jacfwd(lambda shape: function(light._replace(shape=shape)))(light.shape),
