@@ -35,7 +35,7 @@ from matcam.sample.curved import Sphere
 _WIDTHS = np.geomspace(3e-4, 0.5, 14)
 _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
-_ROUGHLY, _ENOUGH = 3.0, 0.1  # of the cost
+_ROUGHLY, _NEARLY, _ENOUGH = 3.0, 1.0, 0.1  # of the cost
 _SYSTEMATIC = 0.01
 """Unexplained share from which residuals are alike in neighbouring pixels: a cost of 1 is then no standard deviation."""
 _HOPELESS = 20.0
@@ -257,7 +257,7 @@ def counted_alike(fit: SphereFit) -> SphereFit:
     left = unexplained_by(problem, p)
     if left.share == 0:
         return fit
-    p = solve(problem, p, left, _ROUGHLY if left.share > _SYSTEMATIC else _ENOUGH)
+    p = solve(problem, p, left, _NEARLY if left.share > _SYSTEMATIC else _ENOUGH)
     return replace(fit, solution=summed_up(problem, p, left))
 
 
