@@ -16,16 +16,17 @@ from tests.oracle import slanted_edge, slanted_squares
 from matcam import calibrate, edge_mtf_stack
 from matcam.files.photographs import open_photograph
 
-HEIGHT, WIDTH, SIGMA, SNR, ROUNDS = 4000, 6000, 0.6, 60, 5
+HEIGHT, WIDTH, DEGREES, SIGMA, SNR, ROUNDS = 4000, 6000, 5, 0.6, 60, 5
 
 
-def draw(folder: Path) -> None:
-    """The chart as files of 16 bits."""
-    picture, _ = slanted_squares.field((HEIGHT, WIDTH), 290, 140, 5, SIGMA, dark=0.25, light=0.3)
+def draw(folder: Path, pitch: int = 290, side: int = 140) -> np.ndarray:
+    """The chart as files of 16 bits, and the places of its squares' sides."""
+    picture, sides = slanted_squares.field((HEIGHT, WIDTH), pitch, side, DEGREES, SIGMA, dark=0.25, light=0.3)
     counts = np.random.default_rng(1).poisson(picture * SNR**2)
     codes = np.clip(14 * counts, 0, 65535).astype(np.uint16)
     (folder / "chart.png").write_bytes(imagecodecs.png_encode(codes, level=1))
     tifffile.imwrite(folder / "chart.tif", codes)
+    return sides[:, :2]
 
 
 def seconds(function, *arguments, **more) -> float:

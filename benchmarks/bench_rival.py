@@ -14,25 +14,14 @@ import tempfile
 import time
 from pathlib import Path
 
-import imagecodecs
 import numpy as np
-import tifffile
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
-from tests.oracle import slanted_squares
 
-HEIGHT, WIDTH, PITCH, SIDE, DEGREES, SIGMA, SNR, ROUNDS = 4000, 6000, 148, 74, 5, 0.6, 60, 3
+from bench_calibrate import DEGREES, SIGMA, draw
+
+PITCH, SIDE, ROUNDS = 148, 74, 3
 NEAR = SIDE / 4  # px: what is measured further from every side's middle is no edge of the chart
-
-
-def draw(folder: Path) -> None:
-    """The chart as files of 16 bits, and the places of its sides."""
-    picture, sides = slanted_squares.field((HEIGHT, WIDTH), PITCH, SIDE, DEGREES, SIGMA, dark=0.25, light=0.3)
-    counts = np.random.default_rng(1).poisson(picture * SNR**2)
-    codes = np.clip(14 * counts, 0, 65535).astype(np.uint16)
-    (folder / "chart.png").write_bytes(imagecodecs.png_encode(codes, level=1))
-    tifffile.imwrite(folder / "chart.tif", codes)
-    np.save(folder / "sides.npy", sides[:, :2])
 
 
 def true_mtf50() -> float:
@@ -125,4 +114,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[2])) if sys.argv[1:2] == ["--draw"] else main()
+    if sys.argv[1:2] == ["--draw"]:
+        np.save(Path(sys.argv[2]) / "sides.npy", draw(Path(sys.argv[2]), PITCH, SIDE))
+    else:
+        main()

@@ -17,7 +17,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.inverse.operator.lobe_operator import quick_table
+from matcam.inverse.fit.slopes_by_slice import table_slopes
 from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 
@@ -137,8 +137,8 @@ class PictureModel(eqx.Module):
         """Part the parameters that change the radiance from those that change the kernel."""
         n, own = self.kind.size, self.size - len(OWN)
         shape = n + len(SCENE)
-        table = (None, None) if self.kind.masking is None else _lambda_table(self.kind, p[:n].tobytes(), slopes)
-        light = ShownLight(p[:n], np.concatenate([p[n + 2 : shape], p[own + 2 :]]), p[shape:own], *table)
+        pose = np.concatenate([p[n + 2 : shape], p[own + 2 :]])
+        light = ShownLight(p[:n], pose, p[shape:own], *_lambda_table(self.kind, p[:n].tobytes(), slopes))
         return light, np.concatenate([p[n : n + 2], p[own : own + 2]])
 
     def _window_value(
@@ -335,23 +335,13 @@ def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[AnyArray |
         lobe: its coordinates, the bytes of (kind.size,).
         slopes: whether derivatives are asked for.
     """
-    q = np.frombuffer(lobe)
-    if not slopes:
-        return _table_of(kind, q), None
-    return _table_slopes(kind, q)
+    return _table_of(kind, np.frombuffer(lobe), slopes)
 
 
-@partial(jit_plainly, static=("kind",))
-def _table_of(kind: LobeKind, q: AnyArray) -> jax.Array | None:
-    return quick_table(kind.ndf(jnp.asarray(q)))
-
-
-@partial(jit_plainly, static=("kind",))
-def _table_slopes(kind: LobeKind, q: AnyArray) -> tuple[jax.Array | None, jax.Array | None]:
-    table = quick_table(kind.ndf(jnp.asarray(q)))
-    if table is None:
-        return None, None
-    return table, jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(jnp.asarray(q)).T
+@partial(jit_plainly, static=("kind", "slopes"))
+def _table_of(kind: LobeKind, q: AnyArray, slopes: bool) -> tuple[jax.Array | None, jax.Array | None]:
+    table, by_lobe = table_slopes(kind, jnp.asarray(q))
+    return table, by_lobe if slopes else None
 
 
 @cache

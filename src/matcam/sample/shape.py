@@ -282,24 +282,7 @@ class Curved(Sample):
         lamp_angle = jnp.asarray(lamp_angle, dtype=jnp.float64)
         if self.distant and lamp_nearness is None:
             return lamp_angle / 2
-        q, w = self.nearness, 0.0 if lamp_nearness is None else lamp_nearness
-
-        def miss(u: jax.Array) -> tuple[jax.Array, jax.Array]:
-            view, view_slope = _parallax(u, q)
-            light, light_slope = _parallax(lamp_angle - u, w)
-            return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
-
-        def newton(_: int, state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-            u, low, high = state  # a root lies between these: a step that leaves them is replaced by a bisection
-            value, slope = miss(u)
-            low, high = jnp.where(value < 0, u, low), jnp.where(value < 0, high, u)
-            step = u - value / slope
-            inside = (step >= low) & (step <= high)
-            return jnp.where(inside, step, (low + high) / 2), low, high
-
-        start = lamp_angle / 2
-        ends = jnp.minimum(0.0, lamp_angle), jnp.maximum(0.0, lamp_angle)
-        return jax.lax.fori_loop(0, 24, newton, (start, *ends))[0]
+        return highlight_between(lamp_angle, self.nearness, 0.0 if lamp_nearness is None else lamp_nearness)
 
     def lamp_angle(self, theta_d: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return the angle between lamp and optical axis, rad.
@@ -371,6 +354,32 @@ class Curved(Sample):
         depth = 1 - q * normal[2]
         length = jnp.sqrt((q * normal[0]) ** 2 + (q * y) ** 2 + depth**2)
         return (-q * normal[0] / length, -q * y / length, depth / length), length, depth
+
+
+def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike) -> jax.Array:
+    """Return the angle from the optical axis at which the normal is the half vector of a near camera and lamp, rad.
+
+    Args:
+        lamp_angle: angle between lamp and optical axis, rad.
+        camera: inverse of the camera's distance, 1/radii.
+        lamp: inverse of the lamp's distance, 1/radii.
+    """
+
+    def miss(u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        view, view_slope = _parallax(u, camera)
+        light, light_slope = _parallax(lamp_angle - u, lamp)
+        return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
+
+    def newton(_: int, state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+        u, low, high = state  # a root lies between these: a step that leaves them is replaced by a bisection
+        value, slope = miss(u)
+        low, high = jnp.where(value < 0, u, low), jnp.where(value < 0, high, u)
+        step = u - value / slope
+        inside = (step >= low) & (step <= high)
+        return jnp.where(inside, step, (low + high) / 2), low, high
+
+    ends = jnp.minimum(0.0, lamp_angle), jnp.maximum(0.0, lamp_angle)
+    return jax.lax.fori_loop(0, 24, newton, (lamp_angle / 2, *ends))[0]
 
 
 def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:

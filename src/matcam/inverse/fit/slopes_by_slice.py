@@ -69,13 +69,21 @@ class _Lobe(NamedTuple):
 
         by_norm = jax.jacfwd(log_norm)(q) if kind.bends else None
         ndf = kind.ndf(q)
-        table = None if kind.masking is None else quick_table(ndf)
-        if table is None:
+        table, slopes = table_slopes(kind, q)
+        if table is None or slopes is None:
             return cls(kind, q, by_norm, q, jnp.eye(q.size), lambda own, cos: quick_lambda(kind.ndf(own), cos))
-        slopes = jnp.moveaxis(jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q), -1, 0)
         return cls(
             kind, q, by_norm, table, slopes, lambda table, cos: lambda_from_table(table, ndf.roughness, cot_of(cos))
         )
+
+
+def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
+    """Return the table of a lobe's Lambda, and its derivatives by q, (lobe coordinates, values).
+
+    None where nothing is masked, or Lambda has a closed form.
+    """
+    table = None if kind.masking is None else quick_table(kind.ndf(q))
+    return table, None if table is None else jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T
 
 
 def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:

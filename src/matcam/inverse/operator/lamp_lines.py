@@ -19,6 +19,7 @@ import numpy as np
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.operator.sphere_view import SphereView
+from matcam.sample.shape import highlight_between
 
 COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
 """Numbers of chords: each pixel has one of these. The first is for small discs."""
@@ -36,8 +37,6 @@ _SMALLEST = 1e-5
 """Least angular radius of a disc, rad: that of a lamp which is a point."""
 _SLACK = 1.1
 """Share by which an image may be larger at the kernel's end than at its middle."""
-_NEWTONS = 12
-"""Steps to a highlight before a near camera or under a near lamp."""
 _ROUND = np.pi * np.arange(16) / 8
 
 
@@ -218,27 +217,13 @@ def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) 
     lamp = [a / length for a in (up * sin + aside * u * cos, aside * v, up * cos - aside * u * sin)]
     off = jnp.sqrt(jnp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
     w = view.lamp / length
-    angle = _highlight(view, jnp.arctan2(off, lamp[2]), w)
+    lamp_angle = jnp.arctan2(off, lamp[2])
+    distant = is_concrete(view.camera) and is_concrete(view.lamp) and view.distant
+    angle = lamp_angle / 2 if distant else highlight_between(lamp_angle, view.camera, w)
     normal = jnp.sin(angle) * lamp[0] / off, jnp.sin(angle) * lamp[1] / off, jnp.cos(angle)
     up = sum(a * b for a, b in zip(normal, lamp, strict=True))
     depth, view_2 = 1 - view.camera * normal[2], 1 + view.camera**2 - 2 * view.camera * normal[2]
     return normal, jnp.sqrt(view_2) / depth**3 / (1 + w**2 - 2 * w * up) / length**2
-
-
-def _highlight(view: SphereView, lamp_angle: jax.Array, nearness: Any) -> jax.Array:
-    """Return the angle of the highlight's normal from the optical axis, rad: `Curved.highlight` inside a program."""
-    if is_concrete(view.camera) and is_concrete(view.lamp) and view.distant:
-        return lamp_angle / 2
-
-    def newton(_: int, angle: jax.Array) -> jax.Array:
-        miss, slope = 2 * angle - lamp_angle, jnp.full_like(angle, 2.0)
-        for aside, near, side in ((angle, view.camera, 1), (lamp_angle - angle, nearness, -1)):
-            sin, cos = near * jnp.sin(aside), near * jnp.cos(aside)
-            miss += side * jnp.arctan2(sin, 1 - cos)
-            slope += (cos - near**2) / (1 + near**2 - 2 * cos)
-        return jnp.clip(angle - miss / slope, 0, lamp_angle)
-
-    return jax.lax.fori_loop(0, _NEWTONS, newton, lamp_angle / 2)
 
 
 def _turned(one: Any, other: Any, normal: Any) -> tuple:
