@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from matcam import Cylinder, Rig, read_merl, rigs
+from matcam import Flat, Rig, read_merl, rigs
 from matcam.batch import job, run
 from matcam.batch.executors import local
 from matcam.batch.executors.local import ProcessExecutor, WorkerError
@@ -251,7 +251,7 @@ def test_refused_before_any_work(tmp_path, database, here):
         (lambda: start(corrector=lambda *_: None), "top of a module"),
         (lambda: correct_all([tmp_path], rigs.merl(), out), r"no \*\.binary in there"),
         (lambda: correct_all([], rigs.merl(), out), "no path"),
-        (lambda: correct_all([database], Rig(rigs.merl().camera, Cylinder(100)), out), "from a Sphere"),
+        (lambda: correct_all([database], Rig(rigs.merl().camera, Flat()), out), "from a Sphere"),
     ):
         with pytest.raises(ArgumentError, match=words):
             call()

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from scipy.stats import binom
 
-from matcam import Camera, Cylinder, GaussianOptics, Rig, Sphere, limits
+from matcam import Camera, Flat, GaussianOptics, Rig, Sphere, limits
 from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.inverse import Correction
@@ -192,7 +192,7 @@ def test_what_cannot_be_corrected_is_refused():
     table.attrs["sampling"] = "centre"
     rig = recorded.rig()
     for bad, words in (
-        (lambda: Correction.of(table, Rig(rig.camera, Cylinder(256))), "recorded from a Sphere"),
+        (lambda: Correction.of(table, Rig(rig.camera, Flat())), "recorded from a Sphere"),
         (lambda: Correction.of(table, rig, "phong"), "ndf must be one of"),
         (lambda: Correction.of(table.assign_attrs(corrected_for_camera=1), rig), "corrected for a camera already"),
         (lambda: Correction.of(table, rig, glare=2), "glare must lie in"),

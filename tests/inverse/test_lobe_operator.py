@@ -135,11 +135,11 @@ def test_every_family_runs(ndf):
 
 
 def test_rigs_that_cannot_be_fitted_are_refused():
-    from matcam import Cylinder, Rig, Sphere
+    from matcam import Flat, Rig, Sphere
 
     camera = rigs.merl().camera
     for bad, words in (
-        (Rig(camera, Cylinder(100)), "recorded from a Sphere"),
+        (Rig(camera, Flat()), "recorded from a Sphere or Cylinder, this rig has a Flat"),
         (Rig(camera, Sphere(256, 20), cell_value="nearest"), "before near ones each cell has a picture of its own"),
         (Rig(camera, Sphere(256, 20), cell_value="mean"), "before near ones each cell has a picture of its own"),
         (camera, "must be a Rig"),

@@ -32,6 +32,7 @@ from matcam.core.grid import (
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cells_in_pictures import CellChoice, RealCells, TableCells, cell_means, cell_sampling
+from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
@@ -44,7 +45,7 @@ from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
 from matcam.rigs import UNKNOWN, Rig, merl
-from matcam.sample.curved import Sphere
+from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Flat, Place
 
 
@@ -63,9 +64,12 @@ def measure(
     divided by the lamp's irradiance there. A whole table takes about 15 s on two cores, and that for every point of a
     lamp's disc: 20 and more. For derivatives see `table_values`.
 
+    A cylinder shows the normals of one line: each cell is taken from the picture whose lamp is turned about the optical axis
+    until the cell's normal lies there. Camera and lamp are distant then, and the lamp has no disc.
+
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
-        rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
+        rig: camera, sample and lamp; any sample.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
         azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence turns, the
             square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x.
@@ -76,7 +80,7 @@ def measure(
         largest error of the lens's MTF, which is taken as a sum of Gaussians; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: the sample is a cylinder, which shows normals of one plane only; or the call stands inside jax.jit.
+        ArgumentError: a cylinder's camera or lamp is near, or its lamp has a disc; or the call stands inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
@@ -115,7 +119,7 @@ def table_values(
 
     Args:
         material: material to record, with any count of channels.
-        rig: camera, sample and lamp; the sample is a `Sphere` or `Flat`.
+        rig: camera, sample and lamp; any sample.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
         azimuth: of the lamp about the optical axis in all pictures, rad. Default: None, the rig's, or 0, towards +x.
 
@@ -143,10 +147,9 @@ def table_values(
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if isinstance(rig.sample, Flat):
         return _flat_values(material, rig), np.zeros(GRID_SHAPE)
-    if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(
-            f"a table needs normals all round the half vector: a Sphere or Flat sample, not a {type(rig.sample).__name__}"
-        )
+    if isinstance(rig.sample, Cylinder):
+        check_cylinder(rig, _azimuth(rig, azimuth))
+        return cylinder_table(material, rig, workspace or default_workspace())
     imaging = imaging_of(rig)
     chosen = CellChoice(rig.cell_value, rig.crop, _azimuth(rig, azimuth), material.elongation, rig.pixel_phase)
     if disc_of(rig.lamp) == 0:
@@ -268,7 +271,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr.
-        rig: rig that recorded it; its sample must be a `Sphere`.
+        rig: rig that recorded it; its sample must be a `Sphere`, or a `Cylinder`, of which each cell has pixels of its own.
         noise: standard deviation of a pixel, relative to its value and to its picture's brightest (no unit).
         seed: seed of the random numbers, a whole number; the same seed gives the same noise.
 
@@ -276,7 +279,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         The noisy table, with the coordinates and attributes of the given one.
 
     Raises:
-        ArgumentError: the sample is no sphere, the noise is out of its range, or the table is not on the MERL grid.
+        ArgumentError: the sample is flat, the noise is out of its range, or the table is not on the MERL grid.
 
     Source:
         docs/model.md 8: noise belongs to pixels, not to cells.
@@ -289,16 +292,17 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         True
     """
     noise.check()
-    if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a noisy table needs a rig with a Sphere, this one has a {type(rig.sample).__name__}")
+    if not isinstance(rig.sample, Sphere | Cylinder):
+        raise ArgumentError(f"a noisy table needs a rig with a Sphere or Cylinder, not a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)
     sampling = sampling_of(checked_table(table))
     phase = rig.pixel_phase
+    on_line = isinstance(rig.sample, Cylinder)
     if phase is None and rig.cell_value == "mean" and rig.sample.distant:
         phase = 0.0, 0.0  # as good as any
     phases = None if phase is None else phase_of_slices(phase)
     azimuth = _azimuth(rig, azimuth_of(table))
-    pixels = cell_pixels(rig.sample, sampling, azimuth) if phases is None else None
+    pixels = None if phases is not None or on_line else cell_pixels(rig.sample, sampling, azimuth)  # type: ignore[arg-type]
     values = table.values.copy()
     for j in range(GRID_SHAPE[1]):
         if phases is not None:
@@ -310,6 +314,8 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
             numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
             place = place.reshape(2, *pixels.first[j].shape)
             draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place].mean(axis=1)
+        else:  # either way is a pixel of its own
+            draws = rng.standard_normal((2, 2, *values[:, j].shape)).mean(axis=1)
         picture = values[:, j]
         brightest = np.nanmax(picture, axis=(0, 1), initial=0.0)
         values[:, j] = picture * (1 + noise.relative * draws[0]) + noise.floor * brightest * draws[1]

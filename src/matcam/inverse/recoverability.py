@@ -22,7 +22,6 @@ from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, prior_axis, rig_with
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
-from matcam.sample.curved import Sphere
 
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 """Roughnesses that are judged where the user names none."""
@@ -138,7 +137,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
     def with_(radius: float, sigma: float) -> Rig:
         lens = rig.camera.with_parameters({LENS: sigma})
         distance = {} if rig.sample.distant else {"distance": rig.sample.distance}  # type: ignore[attr-defined]
-        return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (Sphere(radius, **distance), lens))
+        return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (type(rig.sample)(radius, **distance), lens))
 
     return {
         "sphere twice as large in the picture": with_(2 * radius, sigma),

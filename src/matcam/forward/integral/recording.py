@@ -113,7 +113,7 @@ def _record_inside(subject: _Subject, terms: tuple[int, ...], pixels: _Pixels) -
         scene = subject.under(jnp.asarray(at.lamp_angle), at.turn)
         return record_inside(scene, subject.through(terms), jnp.asarray(at.x), jnp.asarray(at.y))
 
-    return _in_batches(integral, (pixels,), _INSIDE)
+    return in_batches(integral, (pixels,), _INSIDE)
 
 
 @kept_program
@@ -125,7 +125,7 @@ def _record_in_window(
         recorded = record_in_window(scene, blur, jnp.asarray(at.x), jnp.asarray(at.y), panels)
         return _over_flat_field(recorded, whole, blur)
 
-    return _in_batches(integral, (pixels, whole), _NODES // panels.along_v)
+    return in_batches(integral, (pixels, whole), _NODES // panels.along_v)
 
 
 class _HighlightGrid(NamedTuple):
@@ -183,7 +183,7 @@ def _read_highlights(
             value = sum(own * one for own, one in zip(basis, values, strict=True))
         return _over_flat_field(value, whole, blur)
 
-    return _in_batches(read, (pixels, *arrays), _READ)
+    return in_batches(read, (pixels, *arrays), _READ)
 
 
 def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> jax.Array:
@@ -197,7 +197,7 @@ def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> ja
     return values * jnp.where(whole, blur.weight / jnp.where(whole, flat, 1.0), 1.0)[:, None]
 
 
-def _in_batches(function: Callable[..., jax.Array], arrays: tuple[Any, ...], size: int) -> jax.Array:
+def in_batches(function: Callable[..., jax.Array], arrays: tuple[Any, ...], size: int) -> jax.Array:
     """Map over the leading axis of all arrays in batches of one shape.
 
     So memory stays small. The last batch is padded.

@@ -50,7 +50,12 @@ class Spacing(NamedTuple):
         """Return the same for cells that nothing mirrors: over half a turn, after which both ways change places."""
         return self._replace(azimuths=(*self.azimuths, *(180 - a for a in self.azimuths[-2:0:-1])))
 
+    def of_line(self) -> Spacing:
+        """Return the same for a cylinder, whose line of normals misses the half vector by less where theta_d is small."""
+        return self._replace(slices=tuple(sorted({*self.slices, *_SMALL_ANGLES})))
 
+
+_SMALL_ANGLES = (*range(10), 12, 15)
 FINE = Spacing(
     (*range(15), 16, 18, 20, 22, 24, 27, 30, 34, 38, 43, 48, 53, 58, 62, 66, 70, 75, 80, 89),
     (0, 10, 20, 30, 38, 46, 52, 57, 61, 65, 68, 70, *range(72, 90)),
@@ -87,12 +92,15 @@ def response_lattice(
     rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...], workspace: Workspace
 ) -> ResponseLattice:
     """Return the lattice of a rig. workspace: keeps it for the rig's next material."""
-    if sphere_view(rig).azimuth:
+    view = sphere_view(rig)
+    if view.azimuth:
         spacing = spacing.all_round()
+    elif view.line:
+        spacing = spacing.of_line()
     key = ("lattice", rig_key(rig), sampling, spacing, axes)
 
     def make() -> ResponseLattice:
-        cells = _lattice_cells(sphere_view(rig), sampling, spacing)
+        cells = _lattice_cells(view, sampling, spacing)
         recorded = operator_in(rig, cells, axes, repr(key), workspace)
         return ResponseLattice(cells, recorded, point_operator(cells), spacing, sampling)
 

@@ -126,8 +126,9 @@ class Whitening(NamedTuple):
 
 
 def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
-    """Return the variance of each cell without the picture gain, (u, s, n)."""
-    return data.share * ((noise.relative * model) ** 2 + (noise.floor * data.peak[..., None]) ** 2)
+    """Return the variance of each cell without the picture gain, (u, s, n); 1 of cells that are not used."""
+    variance = data.share * ((noise.relative * model) ** 2 + (noise.floor * data.peak[..., None]) ** 2)
+    return np.where(data.used, variance, 1.0)
 
 
 def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float) -> Whitening:
@@ -170,7 +171,7 @@ def estimate_noise(
     fitted: number of parameters that took up noise.
     """
     used = data.used
-    slices = model / np.sqrt(np.where(used, cell_variance(data, model, start), 1.0)) * used
+    slices = model / np.sqrt(cell_variance(data, model, start)) * used
     power = np.maximum((slices**2).sum(-1, keepdims=True), 1e-300)
     gains = (slices * residual / np.sqrt(cell_variance(data, model, start))).sum(-1, keepdims=True) / power
     seen = used.any(-1, keepdims=True)

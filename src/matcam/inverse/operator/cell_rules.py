@@ -11,6 +11,7 @@ from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
+from matcam.inverse.operator.line_rule import ARMS, line_rule
 from matcam.inverse.operator.near_rule import (
     NearPixels,
     NearRule,
@@ -77,7 +78,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
     discs: list[LampDisc | None] = [None] * len(blurs)
     moved = np.zeros((len(blurs), 2, *x.shape))
-    found = lamp_discs(view, blurs, lamp_angle, x, y)
+    found = None if view.line else lamp_discs(view, blurs, lamp_angle, x, y)
     if found is not None:
         discs, moved = found  # type: ignore[assignment]
         blurs = [blur.of_point() for blur in blurs]
@@ -102,15 +103,19 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
             for s, v, m in zip(widths, spreads, moved, strict=True)
         ]
         through = _Blurs(blurs, spreads, reaches, terms, discs)
-        if view.plain:
-            rules = _far_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+        if view.line:
+            found_here = _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+        elif view.plain:
+            found_here = [_far_rules(view.radius, Pixels(x, y, theta_d, factor), through)]
         else:
-            rules = _near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)
-        weight, *others = rules.weights
-        named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
-        for n, changes in enumerate(_changes_along(axes, weight, others)):
-            named |= {f"along{n}.{point}": change for point, change in enumerate(changes)}
-        columns.append({name: full(part) for name, part in named.items()})
+            near = NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor)
+            found_here = [_near_rules(view, near, through)]
+        for rules in found_here:
+            weight, *others = rules.weights
+            named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
+            for n, changes in enumerate(_changes_along(axes, weight, others)):
+                named |= {f"along{n}.{point}": change for point, change in enumerate(changes)}
+            columns.append({name: full(part) for name, part in named.items()})
     arrays = {name: np.concatenate([column[name] for column in columns], axis=2) for name in columns[0]}
     for n, axis in enumerate(axes):
         arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
@@ -134,6 +139,22 @@ def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
     theta = np.asarray(shown.theta)
     at, cos_psi = masking_samples(theta, np.asarray(shown.cos_psi))
     return _Found(theta, [np.asarray(w) for w in weights], {"sample_theta": at, "sample_cos_psi": cos_psi})
+
+
+def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
+    """Return the rules of a cylinder's two arms."""
+    blurs, spreads, reaches, terms, _ = through
+    onto = np.max([along for along, _ in reaches], axis=0)
+    arms = []
+    for arm in ARMS:
+        rules = [
+            line_rule(jnp.asarray(radius), blur, spread[0], terms, pixels, reach[0], onto, arm)
+            for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
+        ]
+        theta, cos_psi = np.asarray(rules[0].theta), np.asarray(rules[0].cos_psi)
+        samples = {"sample_theta": theta, "sample_cos_psi": cos_psi[:, :, None]}
+        arms.append(_Found(theta, [np.asarray(rule.weight) for rule in rules], samples))
+    return arms
 
 
 def _near_rules(view: SphereView, pixels: NearPixels, through: _Blurs) -> _Found:

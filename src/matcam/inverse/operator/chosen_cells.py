@@ -111,7 +111,7 @@ def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: P
     x, y, cos_i, cos_o = places_in(view, theta_h, theta_d[:, None], phi_d)
     shift = np.zeros((slices.size, 2)) if pixels is None else pixels.of_slices(slices)
     numbers = pixel_numbers(x, y, shift[:, None, None], _azimuth(view, pixels))
-    one_pixel = numbers[..., 0] == numbers[..., 1]
+    one_pixel = (numbers[..., 0] == numbers[..., 1]) & (not view.line)
     real = None
     if pixels is not None:
         x, y, weight, noise_share = (np.stack(parts) for parts in zip(*(c.behind for c in columns), strict=True))
@@ -138,7 +138,7 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """
     grid, view = merl_grid(sampling), sphere_view(rig)
     x, y = turned(*view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d), view.azimuth)
-    shares = np.where(2 * np.maximum(np.abs(x), np.abs(y)) >= 1, 0.5, 1.0)
+    shares = np.where((2 * np.maximum(np.abs(x), np.abs(y)) >= 1) | view.line, 0.5, 1.0)
     if rig.cell_value == "mean":
         shares = np.minimum(shares, 1 / np.maximum(pixel_counts(view.radius, grid.theta_d), 1.0))
     return shares

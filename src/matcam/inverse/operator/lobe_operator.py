@@ -21,6 +21,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.workspace import Workspace, default_workspace
+from matcam.forward.cylinder_cells import check_cylinder
 from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
@@ -36,7 +37,7 @@ from matcam.material.ndf.ggx import GGX
 from matcam.material.ndf.two_lobes import TwoLobes
 from matcam.numerics.approximation import lagrange_basis
 from matcam.rigs import ON_REAL_PIXELS, Rig
-from matcam.sample.curved import Sphere
+from matcam.sample.curved import Cylinder, Sphere
 
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
@@ -233,8 +234,12 @@ def check_rig(rig: Rig) -> None:
     """Raise ArgumentError for a rig whose tables a lobe cannot be fitted to."""
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
-    if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"a fit needs a table recorded from a Sphere, this rig has a {type(rig.sample).__name__}")
+    if not isinstance(rig.sample, Sphere | Cylinder):
+        raise ArgumentError(
+            f"a fit needs a table recorded from a Sphere or Cylinder, this rig has a {type(rig.sample).__name__}"
+        )
+    if isinstance(rig.sample, Cylinder):
+        check_cylinder(rig)
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sphere_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
@@ -251,7 +256,8 @@ def operator_in(
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     # before a near camera G is taken at every node: close to the limb no polynomial follows it
-    through = np.eye(THROUGH_SAMPLES.shape[0]) if "sample_theta_d" in stored else THROUGH_SAMPLES
+    every_node = stored["sample_theta"].shape[-1] == THROUGH_SAMPLES.shape[0]
+    through = np.eye(THROUGH_SAMPLES.shape[0]) if every_node else THROUGH_SAMPLES
     return _Rules(along=along, **stored).operator(cells, through, axes)
 
 

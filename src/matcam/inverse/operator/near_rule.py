@@ -21,7 +21,7 @@ from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.forward.pixel_grid import turned
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, stretched
+from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, onto_nodes, stretched
 from matcam.inverse.operator.sphere_view import SphereView, angles_between, square_border
 
 _BLOCK = 32
@@ -222,7 +222,7 @@ def near_rule(
         scale, first, last = stretched(from_theta, to_theta)
         place = jnp.clip(2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1, -1.1, 1.1)
         through = factor[..., 0] * stretch**2 / 4 * (s * step)[..., 0]
-        weight = _onto_nodes(place, through[..., None] * share)
+        weight = onto_nodes(place, through[..., None] * share)
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         return nodes[:, 0], weight, *_azimuths(at, place, share)
 
@@ -231,25 +231,6 @@ def near_rule(
     blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
     found = jax.lax.map(block, blocks)
     return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
-
-
-def _onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
-    """Return the weights at Gauss's nodes that integrate polynomials as these shares at these places do.
-
-    The polynomial through Gauss's nodes is a sum of Legendre's, whose coefficients are the nodes' own sums.
-    """
-
-    def next_moment(state, k):  # type: ignore[no-untyped-def]
-        before, now = state
-        return (now, ((2 * k + 1) * place * now - k * before) / (k + 1)), jnp.sum(share * now, (-2, -1))
-
-    start = jnp.zeros_like(place), jnp.ones_like(place)
-    _, moments = jax.lax.scan(next_moment, start, jnp.arange(NODES[0].size, dtype=float))
-    return moments.T @ _FROM_MOMENTS.T
-
-
-_FROM_MOMENTS = NODES[1][:, None] * np.polynomial.legendre.legvander(NODES[0], NODES[0].size - 1)
-_FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
 
 
 def _azimuths(at: _Directions, place: jax.Array, share: jax.Array) -> tuple[jax.Array, ...]:

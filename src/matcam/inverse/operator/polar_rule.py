@@ -186,6 +186,27 @@ def stretched(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, ja
     return scale, jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
 
 
+def onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
+    """Return the weights at Gauss's nodes that integrate polynomials as shares at places do, (pixels, nodes).
+
+    The polynomial through Gauss's nodes is a sum of Legendre's, whose coefficients are the nodes' own sums. place, share:
+    (pixels, ...), the places in [-1, 1].
+    """
+
+    def next_moment(state, k):  # type: ignore[no-untyped-def]
+        before, now = state
+        return (now, ((2 * k + 1) * place * now - k * before) / (k + 1)), jnp.sum(share * now, over)
+
+    over = tuple(range(1, place.ndim))
+    start = jnp.zeros_like(place), jnp.ones_like(place)
+    _, moments = jax.lax.scan(next_moment, start, jnp.arange(NODES[0].size, dtype=float))
+    return moments.T @ _FROM_MOMENTS.T
+
+
+_FROM_MOMENTS = NODES[1][:, None] * np.polynomial.legendre.legvander(NODES[0], NODES[0].size - 1)
+_FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
+
+
 @jit_plainly
 def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
     """Return a rule's weights at the nodes of a wider window.

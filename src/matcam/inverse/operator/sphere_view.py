@@ -15,7 +15,7 @@ from matcam.forward.integral.integrals import highlight_x
 from matcam.forward.pixel_grid import turned
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
-from matcam.sample.curved import Sphere
+from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Place
 
 BOTH_WAYS = np.array([0.0, np.pi])
@@ -31,22 +31,30 @@ class SphereView(NamedTuple):
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
         azimuth: of the plane of camera and lamp against the pixels' rows, rad, in [0, pi/2); a quarter turn is no turn.
+        line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell has a lamp of its own
+            then (`forward/cylinder_cells.py`); its place is that on the sphere, whose distance from the axis is the column.
     """
 
     radius: float
     camera: float = 0.0
     lamp: float = 0.0
     azimuth: float = 0.0
+    line: bool = False
 
     @property
     def distant(self) -> bool:
-        """Say whether camera and lamp both are distant: then a picture is one theta_d."""
+        """Say whether camera and lamp both are distant."""
         return self.camera == 0 and self.lamp == 0
 
     @property
+    def one_picture(self) -> bool:
+        """Say whether one picture shows all cells of one theta_d."""
+        return self.distant and not self.line
+
+    @property
     def plain(self) -> bool:
-        """Say whether camera and lamp are distant and pixels lie along their plane: then the rule of `polar_rule` holds."""
-        return self.distant and self.azimuth == 0
+        """Say whether the rule of `polar_rule` holds: camera and lamp are distant, and pixels lie along their plane."""
+        return self.one_picture and self.azimuth == 0
 
     @property
     def stretch(self) -> float:
@@ -119,12 +127,13 @@ FAR_AWAY = SphereView(256.0)
 
 
 def sphere_view(rig: Rig | None) -> SphereView:
-    """Return the view of a rig's sphere; without a rig, of the one whose pixels are told apart."""
+    """Return the view of a rig's sphere or cylinder; without a rig, of the sphere whose pixels are told apart."""
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
     turned = 0.0 if abs(np.sin(2 * azimuth)) < _ALIGNED else float(np.mod(azimuth, np.pi / 2))
-    return SphereView(float(sample.radius), float(sample.nearness), 0.0 if lamp is None else float(lamp), turned)  # type: ignore[attr-defined]
+    near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
+    return SphereView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
 
 
 def with_azimuth(rig: Rig, table: xr.DataArray) -> Rig:

@@ -1,0 +1,135 @@
+"""Tables of a cylinder, against an independent quadrature of its one line."""
+
+import numpy as np
+import pytest
+
+import matcam
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    Cylinder,
+    DiffractionOptics,
+    GaussianOptics,
+    Microfacet,
+    NearLamp,
+    Rig,
+    peak_response,
+)
+from matcam.camera.optics.gaussian import gaussian_sum
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import cosines, merl_grid
+from matcam.forward import true_table
+from matcam.forward.cylinder_cells import LinePlaces, line_places, line_record
+from tests.oracle import cylinder_cells as oracle
+from tests.oracle import sphere_cells
+
+RIGS = [(0.5, 0.5, 256.0), (0.15, 0.5, 400.0), (1.5, 0.4, 60.0), (0.8, 0.5, 12.0)]  # sigma, half width, radius: px
+ALPHAS = (0.001, 0.005, 0.05, 0.3)
+
+
+def rig_of(sigma, half_width, radius, **more):
+    return Rig(Camera(GaussianOptics(sigma), BoxPixel(half_width)), Cylinder(radius), **more)
+
+
+def smith(lobe):
+    return lambda i, o: 1 / (1 + lobe.smith(np.clip(i, 1e-9, 1)) + lobe.smith(np.clip(o, 1e-9, 1)))
+
+
+def drawn_cells(rng, count):
+    """Angles of cells of the grid, half of them near the highlight, both ways; only such as are seen."""
+    grid = merl_grid("centre")
+    ring = np.where(np.arange(count) % 2, rng.integers(0, 12, count), rng.integers(0, 90, count))
+    angles = grid.theta_h[ring], grid.theta_d[rng.integers(0, 90, count)], grid.phi_d[rng.integers(0, 180, count)]
+    angles = (*angles[:2], angles[2] + np.pi * rng.integers(0, 2, count))
+    seen = np.minimum(*(np.asarray(c) for c in cosines(*angles))) > 0
+    return tuple(a[seen] for a in angles)
+
+
+@pytest.mark.parametrize("alpha", ALPHAS)
+@pytest.mark.parametrize("view", RIGS)
+def test_drawn_cells_are_those_of_an_independent_quadrature(view, alpha):
+    sigma, half_width, radius = view
+    angles = drawn_cells(np.random.default_rng(int(1e4 * alpha + radius)), 60)
+    lobe, lens = sphere_cells.GGX(alpha), oracle.Lens((1.0,), (sigma,), half_width)
+    truth = np.array(
+        [oracle.record(lobe.p22, smith(lobe), radius, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
+    )
+    places = line_places(radius, *angles)
+    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig_of(*view), places))[:, 0] / np.asarray(
+        cosines(*angles)[0]
+    )
+    assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
+
+
+def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():
+    angles = drawn_cells(np.random.default_rng(2), 40)
+    places = line_places(100.0, *angles)
+    for n, cell in enumerate(zip(*angles, strict=True)):
+        normal, light, _ = oracle.directions(*cell)
+        np.testing.assert_allclose(places.x[n], 100 * normal[0], atol=1e-10)
+        np.testing.assert_allclose([part[n] for part in places.lamp], light, atol=1e-10)
+
+
+def test_a_table_holds_the_cells_of_both_ways_and_a_sharp_camera_reads_the_material():
+    material = Microfacet(GGX(0.2), 0.9)
+    rig = rig_of(0.01, 0.01, 5000.0)
+    table, truth = matcam.measure(material, rig), true_table(material)
+    np.testing.assert_array_equal(np.isfinite(table.values), np.isfinite(truth.values))
+    inside = np.asarray(np.minimum(*cosines(*np.meshgrid(*merl_grid("centre"), indexing="ij")))) > 0.05
+    np.testing.assert_allclose(table.values[inside], truth.values[inside], rtol=1e-4)
+    assert set(np.unique(table.pixels.values)) <= {0.0, 1.0, 2.0}
+
+
+def test_the_peak_is_that_of_the_exact_peak_response():
+    rig, theta_d = rig_of(0.6, 0.5, 200.0), np.radians(np.arange(1.0, 86.0, 7.0))
+    places = line_places(200.0, 0 * theta_d, theta_d, 0 * theta_d)
+    recorded = np.asarray(line_record(Microfacet(GGX(0.004), 1.0, masking=None), rig, places))[:, 0]
+    true = 1 / (np.pi * 0.004**2) / (4 * np.cos(theta_d))
+    np.testing.assert_allclose(
+        recorded / true, peak_response(rig, GGX(0.004), theta_d, exact=True, masking=None), rtol=1e-4
+    )
+
+
+def test_a_lens_of_several_gaussians_is_the_sum_of_its_terms():
+    rng = np.random.default_rng(3)
+    camera = Camera(DiffractionOptics(8.0, 550e-9, 4e-6), BoxPixel(0.5))
+    lens = gaussian_sum(camera.optics)
+    angles = drawn_cells(rng, 30)
+    lobe = sphere_cells.GGX(0.01)
+    through = oracle.Lens(tuple(map(float, lens.weights)), tuple(map(float, lens.sigmas)), 0.5)
+    truth = np.array(
+        [oracle.record(lobe.p22, smith(lobe), 150.0, through, *cell, 0.01) for cell in zip(*angles, strict=True)]
+    )
+    rig = Rig(camera, Cylinder(150.0))
+    found = np.asarray(line_record(Microfacet(GGX(0.01), 1.0), rig, line_places(150.0, *angles)))[:, 0]
+    np.testing.assert_allclose(found / np.asarray(cosines(*angles)[0]), truth, rtol=1e-4, atol=1e-6 * truth.max())
+
+
+def test_derivatives_are_those_of_differences():
+    jax = pytest.importorskip("jax")
+    places = line_places(80.0, *drawn_cells(np.random.default_rng(4), 30))
+    places = LinePlaces(*(jax.tree.map(np.asarray, part) for part in places))
+
+    def total(alpha, sigma):
+        return line_record(Microfacet(GGX(alpha), 1.0), rig_of(sigma, 0.5, 80.0), places).sum()
+
+    slopes = jax.grad(total, argnums=(0, 1))(0.02, 0.6)
+    step = 1e-5
+    np.testing.assert_allclose(slopes[0], (total(0.02 + step, 0.6) - total(0.02 - step, 0.6)) / (2 * step), rtol=1e-4)
+    np.testing.assert_allclose(slopes[1], (total(0.02, 0.6 + step) - total(0.02, 0.6 - step)) / (2 * step), rtol=1e-4)
+
+
+def test_what_a_cylinder_cannot_show_is_refused():
+    camera, material = matcam.rigs.merl().camera, Microfacet(GGX(0.1), 0.9)
+    for rig, words in (
+        (Rig(camera, Cylinder(100.0, 20.0)), "needs a distant camera and lamp"),
+        (Rig(camera, Cylinder(100.0), NearLamp(20.0)), "needs a distant camera and lamp"),
+        (Rig(camera, Cylinder(100.0), lamp_radius=0.01), "a lamp without a disc, got a radius of 0.01 rad"),
+        (Rig(camera, Cylinder(100.0), lamp_azimuth=0.3), "the lamp's azimuth must be left out"),
+        (Rig(camera, Cylinder(100.0), cell_value="mean"), "cell_value must be 'centre' or 'edge'"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            matcam.measure(material, rig)
+    with pytest.raises(ArgumentError, match="the lamp's azimuth must be left out"):
+        matcam.measure(material, Rig(camera, Cylinder(100.0)), azimuth=0.5)

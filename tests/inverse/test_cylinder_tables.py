@@ -1,0 +1,149 @@
+"""Fits to tables of a cylinder: the operator against an independent quadrature, and what is found of drawn materials."""
+
+import numpy as np
+import pytest
+
+import matcam
+from matcam import GGX, BoxPixel, Camera, Cylinder, GaussianOptics, Rig, rigs
+from matcam.camera import PixelNoise, Uncertainty
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import merl_grid
+from matcam.forward import true_table, with_pixel_noise
+from matcam.inverse.operator.lobe_operator import lobe_operator, rig_key
+from tests.forward.test_cylinder_cells import smith
+from tests.oracle import cylinder_cells as oracle
+from tests.oracle import sphere_cells
+
+RIG, LENS = Rig(rigs.merl().camera, Cylinder(256.0)), oracle.Lens((1.0,), (0.5,), 0.5)
+
+
+@pytest.mark.parametrize("view", [(0.5, 0.5, 256.0), (0.15, 0.5, 400.0), (1.5, 0.4, 60.0)])
+def test_the_operator_is_an_independent_quadrature(view):
+    sigma, half_width, radius = view
+    rig = Rig(Camera(GaussianOptics(sigma), BoxPixel(half_width)), Cylinder(radius))
+    lens = oracle.Lens((1.0,), (sigma,), half_width)
+    cells, operator = lobe_operator(rig, "centre", 9)
+    rng = np.random.default_rng(int(radius))
+    for alpha in (0.001, 0.005, 0.05, 0.3):
+        lobe = sphere_cells.GGX(alpha)
+        slices, number = np.nonzero(cells.valid)
+        drawn = rng.integers(0, slices.size, 40)
+        slices, number = slices[drawn], number[drawn]
+        angles = cells.theta_h[slices, number], cells.theta_d[slices], cells.phi_d[slices, number]
+        truth = np.mean(
+            [
+                [
+                    oracle.record(lobe.p22, smith(lobe), radius, lens, h, d, p + way, alpha)
+                    for h, d, p in zip(*angles, strict=True)
+                ]
+                for way in (0, np.pi)
+            ],
+            axis=0,
+        )
+        found = np.asarray(operator.record(GGX(alpha), "smith", np.zeros(0)))[slices, number]
+        assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
+
+
+def drawn_table(alpha, rng, scatter, every):
+    """A table whose chosen cells are drawn by the oracle: F falls and rises again with theta_d; noise of each way alone."""
+    cells, _ = lobe_operator(RIG, "centre", every)
+    lobe = sphere_cells.GGX(alpha)
+    table = np.full((90, 90, 180, 3), np.nan)
+    fresnel = 0.6 + 0.3 * np.sin(3 * cells.theta_d)
+    for s, n in zip(*np.nonzero(cells.valid), strict=True):
+        angles = cells.theta_h[s, n], cells.theta_d[s], cells.phi_d[s, n]
+        ways = [
+            oracle.record(lobe.p22, smith(lobe), 256.0, LENS, *angles[:2], angles[2] + way, alpha) for way in (0, np.pi)
+        ]
+        noisy = np.array(ways)[:, None] * (1 + scatter * rng.standard_normal((2, 3)))
+        table[cells.i_theta_h[s, n], cells.slices[s], cells.i_phi_d[s, n]] = fresnel[s] * noisy.mean(0)
+    return matcam.core.grid.brdf_table(table, "centre"), cells.theta_d, fresnel
+
+
+@pytest.mark.parametrize("alpha", [0.004, 0.03])
+def test_a_drawn_lobe_is_found_within_its_errors(alpha):
+    every = 12
+    rng = np.random.default_rng(int(1e4 * alpha))
+    table, theta_d, fresnel = drawn_table(alpha, rng, 0.01, every)
+    found = matcam.fit(table, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=every)
+    width, std = found.params["alpha"], found.std["alpha"]
+    assert abs(width - alpha) < 4 * std
+    assert std < 0.02 * alpha
+    strength = found.curves["fresnel"].values[:, 0]
+    errors = found.curves["fresnel_std"].values[:, 0]
+    seen = np.isfinite(strength) & (theta_d < 1.4)
+    assert np.all(np.abs(strength - fresnel)[seen] < 5 * errors[seen])
+
+
+def test_a_sphere_in_its_place_is_seen_to_be_wrong():
+    rng = np.random.default_rng(5)
+    table, *_ = drawn_table(0.004, rng, 0.01, 12)
+    right, wrong = (
+        matcam.fit(table, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=12)
+        for rig in (RIG, rigs.merl())
+    )
+    assert right.misfit < 1.2
+    assert wrong.misfit > 2 * right.misfit
+
+
+def test_a_cylinder_and_a_sphere_of_one_size_do_not_share_a_rule():
+    assert rig_key(RIG) != rig_key(Rig(RIG.camera, matcam.Sphere(256.0)))
+
+
+def test_cylinders_that_no_table_is_recorded_of_are_refused():
+    camera = RIG.camera
+    for rig, words in (
+        (Rig(camera, Cylinder(100.0, 20.0)), "needs a distant camera and lamp"),
+        (Rig(camera, Cylinder(100.0), lamp_radius=0.01), "a lamp without a disc"),
+        (Rig(camera, Cylinder(100.0), cell_value="nearest"), "need a sphere"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            lobe_operator(rig, "centre", 12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("alpha", "seed"), [(0.003, 1), (0.01, 2), (0.06, 3)])
+def test_a_drawn_table_is_corrected_within_its_errors(alpha, seed):
+    """All chosen cells, drawn by the oracle with 1 % noise of each way: true BRDFs beside corrected ones."""
+    table, theta_d, strength = drawn_table(alpha, np.random.default_rng(seed), 0.01, 1)
+    rig = Rig(
+        Camera(RIG.camera.optics, RIG.camera.pixel, uncertainty=Uncertainty.of({"optics.sigma_px": 0.01})), RIG.sample
+    )
+    corrected = matcam.correct(table, rig)
+    truth = (
+        true_table(matcam.Microfacet(GGX(alpha), 1.0)).values[..., :1]
+        * np.interp(merl_grid("centre").theta_d, theta_d, strength)[None, :, None, None]
+    )
+    value, std, supported = (corrected[name].values for name in ("brdf", "brdf_std", "supported"))
+    supported = supported & np.isfinite(value)
+    off = ((value - truth) / std)[supported]
+    raw = np.log(table.values / truth)[supported]
+    left = np.log(value / truth)[supported]
+    print(
+        f"alpha {alpha}: {supported.sum()} cells, pulls {np.sqrt(np.mean(off**2)):.2f}, within one {np.mean(abs(off) < 1):.2f}, "
+        f"beyond three {np.mean(abs(off) > 3):.4f}; rms {np.sqrt(np.mean(left**2)):.4f}, raw {np.sqrt(np.mean(raw**2)):.3f}"
+    )
+    assert supported.sum() > 3000
+    assert 0.5 < np.sqrt(np.mean(off**2)) < 1.3
+    assert np.mean(abs(off) > 3) < 0.01
+    assert np.sqrt(np.mean(left**2)) < max(0.1 * np.sqrt(np.mean(raw**2)), 0.02)
+
+
+@pytest.mark.slow
+def test_fresnel_limits_and_rivals_take_a_cylinder():
+    metal = matcam.Conductor([2.9, 3.1, 3.0], [4.2, 3.3, 3.0])
+    noisy = with_pixel_noise(matcam.measure(matcam.Microfacet(GGX(0.005), metal), RIG), RIG, PixelNoise(0.01, 0.0), 1)
+    found = matcam.fresnel(noisy, RIG)
+    angles = found["theta_d"].values
+    true = np.asarray(metal.at(angles))
+    true = true / true[(angles >= np.radians(10)) & (angles <= np.radians(45))].mean(0)
+    seen = angles < np.radians(76)
+    off = found["corrected"].values[seen] / true[seen] - 1
+    print("F off by at most", np.abs(off).max(), "raw", np.abs(found["raw"].values[seen] / true[seen] - 1).max())
+    assert np.abs(off).max() < 0.02
+    assert np.abs(found["raw"].values[seen] / true[seen] - 1).max() > 0.3
+    known = matcam.limits(RIG)
+    sphere = matcam.limits(rigs.merl())
+    assert np.all(np.isfinite(known["width_std"].values) == np.isfinite(sphere["width_std"].values))
+    beside = matcam.rivals(noisy, RIG)
+    assert beside is not None
