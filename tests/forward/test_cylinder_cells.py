@@ -106,6 +106,18 @@ def test_a_lens_of_several_gaussians_is_the_sum_of_its_terms():
     np.testing.assert_allclose(found / np.asarray(cosines(*angles)[0]), truth, rtol=1e-4, atol=1e-6 * truth.max())
 
 
+@pytest.mark.parametrize("aperture", [0.0, 0.01])
+def test_under_a_lamp_across_the_axis_a_row_of_the_picture_says_the_same(aperture):
+    rig = rig_of(0.6, 0.5, 40.0, aperture=aperture, focus=0.2)
+    material = Microfacet(GGX(0.05), 1.0)
+    row = matcam.picture(material, rig, 1.0, shape=(1, 81))
+    x = row.x.values
+    shown = (x > 0) & (x < 40)
+    lamp = tuple(np.full(shown.sum(), part) for part in (np.sin(1.0), 0.0, np.cos(1.0)))
+    found = np.asarray(line_record(material, rig, LinePlaces(x[shown], lamp)))[:, 0]
+    np.testing.assert_allclose(found, row.values[0, shown, 0], rtol=2e-4, atol=1e-7 * found.max())
+
+
 def test_derivatives_are_those_of_differences():
     jax = pytest.importorskip("jax")
     places = line_places(80.0, *drawn_cells(np.random.default_rng(4), 30))

@@ -119,14 +119,13 @@ def test_a_drawn_table_is_corrected_within_its_errors(alpha, seed):
     off = ((value - truth) / std)[supported]
     raw = np.log(table.values / truth)[supported]
     left = np.log(value / truth)[supported]
-    print(
-        f"alpha {alpha}: {supported.sum()} cells, pulls {np.sqrt(np.mean(off**2)):.2f}, within one {np.mean(abs(off) < 1):.2f}, "
-        f"beyond three {np.mean(abs(off) > 3):.4f}; rms {np.sqrt(np.mean(left**2)):.4f}, raw {np.sqrt(np.mean(raw**2)):.3f}"
-    )
+    rms, before, pulls = (np.sqrt(np.mean(part**2)) for part in (left, raw, off))
+    print(f"alpha {alpha}: {supported.sum()} cells; rms {rms:.4f}, raw {before:.3f}; pulls {pulls:.2f},", end=" ")
+    print(f"within one {np.mean(abs(off) < 1):.2f}, beyond three {np.mean(abs(off) > 3):.4f}")
     assert supported.sum() > 3000
-    assert 0.5 < np.sqrt(np.mean(off**2)) < 1.3
+    assert 0.5 < pulls < 1.3
     assert np.mean(abs(off) > 3) < 0.01
-    assert np.sqrt(np.mean(left**2)) < max(0.1 * np.sqrt(np.mean(raw**2)), 0.02)
+    assert rms < max(0.1 * before, 0.02)
 
 
 @pytest.mark.slow

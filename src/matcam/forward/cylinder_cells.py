@@ -148,12 +148,13 @@ def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
 
 
 def _smooth_places(radius: float, blur: Blur, places: LinePlaces) -> np.ndarray:
-    """Say which places see no end of the light and no highlight, (places,)."""
+    """Say which places see no end of the light, no highlight, and one kernel, (places,)."""
+    if float(blur.aperture) > 0:  # what is out of focus changes the kernel from place to place
+        return np.zeros(places.x.shape, dtype=bool)
     half = float(blur.pixel.half_width)
     widest = float(np.max(np.asarray(blur.stds)))
-    focus = float(np.asarray(radius * blur.aperture)) / 4
-    std = np.hypot(np.hypot(widest, focus), half / np.sqrt(3))
-    reach = _REACH * np.hypot(widest, focus) + half
+    std = np.hypot(widest, half / np.sqrt(3))
+    reach = _REACH * widest + half
     u = np.arcsin(places.x / radius)
     first, last = (np.arcsin(np.clip((places.x + side * reach) / radius, -1, 1)) for side in (-1, 1))
     low, high, peak, _ = (np.asarray(a) for a in _line(places.lamp))
@@ -188,10 +189,9 @@ def _channels(material: Material, cylinder: Cylinder) -> int:
 def _record_smooth(material: Material, cylinder: Cylinder, blur: Blur, places: LinePlaces) -> jax.Array:
     def integral(at: LinePlaces) -> jax.Array:
         x, *lamp = (a[:, None] for a in (at.x, *at.lamp))
-        spread = blur.spread(cylinder, jnp.sqrt(1 - (x[:, 0] / cylinder.radius) ** 2), jnp.zeros(()))[0]
         total: jax.Array | float = 0.0
         for term in range(blur.stds.size):
-            offset, weight = blur.rule(term, spread)
+            offset, weight = blur.rule(term, jnp.zeros(()))
             sin_u = (x + offset) / cylinder.radius
             light = _sent(material, cylinder, jnp.arcsin(sin_u), tuple(lamp))  # type: ignore[arg-type]
             # per px of the picture: over the cosine of the view
@@ -207,13 +207,13 @@ def _record_rough(material: Material, cylinder: Cylinder, blur: Blur, places: Li
     finest, radius, pixel = material.finest, cylinder.radius, blur.pixel.half_width
 
     def integral(at: LinePlaces) -> jax.Array:
-        low, high, peak, miss = (a[:, None] for a in _line(at.lamp))
-        x = at.x[:, None]
-        spread = blur.spread(cylinder, jnp.sqrt(1 - (x / radius) ** 2), jnp.zeros(()))[0]
-        reach = _REACH * jnp.sqrt(jnp.max(blur.stds) ** 2 + spread) + pixel
+        *lit, peak, miss = (a[:, None] for a in _line(at.lamp))
+        x = jnp.asarray(at.x)[:, None]
+        defocus = blur.spread(cylinder, jnp.sqrt(1 - (x / radius) ** 2), jnp.zeros(()))[0]
+        reach = _REACH * jnp.sqrt(jnp.max(blur.stds) ** 2 + defocus) + pixel
 
         def along(column: jax.Array) -> jax.Array:
-            return jnp.clip(jnp.arcsin(jnp.clip(column / radius, -1, 1)), low, high)
+            return jnp.clip(jnp.arcsin(jnp.clip(column / radius, -1, 1)), *lit)
 
         low, high = along(x - reach), along(x + reach)
         middle = jnp.clip(peak, low, high)
@@ -233,8 +233,9 @@ def _record_rough(material: Material, cylinder: Cylinder, blur: Blur, places: Li
         # an integral does not depend on where its nodes are
         u, weight = (jax.lax.stop_gradient(jnp.concatenate(parts, axis=1)) for parts in zip(*sides, strict=True))
         light = _sent(material, cylinder, u, tuple(a[:, None] for a in at.lamp))  # type: ignore[arg-type]
-        offset = x - radius * jnp.sin(u)
-        kernel = sum(blur.weights[j] * blur.kernel(offset, j, spread) for j in range(blur.stds.size))
+        offset, spread = x - radius * jnp.sin(u), blur.spread(cylinder, jnp.cos(u), jnp.zeros(()))[0]
+        through = jnp.stack([blur.weights[j] * blur.kernel(offset, j, spread) for j in range(blur.stds.size)])
+        kernel = jnp.sum(through, axis=0)
         return radius * jnp.sum(light * (kernel * weight)[..., None], axis=1)
 
     return in_batches(integral, (places,), _ROUGH)

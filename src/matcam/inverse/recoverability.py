@@ -19,7 +19,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator
-from matcam.inverse.operator.rig_axes import LENS, prior_axis, rig_with
+from matcam.inverse.operator.rig_axes import LAMP, LENS, prior_axis, rig_with, widths_of
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
@@ -32,7 +32,7 @@ _SEEN = 3.0
 """Standard deviations at which a blur is seen."""
 
 BLURS: dict[str, tuple[str, float]] = {
-    "lamp (degrees)": ("lamp_radius", float(np.radians(0.15))),
+    "lamp (degrees)": (LAMP, float(np.radians(0.15))),
     "jitter (px)": ("jitter", 0.15),
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
@@ -107,7 +107,8 @@ def limits(
     rest["lens_std_free"] = ("roughness",), np.array([i.std(np.inf)[1] for i in own])
     prior = relative if np.isfinite(relative) else 0.0
     rest["fresnel_std"] = ("roughness", "theta_d"), np.array([i.fresnel_std(prior) for i in own])
-    signatures = [[_signature(i, field, size) for field, size in BLURS.values()] for i in own]
+    blurs = {name: one for name, one in BLURS.items() if one[0] in widths_of(rig)}
+    signatures = [[_signature(i, field, size) for field, size in blurs.values()] for i in own]
     for name, column in zip(("alike", "smallest", "width_bias"), np.array(signatures).transpose(2, 0, 1), strict=True):
         rest[name] = ("roughness", "blur"), column
     changes = changed_rigs(rig)
@@ -121,8 +122,8 @@ def limits(
         coords={
             "roughness": values,
             "theta_d": ("theta_d", cells.theta_d, {"units": "rad"}),
-            "blur": list(BLURS),
-            "size": ("blur", [float(np.degrees(s)) if f == "lamp_radius" else s for f, s in BLURS.values()]),
+            "blur": list(blurs),
+            "size": ("blur", [float(np.degrees(s)) if f == LAMP else s for f, s in blurs.values()]),
             "change": list(changes),
             "lens": ["exact", "free"],
         },
@@ -234,4 +235,4 @@ def _signature(own: _Information, field: str, size: float) -> tuple[float, float
     left = by_blur - by_lens * (by_blur @ by_lens) / max(by_lens @ by_lens, 1e-300)
     deviations = float(np.sqrt(left @ left))  # at `size`; a blur adds variance, so they go as size^2
     smallest = size * np.sqrt(_SEEN / deviations) if deviations > 1e-6 else np.inf
-    return alike, float(np.degrees(smallest)) if field == "lamp_radius" else smallest, exact
+    return alike, float(np.degrees(smallest)) if field == LAMP else smallest, exact

@@ -27,7 +27,7 @@ from matcam.inverse.fit.fit_readings import LinearisedFit
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens
+from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens, widths_of
 from matcam.material.ndf.free_lobe import KNOTS, bend_basis, bend_smoothness
 from matcam.numerics.approximation import smoothness
 from matcam.numerics.linalg import scaled_inverse
@@ -117,7 +117,7 @@ def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
     for name in names:
         if name in [axis.name for axis in found.coordinates.axes]:
             doubts.append(_fitted_doubt(found, name, rig))
-        elif name == LAMP or name in rig.camera.parameters():
+        elif name in widths_of(rig) or name in rig.camera.parameters():
             free = setup.with_(also=(name,))
             doubts.append(_free_doubt(free.solve(start=found, weights="start"), name))
     if not found.resolved:  # a lobe at its bound pushes the lens

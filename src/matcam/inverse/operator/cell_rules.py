@@ -148,7 +148,7 @@ def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     arms = []
     for arm in ARMS:
         rules = [
-            line_rule(jnp.asarray(radius), blur, spread[0], terms, pixels, reach[0], onto, arm)
+            line_rule(jnp.asarray(radius), blur, jnp.asarray(spread[0]), terms, pixels, reach[0], onto, arm)
             for blur, spread, reach in zip(blurs, spreads, reaches, strict=True)
         ]
         theta, cos_psi = np.asarray(rules[0].theta), np.asarray(rules[0].cos_psi)

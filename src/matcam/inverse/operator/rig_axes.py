@@ -19,6 +19,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import blur_of
 from matcam.rigs import Rig
+from matcam.sample.curved import Cylinder
 
 LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
@@ -151,13 +152,18 @@ def prior_axis(name: str, base: float, std: float) -> Axis:
     return Axis(name, base, 0.0, -half, half, _points(-half, half))
 
 
+def widths_of(rig: Rig) -> tuple[str, ...]:
+    """Name the widths that a rig may have: before a cylinder lamps have no disc."""
+    return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
+
+
 def free_axis(name: str, rig: Rig) -> Axis:
     """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not."""
     parameters = rig.camera.parameters()
-    if name not in parameters and name not in WIDTHS:
+    if name not in parameters and name not in widths_of(rig):
         raise ArgumentError(
             f"free names {name!r}, which this camera has not; it has {', '.join(sorted(parameters))}; the rig has "
-            f"{', '.join(WIDTHS)}"
+            f"{', '.join(widths_of(rig))}"
         )
     base = float(getattr(rig, name) if name in WIDTHS else parameters[name])
     softening = _softening(name, rig)
