@@ -93,8 +93,13 @@ def test_small_discs_stay_gaussians():
     places = np.zeros(2), np.zeros(2)
     for degrees, wanted in ((0.0, False), (0.05, False), (0.5, True)):
         rig = under(128.0, degrees)
-        discs = lamp_discs(sphere_view(rig), [blur_of(rig)], np.array([0.2, 1.0]), *places)
-        assert (discs is not None) is wanted
+        (disc,), _ = lamp_discs(sphere_view(rig), [blur_of(rig)], np.array([0.2, 1.0]), *places)
+        assert (disc is not None) is wanted
+    point, wide = (blur_of(under(128.0, degrees)) for degrees in (0.0, 0.5))
+    (first, second), moved = lamp_discs(sphere_view(rig), [point, wide], np.array([0.2, 1.0]), *places)
+    assert first is None  # a point beside a disc takes no chords
+    assert second is not None
+    assert moved[0].max() < 0.01 < moved[1].max()
 
 
 @pytest.mark.slow

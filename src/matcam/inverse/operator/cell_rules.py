@@ -76,11 +76,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
     depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
 
-    discs: list[LampDisc | None] = [None] * len(blurs)
-    moved = np.zeros((len(blurs), 2, *x.shape))
-    found = None if view.line else lamp_discs(view, blurs, lamp_angle, x, y)
-    if found is not None:
-        discs, moved = found  # type: ignore[assignment]
+    discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
+    if any(disc is not None for disc in discs):
         blurs = [blur.of_point() for blur in blurs]
     if any(blur.varies for blur in blurs):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]

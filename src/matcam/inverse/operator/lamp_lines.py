@@ -76,10 +76,10 @@ class LampDisc(NamedTuple):
 
 def lamp_discs(
     view: SphereView, blurs: list[Blur], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
-) -> tuple[list[LampDisc], np.ndarray] | None:
+) -> tuple[list[LampDisc | None], np.ndarray]:
     """Return the discs of some blurs, and how far they move what pixels see, (blurs, 2, pixels), px along the pixels' axes.
 
-    None where Gaussians of the discs' variances do. lamp_angle, x, y: of the pixels.
+    All are None where Gaussians of the discs' variances do, and those of points always. lamp_angle, x, y: of the pixels.
     """
     half = float(blurs[0].pixel.half_width)
     sharpest = [float(np.min(np.asarray(blur.stds))) for blur in blurs]
@@ -90,22 +90,20 @@ def lamp_discs(
         np.hypot(*at_peak).max() <= _GAUSSIAN * np.hypot(std, half / np.sqrt(3))
         for (at_peak, _), std in zip(moved, sharpest, strict=True)
     ):
-        return None
-    needed = np.zeros(x.shape)
-    for (at_peak, _), std in zip(moved, sharpest, strict=True):
-        first, second = (np.abs(a).max(0) for a in _rotated(*at_peak, cosine, sine))
-        first, second = (a / np.hypot(std, _PIXELS_SHARE * half) for a in (first, second))
-        large = np.maximum(COUNTS[1], _LEAST + _ACROSS * first + _ALONG * second)
-        needed = np.maximum(needed, np.where(np.maximum(first, second) <= _SMALL, 0.0, large))
-    rule = np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)
+        return [None] * len(blurs), np.zeros((len(blurs), 2, *x.shape))
     along, across = _image(view, lamp_angle)
     chord = np.stack([across * sine, along * cosine], -1)
     chord /= np.hypot(chord[:, :1], chord[:, 1:])
     turns = np.broadcast_to([cosine, sine], (x.size, 2))
-    discs = [
-        LampDisc(jnp.broadcast_to(jnp.asarray(blur.lamp_radius), x.shape), lamp_angle, chord, rule, turns)
-        for blur in blurs
-    ]
+    discs: list[LampDisc | None] = []
+    for blur, (at_peak, _), std in zip(blurs, moved, sharpest, strict=True):
+        first, second = (np.abs(a).max(0) for a in _rotated(*at_peak, cosine, sine))
+        first, second = (a / np.hypot(std, _PIXELS_SHARE * half) for a in (first, second))
+        large = np.maximum(COUNTS[1], _LEAST + _ACROSS * first + _ALONG * second)
+        needed = np.where(np.maximum(first, second) <= _SMALL, 0.0, large)
+        rule = np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)
+        radius = jnp.broadcast_to(jnp.asarray(blur.lamp_radius), x.shape)
+        discs.append(LampDisc(radius, lamp_angle, chord, rule, turns) if float(blur.lamp_radius) > 0 else None)
     return discs, np.stack([_SLACK * reach for _, reach in moved])
 
 
@@ -244,8 +242,9 @@ def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
 
 def _place(view: SphereView, normal: Any) -> tuple[Any, Any]:
     """Return where the picture shows a normal, px."""
-    depth = 1 - view.camera * normal[2]
-    return view.stretch * normal[0] / depth, view.stretch * normal[1] / depth
+    far = is_concrete(view.camera) and view.camera == 0  # then nobody needs the normal's z
+    scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])
+    return scale * normal[0], scale * normal[1]
 
 
 def _parabola(first: Any, middle: Any, last: Any, on: Any) -> Any:
