@@ -10,7 +10,7 @@ from matcam.core.grid import GRID_SHAPE, brdf_table
 from matcam.files.float_pictures import as_float32
 from matcam.inverse.fit.fit_data import fit_data
 from matcam.inverse.operator.chosen_cells import chosen_cells
-from matcam.inverse.operator.sphere_view import FAR_AWAY
+from matcam.inverse.operator.sample_view import FAR_AWAY
 
 MASKED = np.ma.masked_greater(np.linspace(0, 1, 64 * 64).reshape(64, 64), 0.99)
 

@@ -24,7 +24,7 @@ from matcam.forward.pixel_grid import PixelGrid
 from matcam.inverse import Correction
 from matcam.inverse.correction import correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from tests.inverse import recorded
 from tests.oracle import drawn_tables as draws
 from tests.oracle import sphere_cells as oracle
@@ -38,7 +38,7 @@ _STEP = 1e-3
 
 def cells_of(draw):
     """(slices, ring, azimuth, how many are judged): the judged cells come last."""
-    view = SphereView(256.0)
+    view = SampleView(256.0)
     centred = chosen_cells(view, "centre", EVERY)
     some = [centred]
     if draw.rule != "centre":
@@ -152,7 +152,7 @@ def variations(lobe, step=_STEP):
 def bound(draw):
     """(theta_d in degrees, relative standard deviation of a peak) in five slices that nobody can undercut (Cramer-Rao):
     the lobe's own numbers, strengths free in every slice, the lens a Gaussian known as stated; noise and gain."""
-    cells = chosen_cells(SphereView(256.0), "centre", 3 * EVERY)
+    cells = chosen_cells(SampleView(256.0), "centre", 3 * EVERY)
     pad = ((0, 0), (0, 1))
     th = np.pad(THETA_H[cells.i_theta_h], pad, constant_values=THETA_H[0])
     ph = np.pad(PHI_D[cells.i_phi_d], pad, constant_values=PHI_D[90])

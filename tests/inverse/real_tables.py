@@ -6,7 +6,7 @@ import numpy as np
 
 from matcam.forward.pixel_grid import PixelGrid
 from matcam.inverse.operator.chosen_cells import chosen_cells
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from tests.inverse import recorded
 from tests.oracle import real_pixels
 from tests.oracle.merl_lobe import conductor
@@ -20,8 +20,8 @@ class RealShot:
 
     def __init__(self, rule, phase, every=EVERY, azimuth=0.0):
         self.grid = PixelGrid(rule, phase, azimuth)
-        chosen = chosen_cells(SphereView(256.0), "centre", every, self.grid)
-        centred = chosen_cells(SphereView(256.0), "centre", every)
+        chosen = chosen_cells(SampleView(256.0), "centre", every, self.grid)
+        centred = chosen_cells(SampleView(256.0), "centre", every)
         self.slices = chosen.slices
         self.i, self.k = [], []
         for s in range(self.slices.size):
@@ -40,7 +40,7 @@ class RealShot:
         """One channel; seed: of the pixels' noise, None: none."""
         rng = None if seed is None else np.random.default_rng(seed)
         pixels = self.truth.pixels(lobe) * conductor(self.theta_d, *recorded.CHROMIUM)[:, None]
-        table = recorded.table_of(chosen_cells(SphereView(256.0), "centre", 30), np.full((3, 112), np.nan))
+        table = recorded.table_of(chosen_cells(SampleView(256.0), "centre", 30), np.full((3, 112), np.nan))
         for j, i, k, values in zip(self.slices, self.i, self.k, self.truth.values(pixels, rng, **noise), strict=True):
             table.values[i, j, k, 0] = values
         return table.assign_attrs(lamp_azimuth=self.grid.azimuth) if self.grid.azimuth else table

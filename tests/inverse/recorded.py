@@ -10,7 +10,7 @@ from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.inverse.operator.chosen_cells import chosen_cells
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
 
@@ -48,7 +48,7 @@ def table_of(cells, values):
 
 
 def made(every, setup):
-    cells = chosen_cells(SphereView(256.0), "centre", every)
+    cells = chosen_cells(SampleView(256.0), "centre", every)
     rule = oracle.Cells(GRID.theta_h[cells.i_theta_h], cells.theta_d, GRID.phi_d[cells.i_phi_d], setup)
     return Pictures(cells, rule)
 

@@ -10,7 +10,7 @@ from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.inverse import Correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -33,7 +33,7 @@ class Shot:
     def __init__(self, setup=None):
         setup = setup or oracle.Setup()
         grid = recorded.GRID
-        self.cells = chosen_cells(SphereView(256.0), "centre", EVERY)
+        self.cells = chosen_cells(SampleView(256.0), "centre", EVERY)
         self.rule = oracle.Cells(
             grid.theta_h[self.cells.i_theta_h], self.cells.theta_d, grid.phi_d[self.cells.i_phi_d], setup
         )
@@ -188,7 +188,7 @@ def test_a_rig_that_is_contradicted_corrects_nothing():
 
 
 def test_what_cannot_be_corrected_is_refused():
-    table = xr.zeros_like(recorded.table_of(chosen_cells(SphereView(256.0), "centre", 30), np.zeros((3, 112)))) + 1.0
+    table = xr.zeros_like(recorded.table_of(chosen_cells(SampleView(256.0), "centre", 30), np.zeros((3, 112)))) + 1.0
     table.attrs["sampling"] = "centre"
     rig = recorded.rig()
     for bad, words in (

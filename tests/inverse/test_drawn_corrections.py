@@ -5,7 +5,7 @@ import pytest
 
 from matcam import rigs
 from matcam.inverse.operator.chosen_cells import chosen_cells, noise_shares
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from matcam.inverse.picture_gain import strengths_gain
 from tests.inverse.drawn_corrections import judged, variations
 from tests.inverse.drawn_figures import figures, shown, worst
@@ -90,7 +90,7 @@ def test_figures_count_what_is_false_and_harmed():
 
 
 def test_two_pixels_halve_the_noise_of_a_cell():
-    view = SphereView(256.0)
+    view = SampleView(256.0)
     cells, shares = chosen_cells(view, "centre", 6), noise_shares(rigs.merl(), "centre")
     found = shares[cells.i_theta_h, cells.slices[:, None], cells.i_phi_d][cells.valid]
     assert np.all(found[cells.one_pixel[cells.valid]] == 1)

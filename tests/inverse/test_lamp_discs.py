@@ -13,7 +13,7 @@ from matcam.inverse.operator.lamp_lines import lamp_discs
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.polar_rule import Pixels, polar_rule, polar_window
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
-from matcam.inverse.operator.sphere_view import SphereView, sphere_view
+from matcam.inverse.operator.sample_view import SampleView, sample_view
 from tests.inverse import recorded
 from tests.inverse.test_near_rigs import NEVER, made
 from tests.oracle import disc_cells, lamp_record
@@ -31,7 +31,7 @@ def off_the_peak(radius, degrees, alpha, theta_d, cells):
     """Errors of cells (theta_h, phi_d), rad, over each slice's peak."""
     rig, theta_d = under(radius, degrees), np.radians(theta_d)
     theta_h, phi_d = (np.broadcast_to(a, (theta_d.size, len(cells))) for a in np.array(cells).T)
-    places = places_in(sphere_view(rig), theta_h, theta_d[:, None], phi_d)
+    places = places_in(sample_view(rig), theta_h, theta_d[:, None], phi_d)
     ring = np.zeros(theta_h.shape, int)
     valid = np.ones(ring.shape, bool)
     chosen = ChosenCells(np.arange(theta_d.size), theta_d, ring, ring, theta_h, phi_d, valid, *places, ~valid)
@@ -93,10 +93,10 @@ def test_small_discs_stay_gaussians():
     places = np.zeros(2), np.zeros(2)
     for degrees, wanted in ((0.0, False), (0.05, False), (0.5, True)):
         rig = under(128.0, degrees)
-        (disc,), _ = lamp_discs(sphere_view(rig), [blur_of(rig)], np.array([0.2, 1.0]), *places)
+        (disc,), _ = lamp_discs(sample_view(rig), [blur_of(rig)], np.array([0.2, 1.0]), *places)
         assert (disc is not None) is wanted
     point, wide = (blur_of(under(128.0, degrees)) for degrees in (0.0, 0.5))
-    (first, second), moved = lamp_discs(sphere_view(rig), [point, wide], np.array([0.2, 1.0]), *places)
+    (first, second), moved = lamp_discs(sample_view(rig), [point, wide], np.array([0.2, 1.0]), *places)
     assert first is None  # a point beside a disc takes no chords
     assert second is not None
     assert moved[0].max() < 0.01 < moved[1].max()
@@ -106,7 +106,7 @@ def test_small_discs_stay_gaussians():
 def test_the_derivative_to_a_disc():
     """Of a rule to the lamp's radius, against differences; at a chord's very end a bend is cut off, which they step over."""
     rig, theta_d = under(128.0, 0.5), np.full(128, 0.6)
-    view, blur = sphere_view(rig), blur_of(rig)
+    view, blur = sample_view(rig), blur_of(rig)
     pixels = Pixels(128 * np.sin(theta_d) + np.linspace(-2, 2, 128), np.linspace(0, 2, 128), theta_d, np.ones(128))
     (disc,), moved = lamp_discs(view, [blur], 2 * theta_d, pixels.x, pixels.y)
     window = polar_window(128.0, pixels, *(4.0 + moved[0]))
@@ -140,7 +140,7 @@ def test_the_integral_of_a_kernel(pixel, std):
 def test_a_fit_under_a_disc():
     """Of a table that the oracle records under a lamp of 0.25 degrees, F at each of its points."""
     alpha, lamp = 0.003, np.radians(0.25)
-    cells = chosen_cells(SphereView(256.0), "centre", 18)
+    cells = chosen_cells(SampleView(256.0), "centre", 18)
     setup = oracle.Setup(lamp=lamp)
     rule = disc_cells.DiscCells(
         GRID.theta_h[cells.i_theta_h], cells.theta_d, GRID.phi_d[cells.i_phi_d], setup, alpha, fineness=0.8

@@ -12,7 +12,7 @@ from matcam.core.workspace import Workspace
 from matcam.inverse.operator.chosen_cells import ChosenCells, cell_places, chosen_cells
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, prior_axis, rig_with
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from tests.golden import rows
 from tests.inverse.recorded import pictures, rig
 from tests.oracle import sphere_cells as oracle
@@ -67,7 +67,7 @@ def test_against_the_oracle():
 
 
 def test_no_two_cells_share_a_pixel():
-    cells = chosen_cells(SphereView(256.0), "centre")
+    cells = chosen_cells(SampleView(256.0), "centre")
     for s in range(0, 90, 9):
         kept = cells.valid[s]
         own = np.rint(cells.x[s][kept]) * 4096 + np.rint(cells.y[s][kept])

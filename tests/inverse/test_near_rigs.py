@@ -27,7 +27,7 @@ from matcam.forward import true_table, with_pixel_noise
 from matcam.inverse.operator.chosen_cells import ChosenCells, places_in
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
-from matcam.inverse.operator.sphere_view import SphereView, sphere_view
+from matcam.inverse.operator.sample_view import SampleView, sample_view
 from tests.golden import rows
 from tests.oracle import lamp_record
 
@@ -78,7 +78,7 @@ def test_golden_cells_by_the_near_code():
     )
     rig = Rig(rigs.merl().camera, Sphere(256.0, 1e8), NearLamp(1e8))
     column = [a[:, None] for a in (rings, rings, theta_h, phi_d)]
-    places = places_in(sphere_view(rig), column[2], theta_d[:, None], column[3])
+    places = places_in(sample_view(rig), column[2], theta_d[:, None], column[3])
     valid = np.ones(column[0].shape, bool)
     cells = ChosenCells(np.arange(len(golden)), theta_d, *column, valid, *places, ~valid)
     operator = operator_in(rig, cells, (), "golden, near", NEVER)
@@ -103,7 +103,7 @@ def test_a_lamps_disc_is_changed_at_its_distance():
 
 def test_the_place_of_a_highlight_and_its_light():
     """The flux of a highlight by its area in the picture, against the ratio of the picture's shift by finite differences."""
-    view = SphereView(100.0, 1 / 6, 1 / 4)
+    view = SampleView(100.0, 1 / 6, 1 / 4)
     theta_d, step = np.radians([5.0, 40.0, 70.0]), 1e-4
     none = np.zeros(3)
     peak = view.place(none, theta_d, none)

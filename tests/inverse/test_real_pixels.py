@@ -11,7 +11,7 @@ from matcam.inverse import Correction
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.lobe_operator import lobe_operator, perfect_operator
 from matcam.inverse.operator.pixel_phase import cell_rule, located_rig
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
 from tests.inverse.real_tables import real_shot
@@ -157,7 +157,7 @@ def test_the_operator_against_the_oracle(rule):
 def test_chosen_cells_share_no_pixel_and_state_their_noise(rule):
     from matcam.forward.pixel_grid import PixelGrid
 
-    cells = chosen_cells(SphereView(256.0), "centre", 15, PixelGrid(rule, PHASES[rule]))
+    cells = chosen_cells(SampleView(256.0), "centre", 15, PixelGrid(rule, PHASES[rule]))
     np.testing.assert_allclose(cells.weight.sum(-1), 1)
     low = {"nearest": 0.5, "bilinear": 0.12, "mean": 0.01}[rule]
     assert cells.noise_share.min() >= low - 1e-9
@@ -180,7 +180,7 @@ def test_a_camera_that_sees_points_reads_the_pixels(rule, azimuth):
     from tests.oracle.real_pixels import angles_of, behind, light_cosine
 
     phase, lobe = PHASES[rule], oracle.GGX(0.02)
-    cells, operator = perfect_operator("centre", 30, SphereView(256.0), None, PixelGrid(rule, phase, azimuth))
+    cells, operator = perfect_operator("centre", 30, SampleView(256.0), None, PixelGrid(rule, phase, azimuth))
     record = np.asarray(operator.record(GGX(0.02), "smith", ()))
     for s, td in enumerate(cells.theta_d):
         good = cells.valid[s]

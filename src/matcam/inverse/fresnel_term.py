@@ -24,7 +24,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import peak_cells
 from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
 from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
-from matcam.inverse.operator.sphere_view import sphere_view
+from matcam.inverse.operator.sample_view import sample_view
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
@@ -352,9 +352,9 @@ def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
 
 def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:
     """Return recorded over true peak, (n,). Where the lamp's azimuth turns the pixels, the fit's own operator knows it."""
-    if not sphere_view(rig).azimuth:
+    if not sample_view(rig).azimuth:
         return np.asarray(peak_response(rig, lobe, theta_d, exact=True, masking=masking))
-    cells = peak_cells(sphere_view(rig), theta_d)
+    cells = peak_cells(sample_view(rig), theta_d)
     operators = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace()), point_operator(cells)
     recorded, true = (np.asarray(one.record(lobe, masking, jnp.zeros(0)))[:, 0] for one in operators)
     return recorded / true

@@ -16,7 +16,7 @@ from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.fit.fit_setup import FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.sphere_view import sphere_view
+from matcam.inverse.operator.sample_view import sample_view
 from matcam.rigs import Rig
 
 _BEND = 1.0
@@ -133,7 +133,7 @@ def rivals(
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
         (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
-        view=sphere_view(setup.rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
+        view=sample_view(setup.rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
     return Rivals(_rival(camera), _rival(shadowing))

@@ -27,7 +27,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.inverse.operator.sphere_view import sphere_view, with_azimuth
+from matcam.inverse.operator.sample_view import sample_view, with_azimuth
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -439,7 +439,7 @@ def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndar
         raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
     seen = found.theta_d[there]
     f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
-    view = sphere_view(rig)
+    view = sample_view(rig)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     # each cell's way on the lamp's side stands for both: they lie about as far from their picture's highlight
     x, y = view.from_highlight(th, td, ph)

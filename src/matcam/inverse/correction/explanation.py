@@ -41,7 +41,7 @@ from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, FitSetup, candidate
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
 from matcam.inverse.operator.rig_axes import LENS, is_guess, known_lens
-from matcam.inverse.operator.sphere_view import sphere_view
+from matcam.inverse.operator.sample_view import sample_view
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
@@ -175,7 +175,7 @@ def explain(
     setup = setup.with_(ndf=found.family)
     blind_setup = FitSetup(
         (brdf,), None, found.family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=setup.every,
-        view=sphere_view(rig), pixels=grid_of(rig), workspace=workspace,
+        view=sample_view(rig), pixels=grid_of(rig), workspace=workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
     refused: list[OtherLobe] = []

@@ -29,7 +29,7 @@ from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
 from matcam.inverse.operator.rig_axes import axis_selection
-from matcam.inverse.operator.sphere_view import sphere_view
+from matcam.inverse.operator.sample_view import sample_view
 from matcam.rigs import Rig
 
 
@@ -86,7 +86,7 @@ def lobe_ratio(
     pixels = grid_of(rig)
     if pixels is not None:
         lattices = Lattices(fine, coarse, fitted)
-        moved, by_phase = pixel_log_ratio(lattices, at, fits.shape, pixels, sphere_view(rig).radius, phase_std)
+        moved, by_phase = pixel_log_ratio(lattices, at, fits.shape, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
     return LobeRatio(log, np.sqrt(variance))
 

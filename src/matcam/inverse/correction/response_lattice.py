@@ -18,7 +18,7 @@ from matcam.core.workspace import Workspace
 from matcam.inverse.operator.chosen_cells import FAR_COSINE, NEAR_COSINE, ChosenCells, places_in
 from matcam.inverse.operator.lobe_operator import LobeOperator, operator_in, point_operator, rig_key
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.inverse.operator.sphere_view import SphereView, sphere_view
+from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.rigs import Rig
 
 _PEAK_RINGS = 4
@@ -92,7 +92,7 @@ def response_lattice(
     rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...], workspace: Workspace
 ) -> ResponseLattice:
     """Return the lattice of a rig. workspace: keeps it for the rig's next material."""
-    view = sphere_view(rig)
+    view = sample_view(rig)
     if view.azimuth:
         spacing = spacing.all_round()
     elif view.line:
@@ -107,7 +107,7 @@ def response_lattice(
     return workspace.remember("response lattice", key, make, most=_LATTICES)
 
 
-def _lattice_cells(view: SphereView, sampling: Sampling, spacing: Spacing) -> ChosenCells:
+def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> ChosenCells:
     """Return the cells of a lattice."""
     grid = merl_grid(sampling)
     ring, azimuth = (a.ravel() for a in np.meshgrid(spacing.rings, np.radians(spacing.azimuths), indexing="ij"))

@@ -42,7 +42,7 @@ from matcam.inverse.operator.rig_axes import (
     prior_axis,
     shape_axis,
 )
-from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view, with_azimuth
+from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view, with_azimuth
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
@@ -116,7 +116,7 @@ class FitSetup:
     free_masking: bool = False
     noise: PixelNoise | None = None
     every: int = 1
-    view: SphereView = FAR_AWAY
+    view: SampleView = FAR_AWAY
     pixels: PixelGrid | None = None
     workspace: Workspace | None = None
 
@@ -203,7 +203,7 @@ class FitSetup:
             cells, operator = perfect_operator(sampling, self.every, self.view, self.workspace, self.pixels)
         else:
             cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
-        radius = (self.view if self.rig is None else sphere_view(self.rig)).radius
+        radius = (self.view if self.rig is None else sample_view(self.rig)).radius
         batch = (self.workspace or default_workspace()).batch
         return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius, batch)
 
@@ -247,7 +247,7 @@ class FitSetup:
         if self.lens_shape:
             axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))
             root[-1, -1] = 1.0
-        finest = 2 * float(self.rig.camera.pixel.half_width) / sphere_view(self.rig).radius
+        finest = 2 * float(self.rig.camera.pixel.half_width) / sample_view(self.rig).radius
         return Prior(axes, root, self.bend, max(finest, self.stiff_below), self.learned_bend)
 
 

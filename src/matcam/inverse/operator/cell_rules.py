@@ -30,7 +30,7 @@ from matcam.inverse.operator.polar_rule import (
     transfer,
 )
 from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
-from matcam.inverse.operator.sphere_view import SphereView, sphere_view
+from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.rigs import Rig
 
 
@@ -64,7 +64,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     """Return the nodes, weights and masking samples of cells by name; what changes along the axes is along0, along1 ..."""
     ways = cells.x.shape[-1]
     flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
-    view = sphere_view(rig)
+    view = sample_view(rig)
     theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
     factor = cells.weight / (cells.cos_i * view.irradiance(cells.cos_i))
     x, y, theta_d, factor = (padded(a.ravel()[flat]) for a in (cells.x, cells.y, theta_d, factor))
@@ -154,7 +154,7 @@ def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     return arms
 
 
-def _near_rules(view: SphereView, pixels: NearPixels, through: _Blurs) -> _Found:
+def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found:
     blurs, spreads, reaches, terms, discs = through
     onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
     nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0

@@ -22,7 +22,7 @@ from matcam.inverse.operator.pixels_behind import (
     pixel_numbers,
     pixels_behind,
 )
-from matcam.inverse.operator.sphere_view import BOTH_WAYS, SphereView, sphere_view
+from matcam.inverse.operator.sample_view import BOTH_WAYS, SampleView, sample_view
 from matcam.rigs import Rig
 
 NEAR_RINGS = 12
@@ -97,7 +97,7 @@ class ChosenCells(NamedTuple):
         return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
 
-def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
+def chosen_cells(view: SampleView, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
     """Choose cells in every `every`-th slice of a table recorded from a sphere.
 
     pixels: the real grid that the cells are looked up in; None: each has pixels of its own.
@@ -122,7 +122,7 @@ def chosen_cells(view: SphereView, sampling: Sampling, every: int = 1, pixels: P
     return ChosenCells(slices, theta_d, i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
-def peak_cells(view: SphereView, theta_d: np.ndarray) -> ChosenCells:
+def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
     """Return one cell a slice, at its highlight. theta_d: of the slices, rad, (s,)."""
     none = np.zeros((theta_d.size, 1), dtype=int)
     places = places_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
@@ -136,7 +136,7 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     It is half where the cell's two ways, on either side of their picture's highlight, are surely seen by two pixels; of cells
     that are means, one over the count of their pixels.
     """
-    grid, view = merl_grid(sampling), sphere_view(rig)
+    grid, view = merl_grid(sampling), sample_view(rig)
     x, y = turned(*view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d), view.azimuth)
     shares = np.where((2 * np.maximum(np.abs(x), np.abs(y)) >= 1) | view.line, 0.5, 1.0)
     if rig.cell_value == "mean":
@@ -144,7 +144,7 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     return shares
 
 
-def places_in(view: SphereView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
+def places_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
     """Return the two places that show each cell, each in the picture whose lamp does (docs/model.md 10)."""
     far = cell_places(view.radius, theta_h, theta_d, phi_d)
     if view.distant:
@@ -153,7 +153,7 @@ def places_in(view: SphereView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d:
     return far._replace(x=near.x, y=near.y)  # type: ignore[arg-type]
 
 
-def _azimuth(view: SphereView, pixels: PixelGrid | None) -> float:
+def _azimuth(view: SampleView, pixels: PixelGrid | None) -> float:
     """Return the azimuth of the lamp against the pixels' rows, rad."""
     return view.azimuth if pixels is None else pixels.azimuth
 
@@ -174,7 +174,7 @@ class _SliceCells(NamedTuple):
     behind: PixelsBehind | None
 
 
-def _slice_cells(view: SphereView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
+def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
     """Return the cells of one slice, rings from the highlight outwards.
 
     A cell is refused if one of its pixels belongs to another cell.

@@ -18,7 +18,7 @@ import numpy as np
 
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.integral.blur import Blur
-from matcam.inverse.operator.sphere_view import SphereView
+from matcam.inverse.operator.sample_view import SampleView
 from matcam.sample.shape import highlight_between
 
 COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
@@ -75,7 +75,7 @@ class LampDisc(NamedTuple):
 
 
 def lamp_discs(
-    view: SphereView, blurs: list[Blur], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
+    view: SampleView, blurs: list[Blur], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
     """Return the discs of some blurs, and how far they move what pixels see, (blurs, 2, pixels), px along the pixels' axes.
 
@@ -108,7 +108,7 @@ def lamp_discs(
 
 
 def lamp_kernel(
-    view: SphereView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
+    view: SampleView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
 ) -> jax.Array:
     """Return the kernel over the disc, 1/px^2, at places on either side of the plane of camera and lamp, added up.
 
@@ -170,7 +170,7 @@ def lamp_kernel(
 
 
 def _moved(
-    view: SphereView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
+    view: SampleView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return how far the disc's rim moves the highlight along x and y, (rim, pixels), and at most what is seen, px."""
     radius = jnp.maximum(blur.lamp_radius, _SMALLEST)
@@ -191,7 +191,7 @@ def _moved(
     return (along, across), farthest
 
 
-def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how far the highlight moves with the lamp along and across its plane, px/rad."""
     step = 1e-4
     ends = [_highlights(view, u, v, jnp.asarray(step), lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
@@ -199,7 +199,7 @@ def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.asarray(x - other) / 2 / step, np.asarray(y) / step
 
 
-def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, jax.Array]:
+def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, jax.Array]:
     """Return the normals at the highlights of points of the disc, and the points' light.
 
     u, v: of the points in radii of the disc, along the plane of camera and lamp, and across. The light is what a picture reads
@@ -240,7 +240,7 @@ def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
     return x * cosine - y * sine, x * sine + y * cosine
 
 
-def _place(view: SphereView, normal: Any) -> tuple[Any, Any]:
+def _place(view: SampleView, normal: Any) -> tuple[Any, Any]:
     """Return where the picture shows a normal, px."""
     far = is_concrete(view.camera) and view.camera == 0  # then nobody needs the normal's z
     scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])

@@ -28,7 +28,7 @@ from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.polar_rule import THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import LAMP, Axis
-from matcam.inverse.operator.sphere_view import FAR_AWAY, SphereView, sphere_view
+from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
@@ -214,7 +214,7 @@ def lobe_operator(
     key = (known, sampling, every, axes, pixels)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(sphere_view(rig), sampling, every, pixels)
+        cells = chosen_cells(sample_view(rig), sampling, every, pixels)
         return cells, operator_in(rig, cells, axes, repr(key), workspace)
 
     return workspace.remember("lobe operator", key, make)
@@ -225,7 +225,7 @@ def rig_key(rig: Rig) -> tuple:
     check_rig(rig)
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
-    view = sphere_view(rig)
+    view = sample_view(rig)
     rest = tuple(float(a) for a in (view.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
     return repr(camera), tuple(sorted(parameters.items())), rest if view.plain else (*rest, *view[1:])
 
@@ -240,7 +240,7 @@ def check_rig(rig: Rig) -> None:
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
-    if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sphere_view(rig).distant:
+    if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
             "cell_value must be 'centre' or 'edge'"
@@ -264,7 +264,7 @@ def operator_in(
 def perfect_operator(
     sampling: Sampling,
     every: int,
-    view: SphereView,
+    view: SampleView,
     workspace: Workspace | None = None,
     pixels: PixelGrid | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:

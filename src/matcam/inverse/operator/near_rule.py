@@ -22,7 +22,7 @@ from matcam.forward.integral.blur import Blur
 from matcam.forward.pixel_grid import turned
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, onto_nodes, stretched
-from matcam.inverse.operator.sphere_view import SphereView, angles_between, square_border
+from matcam.inverse.operator.sample_view import SampleView, angles_between, square_border
 
 _BLOCK = 32
 _MORE_AZIMUTHS = np.polynomial.legendre.leggauss(30)
@@ -83,7 +83,7 @@ class NearRule(NamedTuple):
     share: jax.Array
 
 
-def near_window(view: SphereView, pixels: NearPixels, reach: np.ndarray, rows: np.ndarray) -> NearWindow:
+def near_window(view: SampleView, pixels: NearPixels, reach: np.ndarray, rows: np.ndarray) -> NearWindow:
     """Return what is seen under a kernel of half sides `reach` and `rows` px, along the pixel's axes.
 
     The extremes lie on the border of the kernel's rectangle, or on the limb where it leaves the sphere.
@@ -137,7 +137,7 @@ def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> _Directions:
 
 @partial(jit_plainly, static=("terms", "pixel_nodes"))
 def near_rule(
-    view: SphereView,
+    view: SampleView,
     blur: Blur,
     variances: tuple,
     terms: tuple[int, ...],

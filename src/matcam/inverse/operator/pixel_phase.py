@@ -34,7 +34,7 @@ from matcam.inverse.operator.pixel_borders import (
     repeats,
     shown_places,
 )
-from matcam.inverse.operator.sphere_view import sphere_view, with_azimuth
+from matcam.inverse.operator.sample_view import sample_view, with_azimuth
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _DIAGONAL = 1e-6
@@ -118,7 +118,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
         return LocatedRig(rig)
     if rig.cell_value == "mean" and repeats(table).share < _LEAST_REPEATS:  # pixels of any phase
         return LocatedRig(rig)
-    if not sphere_view(rig).one_picture:  # each cell has a picture of its own
+    if not sample_view(rig).one_picture:  # each cell has a picture of its own
         return LocatedRig(_with_cells(rig, sampling_of(table), None))
     radius = float(rig.sample.radius)  # type: ignore[attr-defined]
     rule = rig.cell_value

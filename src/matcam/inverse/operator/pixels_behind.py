@@ -14,7 +14,7 @@ import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, merl_grid, theta_h_edges
 from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, slice_pixels, turned
-from matcam.inverse.operator.sphere_view import BOTH_WAYS
+from matcam.inverse.operator.sample_view import BOTH_WAYS
 
 _STRIDE = 1 << 16
 """Pixels per row in a pixel's number."""

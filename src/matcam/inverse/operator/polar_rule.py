@@ -20,7 +20,7 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.sphere_view import SphereView, square_border
+from matcam.inverse.operator.sample_view import SampleView, square_border
 from matcam.numerics.approximation import lagrange_basis
 
 NODES = np.polynomial.legendre.leggauss(40)
@@ -161,7 +161,7 @@ def polar_rule(
                 )
             else:
                 normal = cos * sin_d + sin * cos_psi * cos_d, sin * sin_psi, cos * cos_d - sin * cos_psi * sin_d
-                kernel = lamp_kernel(SphereView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
+                kernel = lamp_kernel(SampleView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
             mean += jnp.sum(share * cos_psi, -1)

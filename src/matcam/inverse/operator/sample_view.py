@@ -1,4 +1,4 @@
-"""A sphere before a camera and under a lamp: how large it is in the picture, and how near both are (docs/model.md 10)."""
+"""A sphere or cylinder before a camera, under a lamp: how large its picture is, and how near both are (docs/model.md 10)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ BOTH_WAYS = np.array([0.0, np.pi])
 Normals = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-class SphereView(NamedTuple):
-    """Hold how a sphere is seen and lit; numbers, so that views can be compared.
+class SampleView(NamedTuple):
+    """Hold how a curved sample is seen and lit; numbers, so that views can be compared.
 
     Attributes:
         radius: of the limb in the picture, px.
@@ -122,18 +122,18 @@ _ONE_AZIMUTH = 1e-6
 """Sine of half a difference up to which two azimuths are one."""
 _ALIGNED = 1e-9
 """Sine of twice an azimuth below which square pixels lie along the plane of camera and lamp."""
-FAR_AWAY = SphereView(256.0)
+FAR_AWAY = SampleView(256.0)
 """The MERL rig's sphere, whose pixels are told apart where no rig is given."""
 
 
-def sphere_view(rig: Rig | None) -> SphereView:
+def sample_view(rig: Rig | None) -> SampleView:
     """Return the view of a rig's sphere or cylinder; without a rig, of the sphere whose pixels are told apart."""
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
     turned = 0.0 if abs(np.sin(2 * azimuth)) < _ALIGNED else float(np.mod(azimuth, np.pi / 2))
     near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
-    return SphereView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
+    return SampleView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
 
 
 def with_azimuth(rig: Rig, table: xr.DataArray) -> Rig:
