@@ -128,6 +128,12 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
     ]
 
 
+def test_a_cylinders_table_is_not_followed_by_a_command_that_takes_it_for_a_spheres():
+    values = {"output": Path("a.binary"), "sample": "cylinder", "camera": None}
+    assert "fresnel" not in (suggestions.after("simulate", values) or "")
+    assert "fresnel" in (suggestions.after("simulate", {**values, "sample": "sphere"}) or "")
+
+
 def test_suggestions_are_for_commands_that_exist():
     from docs_commands import commands
 

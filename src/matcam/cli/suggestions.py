@@ -40,7 +40,9 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
     output = values["output"]
     if output is None:
         return ["matcam", "capture", "check", values["capture"]] if values.get("capture") else None
-    if output.suffix.lower() == ".binary":
+    if (
+        output.suffix.lower() == ".binary" and values.get("sample") != "cylinder"
+    ):  # which commands would take for a sphere's
         return ["matcam", "fresnel", output, *_camera(values)]
     return ["matcam", "inspect", output]
 

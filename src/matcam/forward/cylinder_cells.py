@@ -18,12 +18,12 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.shading import Vector, shading
 from matcam.core.workspace import Workspace
 from matcam.forward.cells_in_pictures import cell_sampling
-from matcam.forward.integral.blur import Blur, blur_of
+from matcam.forward.integral.blur import Blur, BlurTerms, blur_of, groups_of
 from matcam.forward.integral.recording import in_batches
 from matcam.material.material import Material
 from matcam.numerics.approximation import graded_nodes
@@ -137,22 +137,27 @@ def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
     """Return the radiance that places on a cylinder record under unit irradiance, 1/sr, (places, channels)."""
     cylinder, blur = rig.sample, blur_of(rig)
     assert isinstance(cylinder, Cylinder)
-    smooth = _smooth_places(float(jax.lax.stop_gradient(cylinder.radius)), jax.lax.stop_gradient(blur), places)
+    elongation = np.asarray(float(material.elongation))
     record = jnp.zeros((places.x.size, _channels(material, cylinder)))
-    for which, part in ((smooth, _record_smooth), (~smooth, _record_rough)):
-        index = np.flatnonzero(which)
-        if index.size:
-            own = jax.tree.map(lambda a, index=index: a[index], places)
-            record = record.at[index].set(part(material, cylinder, blur, own))
+    for terms, _ in groups_of(blur, cylinder):  # narrow terms need nodes that wide ones would not have
+        smooth = _smooth_places(cylinder, blur, terms, places, float(elongation))
+        for which, part in ((smooth, _record_smooth), (~smooth, _record_rough)):
+            index = np.flatnonzero(which)
+            if index.size:
+                own = jax.tree.map(lambda a, index=index: a[index], places)
+                record = record.at[index].add(part(material, cylinder, BlurTerms(blur, terms), own, elongation))
     return record
 
 
-def _smooth_places(radius: float, blur: Blur, places: LinePlaces) -> np.ndarray:
+def _smooth_places(
+    cylinder: Cylinder, blur: Blur, terms: tuple[int, ...], places: LinePlaces, elongation: float
+) -> np.ndarray:
     """Say which places see no end of the light, no highlight, and one kernel, (places,)."""
+    cylinder, blur = jax.lax.stop_gradient((cylinder, blur))
     if float(blur.aperture) > 0:  # what is out of focus changes the kernel from place to place
         return np.zeros(places.x.shape, dtype=bool)
-    half = float(blur.pixel.half_width)
-    widest = float(np.max(np.asarray(blur.stds)))
+    radius, half = float(cylinder.radius), float(blur.pixel.half_width)
+    widest = float(np.max(np.asarray(blur.stds)[list(terms)]))
     std = np.hypot(widest, half / np.sqrt(3))
     reach = _REACH * widest + half
     u = np.arcsin(places.x / radius)
@@ -162,7 +167,7 @@ def _smooth_places(radius: float, blur: Blur, places: LinePlaces) -> np.ndarray:
     across = np.asarray(places.lamp[1]) / np.sqrt(2 * (1 + np.asarray(places.lamp[2])))  # the half vector's y
     nearest = np.clip(peak, first, last)
     away = np.hypot(across, np.sin(nearest - peak))
-    return np.asarray(inside & (away > _AWAY * std / (radius * np.cos(u))))
+    return np.asarray(inside & (away > _AWAY * elongation * std / (radius * np.cos(u))))
 
 
 def _line(lamp: Vector) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
@@ -186,11 +191,15 @@ def _channels(material: Material, cylinder: Cylinder) -> int:
 
 
 @kept_program
-def _record_smooth(material: Material, cylinder: Cylinder, blur: Blur, places: LinePlaces) -> jax.Array:
+def _record_smooth(
+    material: Material, cylinder: Cylinder, through: BlurTerms, places: LinePlaces, _: AnyArray
+) -> jax.Array:
+    blur = through.blur
+
     def integral(at: LinePlaces) -> jax.Array:
         x, *lamp = (a[:, None] for a in (at.x, *at.lamp))
         total: jax.Array | float = 0.0
-        for term in range(blur.stds.size):
+        for term in through.terms:
             offset, weight = blur.rule(term, jnp.zeros(()))
             sin_u = (x + offset) / cylinder.radius
             light = _sent(material, cylinder, jnp.arcsin(sin_u), tuple(lamp))  # type: ignore[arg-type]
@@ -203,14 +212,17 @@ def _record_smooth(material: Material, cylinder: Cylinder, blur: Blur, places: L
 
 
 @kept_program
-def _record_rough(material: Material, cylinder: Cylinder, blur: Blur, places: LinePlaces) -> jax.Array:
-    finest, radius, pixel = material.finest, cylinder.radius, blur.pixel.half_width
+def _record_rough(
+    material: Material, cylinder: Cylinder, through: BlurTerms, places: LinePlaces, elongation: AnyArray
+) -> jax.Array:
+    blur, finest, radius = through.blur, material.finest, cylinder.radius
+    pixel, widest = blur.pixel.half_width, jnp.max(blur.stds[np.array(through.terms)])
 
     def integral(at: LinePlaces) -> jax.Array:
         *lit, peak, miss = (a[:, None] for a in _line(at.lamp))
         x = jnp.asarray(at.x)[:, None]
         defocus = blur.spread(cylinder, jnp.sqrt(1 - (x / radius) ** 2), jnp.zeros(()))[0]
-        reach = _REACH * jnp.sqrt(jnp.max(blur.stds) ** 2 + defocus) + pixel
+        reach = _REACH * jnp.sqrt(widest**2 + defocus) + pixel
 
         def along(column: jax.Array) -> jax.Array:
             return jnp.clip(jnp.arcsin(jnp.clip(column / radius, -1, 1)), *lit)
@@ -227,15 +239,15 @@ def _record_rough(material: Material, cylinder: Cylinder, blur: Blur, places: Li
             cuts = jnp.concatenate([middle, cuts, low + layer, high - layer, end], axis=1)
             way = jnp.where(end < middle, -1.0, 1.0)
             borders = jnp.sort(jnp.clip(way * (cuts - middle), 0.0, jnp.abs(end - middle)), axis=1)
-            scale = jnp.sqrt(finest**2 + miss**2 + (middle - peak) ** 2)
+            # a lobe that is long across the line is narrow on it however far the line misses it
+            scale = jnp.sqrt(finest**2 + (miss**2 + (middle - peak) ** 2) / elongation**2)
             distance, weight = graded_nodes(borders, scale[:, 0], _GRADED, _ORDER)
             sides.append((middle + way * distance, weight))
         # an integral does not depend on where its nodes are
         u, weight = (jax.lax.stop_gradient(jnp.concatenate(parts, axis=1)) for parts in zip(*sides, strict=True))
         light = _sent(material, cylinder, u, tuple(a[:, None] for a in at.lamp))  # type: ignore[arg-type]
         offset, spread = x - radius * jnp.sin(u), blur.spread(cylinder, jnp.cos(u), jnp.zeros(()))[0]
-        through = jnp.stack([blur.weights[j] * blur.kernel(offset, j, spread) for j in range(blur.stds.size)])
-        kernel = jnp.sum(through, axis=0)
+        kernel = jnp.sum(jnp.stack([blur.weights[j] * blur.kernel(offset, j, spread) for j in through.terms]), axis=0)
         return radius * jnp.sum(light * (kernel * weight)[..., None], axis=1)
 
     return in_batches(integral, (places,), _ROUGH)

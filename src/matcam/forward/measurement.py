@@ -80,7 +80,8 @@ def measure(
         largest error of the lens's MTF, which is taken as a sum of Gaussians; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: a cylinder's camera or lamp is near, or its lamp has a disc; or the call stands inside jax.jit.
+        ArgumentError: a cylinder's camera or lamp is near, its lamp has a disc or an azimuth, or its cells are on real pixels;
+            or the call stands inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
@@ -302,6 +303,8 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         phase = 0.0, 0.0  # as good as any
     phases = None if phase is None else phase_of_slices(phase)
     azimuth = _azimuth(rig, azimuth_of(table))
+    if isinstance(rig.sample, Cylinder):
+        check_cylinder(rig, azimuth)
     pixels = None if phases is not None or on_line else cell_pixels(rig.sample, sampling, azimuth)  # type: ignore[arg-type]
     values = table.values.copy()
     for j in range(GRID_SHAPE[1]):
