@@ -182,7 +182,7 @@ class Rig(eqx.Module):
             Sections "camera", "sample" and "blur", the lamp's angular radius and its distance (None: infinite); units
             stand in the names.
         """
-        sample: dict[str, Any] = {"kind": type(self.sample).__name__.lower()}
+        sample: dict[str, Any] = {"kind": self.sample.kind}
         if isinstance(self.sample, Curved):
             distance = None if self.sample.distant else float(self.sample.distance)
             sample |= {"radius_px": float(self.sample.radius), "distance_radii": distance}

@@ -128,10 +128,17 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
     ]
 
 
-def test_a_cylinders_table_is_not_followed_by_a_command_that_takes_it_for_a_spheres():
-    values = {"output": Path("a.binary"), "sample": "cylinder", "camera": None}
-    assert "fresnel" not in (suggestions.after("simulate", values) or "")
-    assert "fresnel" in (suggestions.after("simulate", {**values, "sample": "sphere"}) or "")
+@pytest.mark.parametrize(
+    ("sample", "next_one"),
+    [
+        ("sphere", "matcam fresnel a.binary"),
+        ("cylinder", "matcam fresnel a.binary --sample cylinder"),
+        ("flat", "matcam inspect a.binary"),
+    ],
+)
+def test_a_table_is_followed_by_a_command_that_takes_it_for_what_it_is(sample, next_one):
+    values = {"output": Path("a.binary"), "sample": sample, "camera": None}
+    assert suggestions.after("simulate", values) == next_one
 
 
 def test_suggestions_are_for_commands_that_exist():

@@ -76,6 +76,7 @@ def test_a_table_holds_the_cells_of_both_ways_and_a_sharp_camera_reads_the_mater
     material = Microfacet(GGX(0.2), 0.9)
     rig = rig_of(0.01, 0.01, 5000.0)
     table, truth = matcam.measure(material, rig), true_table(material)
+    assert table.attrs["sample"] == "cylinder"
     np.testing.assert_array_equal(np.isfinite(table.values), np.isfinite(truth.values))
     inside = np.asarray(np.minimum(*cosines(*np.meshgrid(*merl_grid("centre"), indexing="ij")))) > 0.05
     np.testing.assert_allclose(table.values[inside], truth.values[inside], rtol=1e-4)

@@ -1,11 +1,15 @@
 """Fits to tables of a cylinder: the operator against an independent quadrature, and what is found of drawn materials."""
 
+import json
+
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import matcam
 from matcam import GGX, BoxPixel, Camera, Cylinder, GaussianOptics, Rig, rigs
 from matcam.camera import PixelNoise, Uncertainty
+from matcam.cli.app import app
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import merl_grid
 from matcam.forward import true_table, with_pixel_noise
@@ -146,3 +150,20 @@ def test_fresnel_limits_and_rivals_take_a_cylinder():
     assert np.all(np.isfinite(known["width_std"].values) == np.isfinite(sphere["width_std"].values))
     beside = matcam.rivals(noisy, RIG)
     assert beside is not None
+
+
+def test_a_table_says_what_it_was_recorded_from(tmp_path):
+    """What `measure` writes is kept by a file, and a rig with another sample is refused, from the command line too."""
+    table, _, _ = drawn_table(0.01, np.random.default_rng(3), 0.01, 30)
+    table.attrs["sample"] = "cylinder"
+    found = matcam.fit(table, RIG, "ggx", every=30)
+    for told, rig in (("cylinder", rigs.merl()), ("sphere", RIG), ("flat", RIG), ("cube", RIG)):
+        with pytest.raises(ArgumentError, match="sample"):
+            matcam.fit(table.assign_attrs(sample=told), rig, "ggx", every=30)
+    path = tmp_path / "drawn.nc"
+    matcam.io.write_netcdf(path, table.to_dataset())
+    command = ["fit", str(path), "--every", "30", "--json"]
+    refused = CliRunner().invoke(app, command)
+    assert str(refused.exception) == "--sample must be the table's own, attrs['sample'] = 'cylinder', got a sphere"
+    done = CliRunner().invoke(app, [*command, "--sample", "cylinder"])
+    assert json.loads(done.stdout)["params"]["alpha"] == found.params["alpha"]

@@ -24,6 +24,7 @@ from matcam.cli.options import (
     Radius,
     RealPixels,
     SampleMm,
+    SampleShape,
     Sampling,
     rig_of,
 )
@@ -49,6 +50,7 @@ def command(
     ] = 1e-3,
     masking: Masking = "smith",
     camera: CameraProfile = None,
+    sample: SampleShape = "sphere",
     radius: Radius = None,
     distance: Distance = None,
     lamp: LampRadius = 0.0,
@@ -140,7 +142,12 @@ def command(
 
     use_compilation_cache()
     workspace = Workspace.user()
-    near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near: dict[str, Any] = {
+        "sample": sample,
+        "distance": distance,
+        "lamp_distance": lamp_distance,
+        "sample_mm": sample_mm,
+    }
     near["azimuth"] = azimuth
     rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     how: dict[str, Any] = {

@@ -23,6 +23,7 @@ from matcam.cli.options import (
     Radius,
     RealPixels,
     SampleMm,
+    SampleShape,
     Sampling,
     rig_of,
 )
@@ -59,6 +60,7 @@ def command(
     every: Annotated[int, typer.Option("--every", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",
     camera: CameraProfile = None,
+    sample: SampleShape = "sphere",
     radius: Radius = None,
     distance: Distance = None,
     lamp: LampRadius = 0.0,
@@ -94,7 +96,12 @@ def command(
     from matcam.exchange.contents import read_table
     from matcam.inverse.fit.fit_setup import fit
 
-    near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near: dict[str, Any] = {
+        "sample": sample,
+        "distance": distance,
+        "lamp_distance": lamp_distance,
+        "sample_mm": sample_mm,
+    }
     near["azimuth"] = azimuth
     rig = None if blind else rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
     with show.working(f"fitting {', '.join(str(f) for f in files)} through the camera"):

@@ -24,6 +24,7 @@ from matcam.cli.options import (
     Radius,
     RealPixels,
     SampleMm,
+    SampleShape,
     Sampling,
     rig_of,
 )
@@ -44,6 +45,7 @@ def command(
     ndf: FamilyOrAuto = "auto",
     masking: Masking = "smith",
     camera: CameraProfile = None,
+    sample: SampleShape = "sphere",
     radius: Radius = None,
     distance: Distance = None,
     lamp: LampRadius = 0.0,
@@ -103,7 +105,12 @@ def command(
 
         if metal is not None:
             metals(metal)  # an unknown name should cost nothing
-        near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+        near: dict[str, Any] = {
+            "sample": sample,
+            "distance": distance,
+            "lamp_distance": lamp_distance,
+            "sample_mm": sample_mm,
+        }
         near["azimuth"] = azimuth
         result = fresnel(
             read_table(file, sampling=sampling),

@@ -16,6 +16,7 @@ from matcam.cli.options import (
     LampRadius,
     Radius,
     SampleMm,
+    SampleShape,
     rig_of,
 )
 
@@ -33,6 +34,7 @@ def command(
         typer.Option("--floor", metavar="SHARE", help="Noise of a pixel, as a share of its slice's peak (no unit)."),
     ] = 1e-4,
     camera: CameraProfile = None,
+    sample: SampleShape = "sphere",
     radius: Radius = None,
     distance: Distance = None,
     lamp: LampRadius = 0.0,
@@ -52,7 +54,12 @@ def command(
     from matcam.camera.sensor import PixelNoise
     from matcam.inverse.recoverability import ROUGHNESSES, limits
 
-    near: dict[str, Any] = {"distance": distance, "lamp_distance": lamp_distance, "sample_mm": sample_mm}
+    near: dict[str, Any] = {
+        "sample": sample,
+        "distance": distance,
+        "lamp_distance": lamp_distance,
+        "sample_mm": sample_mm,
+    }
     near["azimuth"] = azimuth
     rig = rig_of(camera, radius, lamp, **near)
     with show.working("bounds"):

@@ -65,6 +65,10 @@ CameraProfile = Annotated[
     Path | None,
     typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON). Default: the MERL rig's camera."),
 ]
+SampleShape = Annotated[
+    Literal["sphere", "cylinder", "flat"],
+    typer.Option("--sample", help="Shape of the sample. The camera cannot blur what a flat one reflects."),
+]
 Radius = Annotated[
     float | None,
     typer.Option(

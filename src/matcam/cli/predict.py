@@ -21,6 +21,7 @@ from matcam.cli.options import (
     LampRadius,
     Radius,
     SampleMm,
+    SampleShape,
     rig_of,
 )
 
@@ -39,9 +40,7 @@ def command(
         float | None,
         typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, which needs it (no unit)."),
     ] = None,
-    sample: Annotated[
-        Literal["sphere", "cylinder", "flat"], typer.Option("--sample", help="Shape of the sample.")
-    ] = "sphere",
+    sample: SampleShape = "sphere",
     dims: Annotated[
         int,
         typer.Option(

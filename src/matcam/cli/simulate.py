@@ -21,6 +21,7 @@ from matcam.cli.options import (
     LampRadius,
     Radius,
     SampleMm,
+    SampleShape,
     Sampling,
     rig_of,
 )
@@ -78,10 +79,7 @@ def command(
             help="Azimuth of the lamp about the optical axis, degrees; 0 is right, 90 up.",
         ),
     ] = 0.0,
-    sample: Annotated[
-        Literal["sphere", "cylinder", "flat"],
-        typer.Option("--sample", help="Shape of the sample; flat: a table without any blur."),
-    ] = "sphere",
+    sample: SampleShape = "sphere",
     cell: Annotated[
         Literal["centre", "edge", "mean", "nearest", "bilinear"],
         typer.Option("--cell", help="What a cell of a table stands for."),

@@ -22,7 +22,7 @@ def after(name: str, values: dict[str, Any]) -> str | None:
 
 def _camera(values: dict[str, Any]) -> list[Any]:
     """Return the options of the same rig."""
-    found: list[Any] = []
+    found: list[Any] = ["--sample", values["sample"]] if values.get("sample", "sphere") != "sphere" else []
     for parameter in ("camera", "radius", "distance", "lamp_distance", "sample_mm"):
         option = f"--{parameter.replace('_', '-')}"
         if values.get(parameter) is not None:
@@ -40,9 +40,7 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
     output = values["output"]
     if output is None:
         return ["matcam", "capture", "check", values["capture"]] if values.get("capture") else None
-    if (
-        output.suffix.lower() == ".binary" and values.get("sample") != "cylinder"
-    ):  # which commands would take for a sphere's
+    if output.suffix.lower() == ".binary" and values.get("sample") != "flat":
         return ["matcam", "fresnel", output, *_camera(values)]
     return ["matcam", "inspect", output]
 

@@ -216,6 +216,14 @@ def azimuth_of(table: xr.DataArray) -> float | None:
     return float(azimuth)
 
 
+def sample_of(table: xr.DataArray) -> str | None:
+    """Return the kind of sample that a table was recorded from: its attribute `sample`; None: it has none."""
+    kind = table.attrs.get("sample")
+    if kind is None or kind in ("sphere", "cylinder", "flat"):
+        return kind
+    raise ArgumentError(f"attrs['sample'] of a BRDF table must be 'sphere', 'cylinder' or 'flat', got {kind!r:.60}")
+
+
 def sampling_of(table: xr.DataArray) -> Sampling:
     """Return where in its cell each value of a table is sampled: its attribute `sampling`."""
     sampling = table.attrs.get("sampling")

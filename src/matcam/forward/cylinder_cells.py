@@ -37,6 +37,8 @@ _AWAY = 9.0
 _GRADED, _EVEN, _ORDER = 6, 4, 6
 _ENDS = 3.0
 """Width of the panel at the ends of the light, where masking sets in, in the lobe's own scale."""
+_TURN = 1e-9
+"""Sine of half an azimuth up to which it is a whole turn, and none."""
 _SMOOTH, _ROUGH = 4096, 256
 """Places at a time: as many nodes as fit into a processor's cache."""
 
@@ -82,7 +84,7 @@ def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
         raise ArgumentError(
             f"a cylinder's table needs a lamp without a disc, got a radius of {float(rig.lamp_radius):g} rad"
         )
-    if azimuth or rig.lamp_azimuth:
+    if any(abs(np.sin((turned or 0.0) / 2)) > _TURN for turned in (azimuth, rig.lamp_azimuth)):
         raise ArgumentError(
             "a cylinder's table has a lamp of its own for every cell: the lamp's azimuth must be left out"
         )

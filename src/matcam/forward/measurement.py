@@ -103,7 +103,7 @@ def measure(
         )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value
-    attrs = {"cell_value": written, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    attrs = {"cell_value": written, "sample": rig.sample.kind, "rig": repr(rig), "kernel_error": kernel_error(rig)}
     attrs["lamp_azimuth"] = _azimuth(rig, azimuth)
     if rig.pixel_phase is not None:
         attrs["pixel_phase"] = np.ravel(rig.pixel_phase).tolist()

@@ -141,7 +141,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
         return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (type(rig.sample)(radius, **distance), lens))
 
     return {
-        "sphere twice as large in the picture": with_(2 * radius, sigma),
+        f"{rig.sample.kind} twice as large in the picture": with_(2 * radius, sigma),
         "lens half as blurred (aperture, focus)": with_(radius, sigma / 2),
         "twice the pixels, same lens": with_(2 * radius, 2 * sigma),
     }

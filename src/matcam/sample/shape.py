@@ -59,6 +59,11 @@ class Place(NamedTuple):
 class Sample(eqx.Module):
     """Describe a shape that is photographed."""
 
+    @property
+    def kind(self) -> str:
+        """Return the shape's name in files: "sphere", "cylinder" or "flat"."""
+        return type(self).__name__.lower()
+
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal away from the half vector, px/rad.

@@ -27,7 +27,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.inverse.operator.sample_view import sample_view, with_azimuth
+from matcam.inverse.operator.sample_view import sample_view, rig_behind
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -154,7 +154,7 @@ class Correction:
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
             lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
-        shares = noise_shares(with_azimuth(rig, brdf), sampling_of(brdf))
+        shares = noise_shares(rig_behind(brdf, rig), sampling_of(brdf))
         table = _corrected_table(brdf, best, left, shares, ratio, scattered, glare)
         remarks = found.remarks
         if noise is None:

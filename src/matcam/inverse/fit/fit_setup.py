@@ -42,7 +42,7 @@ from matcam.inverse.operator.rig_axes import (
     prior_axis,
     shape_axis,
 )
-from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view, with_azimuth
+from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view, rig_behind
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig
@@ -138,7 +138,7 @@ class FitSetup:
             check_rig(self.rig)
             object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)
             for table in tables[1:]:
-                with_azimuth(self.rig, table)
+                rig_behind(table, self.rig)
 
     def with_(self, **changes: Any) -> FitSetup:
         """Return the same setup with other fields.
@@ -306,8 +306,8 @@ def fit(
             parameters are fitted, with its covariance as their prior; where the camera states none, the lens's width is
             assumed to be known to 10 %. "free": the parameters named in `free` are fitted with nothing known. Default: None,
             "prior", or "fixed" if the camera states that it is exact (a standard deviation of 0).
-        free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "lamp_radius", "jitter", "aperture")
-            may come down to 0. Default: the width of a Gaussian lens.
+        free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a sphere's
+            "lamp_radius") may come down to 0. Default: the width of a Gaussian lens.
         bend: how far D may leave its family, smoothly (no unit). It is the standard deviation of the second differences of ln D
             between knots that are half a power of e apart. Default: 0, not at all; 1 is as good as no family.
         noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, misfit and all.

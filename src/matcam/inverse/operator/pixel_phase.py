@@ -34,7 +34,7 @@ from matcam.inverse.operator.pixel_borders import (
     repeats,
     shown_places,
 )
-from matcam.inverse.operator.sample_view import sample_view, with_azimuth
+from matcam.inverse.operator.sample_view import sample_view, rig_behind
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _DIAGONAL = 1e-6
@@ -112,7 +112,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
 
     FitError where the cells are not what the rig says; ArgumentError where rig and table state different azimuths.
     """
-    rig = with_azimuth(rig, table)
+    rig = rig_behind(table, rig)
     table = table.assign_attrs(lamp_azimuth=rig.lamp_azimuth or 0.0)
     if rig.pixel_phase is not None or rig.cell_value not in (*ON_REAL_PIXELS, "mean", UNKNOWN):
         return LocatedRig(rig)

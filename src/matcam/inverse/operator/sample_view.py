@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import azimuth_of
+from matcam.core.grid import azimuth_of, sample_of
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.integrals import highlight_x
 from matcam.forward.pixel_grid import turned
@@ -136,11 +136,15 @@ def sample_view(rig: Rig | None) -> SampleView:
     return SampleView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
 
 
-def with_azimuth(rig: Rig, table: xr.DataArray) -> Rig:
+def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
     """Return a rig that says where the lamp stood in a table's pictures, as it states or the table does.
 
-    ArgumentError where they state different azimuths.
+    ArgumentError where they state different azimuths or samples.
     """
+    kind = sample_of(table)
+    if kind not in (None, rig.sample.kind):
+        known = "a flat sample's table is not blurred" if kind == "flat" else f"attrs['sample'] = '{kind}'"
+        raise ArgumentError(f"sample must be the table's own, {known}, got a {rig.sample.kind}")
     stated, own = azimuth_of(table), rig.lamp_azimuth
     if own is None:
         return replace(rig, lamp_azimuth=stated) if stated else rig
