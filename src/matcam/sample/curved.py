@@ -9,6 +9,7 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.numerics.lengths import plane_length
+from matcam.numerics.sine import sine
 from matcam.sample.shape import (
     Curved,
     Element,
@@ -57,7 +58,7 @@ class Sphere(Curved):
 
         x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (docs/model.md 3).
         """
-        cos_v, sin_u = jnp.cos(v), _sine(u)
+        cos_v, sin_u = jnp.cos(v), sine(u)
         cos_u = jnp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
         normal = cos_v * sin_u, jnp.sin(v), cos_v * cos_u
         view, length, depth = self.line_of_sight(normal, normal[1])
@@ -306,23 +307,3 @@ class Cylinder(Curved):
 
     def __repr__(self) -> str:
         return constructor_call(self)
-
-
-# sin(x) / x as a polynomial in x^2: it agrees with it at 10 Chebyshev nodes of [0, (pi/2)^2]. From the constant upwards, which
-# is less than 1 by two roundings, since a sine above 1 has no cosine
-_SINE = (
-    1 - 2**-52, -0.16666666666666666, 0.008333333333333333, -0.0001984126984126967, 2.755731922394071e-06,
-    -2.5052108378602197e-08, 1.6059043206300948e-10, -7.647127739966418e-13, 2.8102145350022103e-15, -7.982518961783833e-18,
-)  # fmt: skip
-
-
-def _sine(angle: jax.Array) -> jax.Array:
-    """Return the sine within [-pi/2, pi/2] to the last digit but one.
-
-    XLA has the sines of doubles from a library, one by one: 15 ns each, a third of an integral. As a polynomial they cost 1 ns.
-    """
-    square = angle * angle
-    total = jnp.full_like(square, _SINE[-1])
-    for coefficient in _SINE[-2::-1]:
-        total = total * square + coefficient
-    return total * angle

@@ -23,6 +23,7 @@ from matcam.forward.pixel_grid import turned
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, onto_nodes, stretched
 from matcam.inverse.operator.sample_view import SampleView, angles_between, square_border
+from matcam.numerics.sine import sine_and_cosine
 
 _BLOCK = 32
 _MORE_AZIMUTHS = np.polynomial.legendre.leggauss(30)
@@ -197,8 +198,8 @@ def near_rule(
             psi.append(begin + half * (around[0] + 1))
             share.append(half * around[1])
         azimuth, share = jnp.concatenate(psi, -1), jnp.concatenate(share, -1)
-        cos_a = jnp.cos(azimuth)
-        normal = c * sin_p + s * cos_a * cos_p, s * jnp.sin(azimuth), c * cos_p - s * cos_a * sin_p
+        sin_a, cos_a = (-a for a in sine_and_cosine(azimuth - jnp.pi))  # a lean takes azimuths beyond pi
+        normal = c * sin_p + s * cos_a * cos_p, s * sin_a, c * cos_p - s * cos_a * sin_p
         at = _directions(normal, sin_l, cos_l, q, w)
         depth = 1 - q * normal[2]
         dx, dy = stretch * normal[0] / depth - x, stretch * normal[1] / depth

@@ -22,6 +22,7 @@ from matcam.forward.integral.blur import Blur
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.sample_view import SampleView, square_border
 from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.sine import sine_and_cosine
 
 NODES = np.polynomial.legendre.leggauss(40)
 _BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - NODES[0] ** 2) * NODES[1])
@@ -149,7 +150,7 @@ def polar_rule(
             begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
             half = jnp.maximum(end - begin, 0.0) / 2
             psi = begin + half * (AZIMUTHS[0] + 1)
-            cos_psi, sin_psi = jnp.cos(psi), jnp.sin(psi)
+            sin_psi, cos_psi = sine_and_cosine(psi)
             if disc is None:
                 dx = radius * (cos * sin_d + sin * cos_psi * cos_d) - x
                 dy = radius * sin * sin_psi
