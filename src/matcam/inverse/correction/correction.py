@@ -27,7 +27,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.inverse.operator.sample_view import sample_view, rig_behind
+from matcam.inverse.operator.sample_view import rig_behind, sample_view
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig

@@ -42,7 +42,7 @@ from matcam.inverse.operator.rig_axes import (
     prior_axis,
     shape_axis,
 )
-from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view, rig_behind
+from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, rig_behind, sample_view
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.ndf.free_lobe import KNOTS, SHADOWS
 from matcam.rigs import Rig

@@ -34,7 +34,7 @@ from matcam.inverse.operator.pixel_borders import (
     repeats,
     shown_places,
 )
-from matcam.inverse.operator.sample_view import sample_view, rig_behind
+from matcam.inverse.operator.sample_view import rig_behind, sample_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _DIAGONAL = 1e-6
