@@ -63,6 +63,19 @@ def test_drawn_cells_are_those_of_an_independent_quadrature(view, alpha):
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
 
+@pytest.mark.parametrize("alpha", [0.01, 0.2])
+def test_a_lens_out_of_focus_makes_discs(alpha):
+    angles = drawn_cells(np.random.default_rng(5), 40)
+    lobe, lens = sphere_cells.GGX(alpha), oracle.Lens((1.0,), (0.5,), 0.5, 0.03, 0.4)
+    truth = np.array(
+        [oracle.record(lobe.p22, smith(lobe), 150.0, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
+    )
+    rig = rig_of(0.5, 0.5, 150.0, aperture=0.03, focus=0.4)
+    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig, line_places(150.0, *angles)))[:, 0]
+    found = found / np.asarray(cosines(*angles)[0])
+    assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
+
+
 def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():
     angles = drawn_cells(np.random.default_rng(2), 40)
     places = line_places(100.0, *angles)

@@ -14,11 +14,22 @@ _ORDER = np.polynomial.legendre.leggauss(14)
 
 
 class Lens(NamedTuple):
-    """A sum of Gaussians before a box: shares, standard deviations (px), half width (px)."""
+    """A sum of Gaussians before a box: shares, standard deviations and half width, px; aperture and focus of docs/model.md."""
 
     share: tuple
     sigma: tuple
     half_width: float
+
+    aperture: float = 0.0
+    focus: float = 0.0
+
+    def out_of_focus(self, t, radius, n_z):
+        """The kernel where a lens spreads what it shows over a disc: its mean over the columns of the pupil."""
+        if not self.aperture:
+            return self.kernel(t)
+        turn = np.arange(1, 40) * np.pi / 40  # the columns of a disc: Chebyshev's second rule
+        disc = radius * self.aperture * (n_z - np.cos(self.focus)) / 2
+        return sum(np.sin(at) ** 2 * self.kernel(t + disc * np.cos(at)) for at in turn) / 20
 
     def kernel(self, t):
         parts = [
@@ -50,7 +61,7 @@ def record(lobe, masking, radius, lens, theta_h, theta_d, phi_d, width):
     if min(normal[2], normal @ light) <= 0:
         return np.nan
     x0 = radius * normal[0]
-    reach = 7.5 * max(lens.sigma) + lens.half_width
+    reach = 7.5 * max(lens.sigma) + lens.half_width + radius * lens.aperture / 2
     half = light + np.array([0, 0, 1.0])
     half /= np.linalg.norm(half)
     peak = np.arctan2(half[0], half[2])
@@ -72,4 +83,4 @@ def record(lobe, masking, radius, lens, theta_h, theta_d, phi_d, width):
     cross = np.linalg.norm(np.cross(n.reshape(3, -1).T, half), axis=1).reshape(u.shape)
     cos_i, cos_o = np.tensordot(light, n, 1), n[2]
     lit = lobe((cross / cos_h) ** 2) / cos_h**4 * masking(cos_i, cos_o) / 4
-    return float(np.sum(w * radius * lens.kernel(x0 - radius * np.sin(u)) * lit) / (normal @ light))
+    return float(np.sum(w * radius * lens.out_of_focus(x0 - radius * np.sin(u), radius, n[2]) * lit) / (normal @ light))

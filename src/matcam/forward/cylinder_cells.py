@@ -137,7 +137,7 @@ def line_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: 
 
 def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
     """Return the radiance that places on a cylinder record under unit irradiance, 1/sr, (places, channels)."""
-    cylinder, blur = rig.sample, blur_of(rig)
+    cylinder, blur = rig.sample, blur_of(rig, in_discs=True)
     assert isinstance(cylinder, Cylinder)
     elongation = np.asarray(float(material.elongation))
     record = jnp.zeros((places.x.size, _channels(material, cylinder)))
@@ -223,8 +223,12 @@ def _record_rough(
     def integral(at: LinePlaces) -> jax.Array:
         *lit, peak, miss = (a[:, None] for a in _line(at.lamp))
         x = jnp.asarray(at.x)[:, None]
-        defocus = blur.spread(cylinder, jnp.sqrt(1 - (x / radius) ** 2), jnp.zeros(()))[0]
-        reach = _REACH * jnp.sqrt(widest**2 + defocus) + pixel
+        reach = _REACH * widest + pixel
+        discs = [  # the wider of those about the pixel
+            blur.spread(cylinder, jnp.sqrt(1 - jnp.clip((x + side * reach) / radius, -1, 1) ** 2), jnp.zeros(())).disc
+            for side in (-1, 0, 1)
+        ]
+        reach = reach + jnp.maximum(jnp.maximum(*discs[:2]), discs[2])
 
         def along(column: jax.Array) -> jax.Array:
             return jnp.clip(jnp.arcsin(jnp.clip(column / radius, -1, 1)), *lit)
@@ -248,8 +252,11 @@ def _record_rough(
         # an integral does not depend on where its nodes are
         u, weight = (jax.lax.stop_gradient(jnp.concatenate(parts, axis=1)) for parts in zip(*sides, strict=True))
         light = _sent(material, cylinder, u, tuple(a[:, None] for a in at.lamp))  # type: ignore[arg-type]
-        offset, spread = x - radius * jnp.sin(u), blur.spread(cylinder, jnp.cos(u), jnp.zeros(()))[0]
-        kernel = jnp.sum(jnp.stack([blur.weights[j] * blur.kernel(offset, j, spread) for j in through.terms]), axis=0)
+        offset, spread = x - radius * jnp.sin(u), blur.spread(cylinder, jnp.cos(u), jnp.zeros(()))
+        # light is the same all along the axis: of each chord its column counts
+        kernel = sum(
+            blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in through.terms
+        )
         return radius * jnp.sum(light * (kernel * weight)[..., None], axis=1)
 
     return in_batches(integral, (places,), _ROUGH)

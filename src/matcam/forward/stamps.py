@@ -152,7 +152,7 @@ def rig_highlights(
     along, across = sample.px_per_rad(theta_d, near)
     # radiance F D / 4 cos^2, the area of normals on the sensor, and the lamp's irradiance there; D cos integrates to 1
     flux = share * along * across * closeness(near, jnp.cos(theta_d)) ** 2 / (4 * jnp.cos(theta_d))
-    by_lamp, by_lamp_across = blur_of(rig).spread(sample, jnp.cos(u), angle, near)
+    by_lamp, by_lamp_across, _ = blur_of(rig).spread(sample, jnp.cos(u), angle, near)
     jitter = rig.jitter**2
     aligned = is_concrete(turn) and not np.any(np.asarray(turn))
     return Highlights(

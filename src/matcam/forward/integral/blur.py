@@ -2,24 +2,28 @@
 
 - The lens is a sum of Gaussians (`camera/optics/gaussian_sum.py`). Registration jitter adds its variance to each.
 - A lens out of focus spreads light over a disc. A lamp's disc spreads the half vector over an ellipse (docs/model.md 3). Both
-  are taken as Gaussians with the disc's own standard deviation, a quarter of its diameter. They vary over the picture. On
-  spheres a lamp's disc is a disc instead: records are means over its points, and a fit's operator has `lamp_lines`.
+  vary over the picture. Records of pixels and cells take the first as a disc, by chords, each a product in x and y. On spheres
+  they take a lamp's disc as one, too: a record is the mean over its points, and a fit's operator has `lamp_lines`. Elsewhere
+  both are Gaussians with the disc's own standard deviation, a quarter of its diameter.
 - Terms of about one width share the lengths of their integral: a `BlurGroup`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
+from jax.typing import ArrayLike
 
-from matcam.camera.optics.gaussian import gaussian_sum
+from matcam.camera.optics.gaussian import GaussianSum, gaussian_sum
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.lamp.lamps import closeness
+from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
@@ -30,6 +34,30 @@ _ONE_WIDTH = 1.4
 """Largest ratio of the standard deviations in a group."""
 _SHARP = 0.7
 """Standard deviation, in half widths of the pixel, below which the pixel's borders show as steps."""
+PIXELS_SHARE = 0.3
+"""Share of the pixel's half width that counts as blur of a disc: its borders are steps before a sharp lens."""
+_LEAST_DISC = 1e-4
+"""Least radius of a disc in standard deviations of its blur: the difference that a chord is keeps 12 digits."""
+_FOLLOWED = 5.2
+"""How far a Gaussian is followed, in standard deviations."""
+
+
+Line = Callable[[jax.Array], jax.Array]
+"""A kernel along one axis, 1/px, of the offset from the pixel's centre, px."""
+
+
+class Spread(NamedTuple):
+    """Hold what focus and lamp add to a blur at a piece of surface.
+
+    Attributes:
+        along: variance along x, px^2.
+        across: variance along y, px^2.
+        disc: radius of the disc of a lens out of focus, px; 0 where it is in the variances.
+    """
+
+    along: jax.Array
+    across: jax.Array
+    disc: jax.Array
 
 
 class Blur(eqx.Module):
@@ -43,6 +71,7 @@ class Blur(eqx.Module):
         aperture: diameter of the entrance pupil over its distance, no unit.
         focus: angle of the normals in focus from the optical axis, rad.
         varies: True where lamp or focus add to the terms; the kernel then depends on the place.
+        chords: of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
     """
 
     pixel: PixelResponse
@@ -52,25 +81,58 @@ class Blur(eqx.Module):
     aperture: jax.Array
     focus: jax.Array
     varies: bool = eqx.field(static=True)
+    chords: int = eqx.field(static=True, default=0)
 
     def spread(
         self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
-    ) -> tuple[jax.Array, jax.Array]:
-        """Return the variances, px^2, that focus and lamp add along x and y.
-
-        They depend on the normal's z and on the lamp.
-        """
+    ) -> Spread:
+        """Return what focus and lamp add. It depends on the normal's z and on the lamp."""
         if not self.varies:
-            return jnp.zeros(()), jnp.zeros(())
-        circle = sample.radius * self.aperture * (normal_z - jnp.cos(self.focus))
+            return Spread(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
+        disc = jnp.abs(self.defocus(sample.radius, normal_z))
         theta_d = sample.theta_d(lamp_angle, lamp_nearness)
         scale_x, scale_y = sample.px_per_rad(theta_d, lamp_nearness)
         quarter = self.lamp_radius / 4 * closeness(lamp_nearness, jnp.cos(theta_d))
         along = scale_x * quarter
         across = jnp.where(jnp.isinf(scale_y), 0.0, scale_y) * quarter
         across /= jnp.maximum(jnp.cos(theta_d), STEEPEST)
-        defocus = circle**2 / 16
-        return defocus + along**2, defocus + across**2
+        if self.chords:
+            return Spread(along**2, across**2, disc)
+        return Spread(disc**2 / 4 + along**2, disc**2 / 4 + across**2, jnp.zeros(()))
+
+    def defocus(self, radius: ArrayLike, normal_z: ArrayLike) -> jax.Array:
+        """Return the radius of a lens's disc out of focus at a normal's z, px; below 0 where it is behind the focus.
+
+        radius: of the sample, px.
+        """
+        return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
+
+    def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
+        """Return the sum of what is made of each product that one term of the kernel consists of.
+
+        Args:
+            term: index of the term.
+            spread: what is added to it.
+            of: takes the kernel along x and along y.
+        """
+        if not self.chords:
+            return of(lambda x: self.kernel(x, term, spread.along), lambda y: self.kernel(y, term, spread.across))
+        disc = jnp.maximum(spread.disc, _LEAST_DISC * self.stds[term])
+
+        def of_chord(chord: Chords) -> jax.Array:
+            at, half, share = chord
+            reach = half * disc
+
+            def rows(y: jax.Array) -> jax.Array:
+                ends = (self.kernel_until(y + side * reach, term, spread.across) for side in (1, -1))
+                return (next(ends) - next(ends)) / (2 * reach)
+
+            return jnp.asarray(share) * of(lambda x: self.kernel(x - at * disc, term, spread.along), rows)
+
+        chords = jax.tree.map(jnp.asarray, chords_of(self.chords))
+        first = of_chord(jax.tree.map(lambda a: a[0], chords))
+        rest = jax.tree.map(lambda a: a[1:], chords)
+        return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
 
     def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
         """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
@@ -85,28 +147,28 @@ class Blur(eqx.Module):
         x: jax.Array,
         y: jax.Array,
         term: int,
-        variances: tuple[jax.Array, jax.Array],
+        spread: Spread,
         turn: tuple[jax.Array, jax.Array],
         nodes: int,
     ) -> jax.Array:
         """Return one term, 1/px^2, seen by a pixel that is turned against the axes of x and y.
 
-        What is added along x and y is correlated on the pixel's own axes: along the wider one the pixel is integrated over,
-        across it the rest of the Gaussian is in closed form.
+        What a lamp adds along x and y is correlated on the pixel's own axes: along the wider one the pixel is integrated over,
+        across it the rest of the Gaussian is in closed form. A disc out of focus is the same on all axes.
 
         Args:
             x: offset from the pixel's centre, px, along the first axis of the variances.
             y: the same along the second.
             term: index of the term.
-            variances: px^2, that lamp and focus add along x and y.
+            spread: what is added; no disc beside variances.
             turn: cosine and sine of the angle of the x axis against the pixel's rows.
             nodes: count of Gauss-Legendre nodes over the pixel, where anything is added.
         """
         cosine, sine = turn
         x, y = x * cosine - y * sine, x * sine + y * cosine
-        if not self.varies:
-            return self.kernel(x, term, jnp.zeros(())) * self.kernel(y, term, jnp.zeros(()))
-        (along, across), own = variances, self.stds[term] ** 2
+        if self.chords or not self.varies:
+            return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
+        along, across, own = spread.along, spread.across, self.stds[term] ** 2
         var_x, var_y = own + along * cosine**2 + across * sine**2, own + along * sine**2 + across * cosine**2
         wider = var_x >= var_y
         first, second = jnp.where(wider, x, y), jnp.where(wider, y, x)
@@ -158,7 +220,7 @@ class Blur(eqx.Module):
 
     def of_point(self) -> Blur:
         """Return the blur under a lamp without a disc."""
-        varies = not (is_concrete(self.aperture) and float(self.aperture) == 0)
+        varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
         return dataclasses.replace(self, lamp_radius=jnp.zeros(()), varies=varies)
 
 
@@ -179,8 +241,8 @@ class BlurTerms(eqx.Module):
         return sum((self.blur.weights[term] for term in self.terms), jnp.zeros(()))
 
 
-def blur_of(rig: Rig) -> Blur:
-    """Return the blur of a rig."""
+def blur_of(rig: Rig, *, in_discs: bool = False) -> Blur:
+    """Return the blur of a rig. in_discs: whether a lens out of focus makes discs, not Gaussians."""
     lens = gaussian_sum(rig.camera.optics)
     uniform = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
     return Blur(
@@ -191,7 +253,21 @@ def blur_of(rig: Rig) -> Blur:
         aperture=rig.aperture,
         focus=rig.focus,
         varies=not uniform,
+        chords=_chords(rig, lens) if in_discs else 0,
     )
+
+
+def _chords(rig: Rig, lens: GaussianSum) -> int:
+    """Return how many chords serve a rig's discs out of focus; 0: it has none, or numbers that are not known yet."""
+    sample: Any = rig.sample
+    own = rig.aperture, rig.focus, sample.radius, lens.sigmas, rig.jitter, rig.camera.pixel.half_width
+    numbers = [jax.lax.stop_gradient(a) for a in own]
+    if not all(is_concrete(a) for a in numbers) or float(numbers[0]) == 0:
+        return 0
+    aperture, focus, radius, sigmas, jitter, half = (np.asarray(a) for a in numbers)
+    widest = radius * aperture * max(np.cos(focus), 1 - np.cos(focus)) / 2
+    ratio = widest / np.hypot(np.hypot(sigmas.min(), jitter), PIXELS_SHARE * half)
+    return COUNTS[int(chord_rule(ratio, ratio))]
 
 
 def kernel_error(rig: Rig) -> float:
@@ -216,17 +292,17 @@ class Imaging(NamedTuple):
     lamp_nearness: jax.Array | None = None
 
 
-def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
+def imaging_of(rig: Rig, gaussian_disc: bool = False, gaussian_focus: bool = False) -> Imaging:
     """Return the imaging of a rig whose sample is curved.
 
     The lamp's disc on a sphere is no part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is, as a
-    Gaussian.
+    Gaussian, and so is that of a lens out of focus; `gaussian_focus`: only the latter.
     """
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(
             f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
         )
-    blur = blur_of(rig)
+    blur = blur_of(rig, in_discs=not (gaussian_disc or gaussian_focus))
     if isinstance(rig.sample, Sphere) and not gaussian_disc:
         blur = blur.of_point()
     return Imaging(rig.sample, blur, rig.lamp.nearness)
@@ -270,7 +346,8 @@ def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGro
             "the rig's numbers set how its picture is integrated: call this outside of jax.jit and vmap"
         )
     stds, half = np.asarray(lengths[0]), float(lengths[1])
-    widened = np.sqrt(stds**2 + _widest_spread(blur, sample))
+    disc, added = _widest_spread(blur, sample)
+    widened = np.maximum(np.sqrt(stds**2 + added), np.sqrt(stds**2 + added - disc**2 / 4) + disc / _FOLLOWED)
     radius = float(lengths[2])
     if np.min(stds) >= radius:
         raise ArgumentError(
@@ -290,8 +367,8 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> 
     widest, narrowest = float(np.max(widened)), float(np.min(stds))
     std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
     corner = half * (np.sqrt(2) - 1) if turned else 0.0
-    reach = half + 5.2 * widest + corner
-    inner = max(half - 5.2 * widest, half / 4)
+    reach = half + _FOLLOWED * widest + corner
+    inner = max(half - _FOLLOWED * widest, half / 4)
     return BlurScale(
         near=10 * std,
         margin=4.8 * std + corner,
@@ -302,12 +379,13 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> 
     )
 
 
-def _widest_spread(blur: Blur, sample: Curved) -> float:
-    """Return the largest variance, px^2, that focus and lamp add anywhere."""
+def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:
+    """Return the radius of the largest disc out of focus, px, and the variance that it and the lamp add at most, px^2."""
     if not blur.varies:
-        return 0.0
+        return 0.0, 0.0
     aperture, focus, lamp, radius = (
         float(jax.lax.stop_gradient(a)) for a in (blur.aperture, blur.focus, blur.lamp_radius, sample.radius)
     )
     depth = max(np.cos(focus), 1 - np.cos(focus))
-    return (radius * aperture * depth / 4) ** 2 + (radius * lamp / 4 / STEEPEST) ** 2
+    disc = radius * aperture * depth / 2
+    return disc, disc**2 / 4 + (radius * lamp / 4 / STEEPEST) ** 2

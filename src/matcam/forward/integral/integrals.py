@@ -25,7 +25,8 @@ from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
-from matcam.forward.integral.blur import BlurTerms
+from matcam.forward.integral.blur import Blur, BlurTerms, Line
+from matcam.forward.integral.pupil import mean_over_pupil
 from matcam.material.material import Material
 from matcam.numerics.approximation import graded_nodes, nodes_in_panels
 from matcam.sample.shape import Curved, Element
@@ -196,19 +197,21 @@ def record_around(
     u, v, weight = _around(scene, (jnp.min(x) - reach, jnp.max(x) + reach), extent_y, panels)
     element = scene.sample.surface(u, v[:, None])
     light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1) * weight[..., None]
-    spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
-    total = jnp.zeros((y.size, x.size, light.shape[-1]))
-    for term in blur.terms:
-        columns = blur.blur.kernel(x[:, None, None] - element.x, term, spread_x)
+    spread = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
+
+    def recorded(along: Line, across: Line) -> jax.Array:
+        columns = along(x[:, None, None] - element.x)
         # the surface is the same on either side of the plane of camera and lamp
         above, below = (y[:, None, None] - sign * element.y for sign in (1, -1))
-        rows = blur.blur.kernel(above, term, spread_y) + blur.blur.kernel(below, term, spread_y)
+        rows = across(above) + across(below)
         if rows.shape[-1] == 1:
             by_line = jnp.einsum("xvu,vuc->vxc", columns, light)
-            recorded = jnp.einsum("yv,vxc->yxc", rows[..., 0], by_line)
-        else:
-            recorded = jnp.einsum("yvu,xvu,vuc->yxc", rows, columns, light)
-        total += blur.blur.weights[term] * recorded
+            return jnp.einsum("yv,vxc->yxc", rows[..., 0], by_line)
+        return jnp.einsum("yvu,xvu,vuc->yxc", rows, columns, light)
+
+    total = jnp.zeros((y.size, x.size, light.shape[-1]))
+    for term in blur.terms:
+        total += blur.blur.weights[term] * blur.blur.through_disc(term, spread, recorded)
     return total
 
 
@@ -239,14 +242,15 @@ def record_around_turned(
         element = scene.sample.surface(nodes[0], nodes[1])
         light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1)
         light *= nodes[2][:, None]
-        spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
+        spread = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
         at_x, at_y = scene.on_sensor(element.x, element.y)
+
+        def recorded(along: Line, across: Line) -> jax.Array:
+            columns = (along(x[:, None] - at_x)[:, :, None] * light).transpose(1, 0, 2)
+            return across(y[:, None] - at_y) @ columns.reshape(light.shape[0], -1)
+
         for term in blur.terms:
-            columns = blur.blur.kernel(x[:, None] - at_x, term, spread_x) * blur.blur.weights[term]
-            rows = blur.blur.kernel(y[:, None] - at_y, term, spread_y)
-            total += (rows @ (columns[:, :, None] * light).transpose(1, 0, 2).reshape(light.shape[0], -1)).reshape(
-                total.shape
-            )
+            total += (blur.blur.weights[term] * blur.blur.through_disc(term, spread, recorded)).reshape(total.shape)
         return total, None
 
     both = jnp.concatenate([u, u]), jnp.concatenate([v, -v]), jnp.concatenate([weight, weight])
@@ -295,16 +299,31 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     """
     total: jax.Array | float = 0.0
     centre, _ = scene.sample.at(*scene.from_sensor(x, y))
-    spread_x, spread_y = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
+    spread = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
     scene = scene.beside_nodes(1)
     for term in blur.terms:
-        (dx, x_weight), (dy, y_weight) = (blur.blur.rule(term, spread) for spread in (spread_x, spread_y))
+        (dx, x_weight), (dy, y_weight) = (blur.blur.rule(term, added) for added in (spread.along, spread.across))
         shape = (*jnp.broadcast_shapes(dx.shape[:-1], dy.shape[:-1]), -1)
         dx, dy = (a.reshape(shape) for a in jnp.broadcast_arrays(dx[..., None, :], dy[..., :, None]))
         share = (y_weight[..., :, None] * x_weight[..., None, :]).reshape(shape)
-        element, _ = scene.sample.at(*scene.from_sensor(x[:, None] + dx, y[:, None] + dy))
-        total += blur.blur.weights[term] * jnp.sum(scene.sent(element) * share[..., None], axis=1)
+        light = _arriving(scene, blur.blur, x[:, None] + dx, y[:, None] + dy)
+        total += blur.blur.weights[term] * jnp.sum(light * share[..., None], axis=1)
     return jnp.asarray(total)
+
+
+def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Return the light that arrives at places of the sensor, px, through a lens without any blur but that out of focus."""
+
+    def seen(at_x: jax.Array, at_y: jax.Array) -> Element:
+        return scene.sample.at(*scene.from_sensor(at_x, at_y))[0]
+
+    def sent(at_x: jax.Array, at_y: jax.Array) -> jax.Array:
+        return scene.sent(seen(at_x, at_y))
+
+    def disc(at_x: jax.Array, at_y: jax.Array) -> jax.Array:
+        return blur.defocus(scene.sample.radius, seen(at_x, at_y).normal[2])
+
+    return mean_over_pupil(sent, disc, x, y) if blur.chords else sent(x, y)
 
 
 def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, panels: WindowPanels) -> jax.Array:
@@ -395,13 +414,12 @@ def _through_kernel(
     element = scene.sample.surface(nodes.u, nodes.v)
     lit = scene.beside_nodes(2)
     light, flat = lit.sent(element), lit.flat_field(element)
-    spread_x, spread_y = blur.blur.spread(scene.sample, element.normal[2], lit.lamp_angle, lit.lamp_nearness)
+    spread = blur.blur.spread(scene.sample, element.normal[2], lit.lamp_angle, lit.lamp_nearness)
     total: jax.Array | float = 0.0
     at_x, at_y = lit.on_sensor(element.x, element.y)
     for term in blur.terms:
-        along = blur.blur.kernel(x - at_x, term, spread_x)
-        across = blur.blur.kernel(y - at_y, term, spread_y)
-        through = along * across * nodes.weight
+        kernel = blur.blur.through_disc(term, spread, lambda along, across: along(x - at_x) * across(y - at_y))
+        through = kernel * nodes.weight
         seen = jnp.sum(light * through[..., None], axis=(1, 2)), jnp.sum(flat * through, axis=(1, 2))[:, None]
         total += blur.blur.weights[term] * jnp.concatenate(seen, axis=-1)
     return jnp.asarray(total)

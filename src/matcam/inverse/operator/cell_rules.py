@@ -72,17 +72,20 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = 2 * theta_d
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
-    own = blur_of(rig)
+    own = blur_of(rig, in_discs=True)
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
     depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
 
     discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
+    chords = max(blur.chords for blur in blurs)
     if any(disc is not None for disc in discs):
-        blurs = [blur.of_point() for blur in blurs]
+        blurs, chords = [blur.of_point() for blur in blurs], 0
+    elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
+        chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
     if any(blur.varies for blur in blurs):  # one program for all
-        blurs = [dataclasses.replace(blur, varies=True) for blur in blurs]
+        blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [
-        tuple(np.broadcast_to(v, x.shape) for v in blur.spread(rig.sample, depth, lamp_angle, nearness))  # type: ignore[arg-type]
+        tuple(np.broadcast_to(v, x.shape) for v in blur.spread(rig.sample, depth, lamp_angle, nearness)[:2])  # type: ignore[arg-type]
         for blur in blurs
     ]
 
@@ -96,8 +99,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
         widths = [np.asarray(blur.stds)[list(terms)].max() for blur in blurs]
         reaches = [
-            kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m
-            for s, v, m in zip(widths, spreads, moved, strict=True)
+            kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
+            for s, v, m, blur in zip(widths, spreads, moved, blurs, strict=True)
         ]
         through = _Blurs(blurs, spreads, reaches, terms, discs)
         if view.line:
@@ -117,6 +120,20 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for n, axis in enumerate(axes):
         arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
     return arrays
+
+
+def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
+    """Return the radius of the largest disc out of focus that a pixel sees anything of, px."""
+    if not blur.chords:
+        return np.zeros(x.shape)
+
+    def disc(off: np.ndarray) -> np.ndarray:
+        depth = view.normals(np.clip(off, 0, _INSIDE * view.radius), np.zeros(off.shape))[2]
+        return np.abs(np.asarray(blur.defocus(view.radius, depth)))
+
+    off, everywhere = np.hypot(x, y), disc(np.array([0.0, view.radius])).max()
+    reach = kernel_reach(float(blur.pixel.half_width), np.asarray(std)) + everywhere
+    return np.maximum(disc(off - reach), disc(off + reach))
 
 
 def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
@@ -176,6 +193,8 @@ def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
     return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
+_INSIDE = 1 - 1e-9
+"""Share of a sample's radius within which it is seen."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
 """(half width of the pixel over the lens's standard deviation, nodes); few counts, as each is a program."""
 
@@ -185,7 +204,7 @@ def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
     if axis.name == SHAPE:
         scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
         return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
-    return [blur_of(rig_with(rig, {axis.name: axis.value(point)})) for point in axis.points if point]
+    return [blur_of(rig_with(rig, {axis.name: axis.value(point)}), in_discs=True) for point in axis.points if point]
 
 
 def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:

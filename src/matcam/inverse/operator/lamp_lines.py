@@ -4,10 +4,8 @@ A point of the lamp turns the half vector, and with it the lobe over the sphere.
 angles from the half vector is shown turned by as much, and the kernel is asked for there (docs/model.md 3). That is exact for
 distant cameras and lamps, and at the highlight itself for near ones.
 
-Chords run so that their images lie along the pixel's second axis. Where on a chord the pixel is met says how far the image
-bends aside there, and how densely it is run through. Their distance from the disc's centre is sin t, with Gauss's nodes in t:
-that is smooth for chords that are long beside the blur and for short ones. Few chords of a small disc are Gauss's for the disc
-itself (Chebyshev's second kind), which keep all light and its variance.
+Chords (`numerics/disc_chords.py`) run so that their images lie along the pixel's second axis. Where on a chord the pixel is met
+says how far the image bends aside there, and how densely it is run through.
 """
 
 from __future__ import annotations
@@ -17,21 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.blur import Blur
+from matcam.forward.integral.blur import PIXELS_SHARE, Blur
 from matcam.inverse.operator.sample_view import SampleView
+from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
 from matcam.sample.shape import highlight_between
 
-COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
-"""Numbers of chords: each pixel has one of these. The first is for small discs."""
-_SMALL = 1.2
-"""Radius of the lamp's image over the blur's standard deviation up to which a disc is small."""
 _GAUSSIAN = 0.45
 """Radius of the lamp's image over the blur's standard deviation up to which a Gaussian of its variance is within 1e-3."""
-_LEAST, _ACROSS, _ALONG = 2.0, 2.4, 1.0
-"""Chords, and how many more for each standard deviation of the blur in half the image's width across them, and along."""
-_PIXELS_SHARE = 0.3
-"""Share of the pixel's half width that counts as its blur: its borders are steps before a sharp lens."""
-DISC_RULE = (COUNTS, _SMALL, _GAUSSIAN, _LEAST, _ACROSS, _ALONG, _PIXELS_SHARE)
+DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE)
 """All that says how many chords a rig's pixels have: a kept rule is of no use where this is different."""
 _SMALLEST = 1e-5
 """Least angular radius of a disc, rad: that of a lamp which is a point."""
@@ -45,11 +36,7 @@ def _chords() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     at, half, share = np.zeros((3, len(COUNTS), COUNTS[-1]))
     half += 1.0
     for n, count in enumerate(COUNTS):
-        node, weight = np.polynomial.legendre.leggauss(count)
-        if n == 0:
-            node, weight = 2 * np.arange(1, count + 1) / (count + 1) - 1, np.full(count, 2 / (count + 1))
-        at[n, :count], half[n, :count] = np.sin(np.pi / 2 * node), np.cos(np.pi / 2 * node)
-        share[n, :count] = weight * half[n, :count] ** 2
+        at[n, :count], half[n, :count], share[n, :count] = chords_of(count)
     return at, half, share
 
 
@@ -98,10 +85,7 @@ def lamp_discs(
     discs: list[LampDisc | None] = []
     for blur, (at_peak, _), std in zip(blurs, moved, sharpest, strict=True):
         first, second = (np.abs(a).max(0) for a in _rotated(*at_peak, cosine, sine))
-        first, second = (a / np.hypot(std, _PIXELS_SHARE * half) for a in (first, second))
-        large = np.maximum(COUNTS[1], _LEAST + _ACROSS * first + _ALONG * second)
-        needed = np.where(np.maximum(first, second) <= _SMALL, 0.0, large)
-        rule = np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)
+        rule = chord_rule(*(a / np.hypot(std, PIXELS_SHARE * half) for a in (first, second)))
         radius = jnp.broadcast_to(jnp.asarray(blur.lamp_radius), x.shape)
         discs.append(LampDisc(radius, lamp_angle, chord, rule, turns) if float(blur.lamp_radius) > 0 else None)
     return discs, np.stack([_SLACK * reach for _, reach in moved])

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.forward.integral.blur import Blur
+from matcam.forward.integral.blur import Blur, Spread
 from matcam.inverse.operator.polar_rule import NODES, Pixels, onto_nodes, stretched
 
 _PANEL = np.polynomial.legendre.leggauss(24)
@@ -56,7 +56,7 @@ def line_rule(
     Args:
         radius: of the cylinder in the picture, px.
         blur: the blur.
-        variance: px^2, (pixels,), that focus adds.
+        variance: px^2, (pixels,), that the blur's spread adds.
         terms: of the blur.
         pixels: places as on a sphere under a lamp towards +x; a multiple of the block, see `padded`.
         reach: half width of what a pixel sees, (pixels,), px.
@@ -88,8 +88,11 @@ def line_rule(
         low, high = cuts[:, :-1, None], cuts[:, 1:, None]
         t = ((low + high) / 2 + (high - low) / 2 * _PANEL[0]).reshape(x.shape[0], -1)
         step = ((high - low) / 2 * _PANEL[1]).reshape(t.shape) * scale * jnp.cosh(t)
-        offset = column - radius * jnp.sin(closest + arm * scale * jnp.sinh(t))
-        kernel = sum(blur.weights[j] * blur.kernel(offset, j, variance) for j in terms)
+        at = closest + arm * scale * jnp.sinh(t)
+        offset = column - radius * jnp.sin(at)
+        spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
+        # light is the same all along the axis: of each chord its column counts
+        kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
         place = 2 * (t - first) / (last - first) - 1
         weight = onto_nodes(place, factor * radius / 4 * kernel * step)
         turn = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)

@@ -27,7 +27,7 @@ from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.polar_rule import THROUGH_SAMPLES
-from matcam.inverse.operator.rig_axes import LAMP, Axis
+from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
 from matcam.material.ndf.beckmann import Beckmann
@@ -36,6 +36,7 @@ from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
 from matcam.material.ndf.two_lobes import TwoLobes
 from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.disc_chords import CHORD_RULE
 from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
@@ -253,6 +254,8 @@ def operator_in(
     """Return the rule of any cells. description: of all that it depends on, under which the workspace keeps it on disk."""
     if float(rig.lamp_radius) > 0 or any(axis.name == LAMP for axis in axes):
         description = f"{description}, discs by {DISC_RULE}"
+    if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
+        description = f"{description}, discs out of focus by {CHORD_RULE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     # before a near camera G is taken at every node: close to the limb no polynomial follows it

@@ -18,10 +18,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.forward.integral.blur import Blur
+from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.pixel_grid import turned
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.polar_rule import AZIMUTHS, NODES, PolarWindow, nearest_seen, onto_nodes, stretched
+from matcam.inverse.operator.polar_rule import (
+    AZIMUTHS,
+    NODES,
+    PolarWindow,
+    both_sides,
+    nearest_seen,
+    onto_nodes,
+    stretched,
+)
 from matcam.inverse.operator.sample_view import SampleView, angles_between, square_border
 from matcam.numerics.sine import sine_and_cosine
 
@@ -150,10 +158,10 @@ def near_rule(
 ) -> NearRule:
     """Return the rule for some terms of a blur; differentiable in its parameters.
 
-    variances: px^2, (pixels,), that lamp and focus add along x and y. window: what this blur sees. onto: the theta_h between
-    which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`. pixel_nodes: of a
-    pixel that is turned against the plane of camera and lamp, see `Blur.turned_kernel`; 0: it is not. disc: of a lamp
-    whose disc is not in the variances.
+    variances: px^2, (pixels,), that the blur's spread adds along x and y. window: what this blur sees. onto: the theta_h
+    between which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`.
+    pixel_nodes: of a pixel that is turned against the plane of camera and lamp, see `Blur.turned_kernel`; 0: it is not.
+    disc: of a lamp whose disc is not in the variances.
     """
     radius, stretch, q, w = view.radius, view.stretch, view.camera, view.lamp
     turn = jnp.cos(view.azimuth), jnp.sin(view.azimuth)
@@ -203,21 +211,18 @@ def near_rule(
         at = _directions(normal, sin_l, cos_l, q, w)
         depth = 1 - q * normal[2]
         dx, dy = stretch * normal[0] / depth - x, stretch * normal[1] / depth
+        out_of_focus = jnp.abs(blur.defocus(radius, normal[2]))
         if disc is not None:
             kernel = lamp_kernel(view, blur, terms, disc, normal, (x, own_y), (var_x, var_y))
         elif pixel_nodes:
+            added = Spread(var_x, var_y, out_of_focus)
             kernel = sum(
-                blur.weights[j] * blur.turned_kernel(dx, side * dy - own_y, j, (var_x, var_y), turn, pixel_nodes)
+                blur.weights[j] * blur.turned_kernel(dx, side * dy - own_y, j, added, turn, pixel_nodes)
                 for j in terms
                 for side in (1, -1)
             )
         else:
-            kernel = sum(
-                blur.weights[j]
-                * blur.kernel(dx, j, var_x)
-                * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
-                for j in terms
-            )
+            kernel = both_sides(blur, terms, Spread(var_x, var_y, out_of_focus), (dx, dy), y)
         # area in the picture over the cosine of the view, times the irradiance across the light
         share = share * kernel * at.view / depth**3 / at.light**2
         scale, first, last = stretched(from_theta, to_theta)

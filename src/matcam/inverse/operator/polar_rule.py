@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.forward.integral.blur import Blur
+from matcam.forward.integral.blur import Blur, Line, Spread
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
 from matcam.inverse.operator.sample_view import SampleView, square_border
 from matcam.numerics.approximation import lagrange_basis
@@ -126,7 +126,7 @@ def polar_rule(
 ) -> PolarRule:
     """Return the rule for some terms of a blur; differentiable in its parameters.
 
-    variances: px^2, (pixels,), that lamp and focus add along x and y. pixels: a multiple of the block, see `padded`.
+    variances: px^2, (pixels,), that the blur's spread adds along x and y. pixels: a multiple of the block, see `padded`.
     disc: of a lamp whose disc is not in the variances.
     """
 
@@ -151,17 +151,11 @@ def polar_rule(
             half = jnp.maximum(end - begin, 0.0) / 2
             psi = begin + half * (AZIMUTHS[0] + 1)
             sin_psi, cos_psi = sine_and_cosine(psi)
+            normal = cos * sin_d + sin * cos_psi * cos_d, sin * sin_psi, cos * cos_d - sin * cos_psi * sin_d
             if disc is None:
-                dx = radius * (cos * sin_d + sin * cos_psi * cos_d) - x
-                dy = radius * sin * sin_psi
-                kernel = sum(
-                    blur.weights[j]
-                    * blur.kernel(dx, j, var_x)
-                    * (blur.kernel(dy - y, j, var_y) + blur.kernel(dy + y, j, var_y))
-                    for j in terms
-                )
+                spread = Spread(var_x, var_y, jnp.abs(blur.defocus(radius, normal[2])))
+                kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y)
             else:
-                normal = cos * sin_d + sin * cos_psi * cos_d, sin * sin_psi, cos * cos_d - sin * cos_psi * sin_d
                 kernel = lamp_kernel(SampleView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
@@ -178,6 +172,18 @@ def polar_rule(
     arguments = (*pixels, *window, *variances)
     blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
+
+
+def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array) -> jax.Array:
+    """Return the kernel at places on either side of the plane of camera and lamp, added up, 1/px^2.
+
+    at: px, from the pixel along x, and from the plane. y: of the pixel, px.
+    """
+
+    def of(along: Line, across: Line) -> jax.Array:
+        return along(at[0]) * (across(at[1] - y) + across(at[1] + y))
+
+    return sum((blur.weights[j] * blur.through_disc(j, spread, of) for j in terms), jnp.zeros(()))
 
 
 def stretched(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -23,11 +23,11 @@ from matcam.sample.curved import Cylinder
 
 LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
-LAMP = "lamp_radius"
+LAMP, APERTURE = "lamp_radius", "aperture"
 SHAPE = "lens shape"
 """Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
 tails."""
-WIDTHS = (LAMP, "jitter", "aperture")
+WIDTHS = (LAMP, "jitter", APERTURE)
 """Fields of `Rig` that widen a highlight."""
 
 _FREE_RANGE = 0.5
