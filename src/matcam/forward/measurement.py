@@ -151,7 +151,7 @@ def table_values(
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig, _azimuth(rig, azimuth))
         return cylinder_table(material, rig, workspace or default_workspace())
-    imaging = imaging_of(rig, gaussian_focus=True)  # discs would take up to an hour a table
+    imaging = imaging_of(rig)
     chosen = CellChoice(rig.cell_value, rig.crop, _azimuth(rig, azimuth), material.elongation, rig.pixel_phase)
     if disc_of(rig.lamp) == 0:
         cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())

@@ -71,8 +71,8 @@ def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax
 
     grids: (n, rows, columns, channels), the others (targets,). Shape (targets, channels).
     """
-    first_row, row_weight = _on_steps(row)
-    first_column, column_weight = _on_steps(column)
+    first_row, row_weight = on_steps(row)
+    first_column, column_weight = on_steps(column)
     steps = np.arange(POINTS)
     patch = grids[
         which[:, None, None], (first_row[:, None] + steps)[:, :, None], (first_column[:, None] + steps)[:, None, :]
@@ -81,7 +81,7 @@ def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax
     return jnp.where((value < 0) & (least >= 0), least, value)
 
 
-def _on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
+def on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, in grid steps."""
     first = jnp.floor(position).astype(int) - (POINTS // 2 - 1)
     return first, jnp.stack(lagrange_basis(np.arange(float(POINTS)), position - first), axis=-1)

@@ -44,6 +44,13 @@ def chords_of(count: int) -> Chords:
     return Chords(np.sin(np.pi / 2 * at), half, weight * half**2)
 
 
+def half_of(chords: Chords) -> Chords:
+    """Return the chords on one side of the centre; each stands for two, one of them mirrored."""
+    side = chords.at > -1e-12
+    at, half, share = (a[side] for a in chords)
+    return Chords(at, half, np.where(at < 1e-12, share / 2, share))
+
+
 def chord_rule(across: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return which of `COUNTS` discs need. across, along: half their widths over the blur's standard deviation."""
     large = np.maximum(COUNTS[1], _LEAST + _ACROSS * across + _ALONG * along)

@@ -23,7 +23,7 @@ from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.lamp.lamps import closeness
-from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of
+from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of, half_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
@@ -127,9 +127,13 @@ class Blur(eqx.Module):
                 ends = (self.kernel_until(y + side * reach, term, spread.across) for side in (1, -1))
                 return (next(ends) - next(ends)) / (2 * reach)
 
-            return jnp.asarray(share) * of(lambda x: self.kernel(x - at * disc, term, spread.along), rows)
+            def columns(x: jax.Array) -> jax.Array:
+                left, right = (self.kernel(x + side * at * disc, term, spread.along) for side in (1, -1))
+                return left + right
 
-        chords = jax.tree.map(jnp.asarray, chords_of(self.chords))
+            return jnp.asarray(share) * of(columns, rows)
+
+        chords = jax.tree.map(jnp.asarray, half_of(chords_of(self.chords)))
         first = of_chord(jax.tree.map(lambda a: a[0], chords))
         rest = jax.tree.map(lambda a: a[1:], chords)
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
@@ -218,6 +222,10 @@ class Blur(eqx.Module):
             g8 + 28 * g6 * p2 + 70 * g4 * p4 + 28 * g2 * p6 + p8,
         )
 
+    def in_focus(self) -> Blur:
+        """Return the blur without the discs of a lens out of focus."""
+        return dataclasses.replace(self, chords=0)
+
     def of_point(self) -> Blur:
         """Return the blur under a lamp without a disc."""
         varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
@@ -292,17 +300,17 @@ class Imaging(NamedTuple):
     lamp_nearness: jax.Array | None = None
 
 
-def imaging_of(rig: Rig, gaussian_disc: bool = False, gaussian_focus: bool = False) -> Imaging:
+def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
     """Return the imaging of a rig whose sample is curved.
 
     The lamp's disc on a sphere is no part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is, as a
-    Gaussian, and so is that of a lens out of focus; `gaussian_focus`: only the latter.
+    Gaussian, and so is that of a lens out of focus.
     """
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(
             f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
         )
-    blur = blur_of(rig, in_discs=not (gaussian_disc or gaussian_focus))
+    blur = blur_of(rig, in_discs=not gaussian_disc)
     if isinstance(rig.sample, Sphere) and not gaussian_disc:
         blur = blur.of_point()
     return Imaging(rig.sample, blur, rig.lamp.nearness)
@@ -315,6 +323,8 @@ class BlurScale(NamedTuple):
         near: half the side of the square around the highlight in which the nodes go about the half vector.
         margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
         reach: distance to which the kernel is followed.
+        reach_in_focus: the same without discs.
+        disc: radius of the largest disc out of focus; 0 where it is a Gaussian.
         finest: standard deviation of the narrowest term, without the pixel.
         spacing: step of the grid that holds a record: it has nothing finer.
         cuts: offsets inside the reach at which the kernel must be cut to be smooth in between; () where it is smooth.
@@ -323,6 +333,8 @@ class BlurScale(NamedTuple):
     near: float
     margin: float
     reach: float
+    reach_in_focus: float
+    disc: float
     finest: float
     spacing: float
     cuts: tuple[float, ...]
@@ -356,9 +368,13 @@ def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGro
     groups, left = [], list(np.argsort(stds))
     while left:
         together = [j for j in left if stds[j] <= _ONE_WIDTH * stds[left[0]]]
-        groups.append(
-            BlurGroup(tuple(int(j) for j in together), _scale(half, stds[together], widened[together], turned))
-        )
+        scale = _scale(half, stds[together], widened[together], turned)
+        if blur.chords:
+            in_focus = float(np.sqrt(np.max(stds[together]) ** 2 + added - disc**2 / 4))
+            scale = scale._replace(
+                disc=disc, reach_in_focus=scale.reach + _FOLLOWED * (in_focus - widened[together].max())
+            )
+        groups.append(BlurGroup(tuple(int(j) for j in together), scale))
         left = left[len(together) :]
     return tuple(groups)
 
@@ -373,6 +389,8 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> 
         near=10 * std,
         margin=4.8 * std + corner,
         reach=reach,
+        reach_in_focus=reach,
+        disc=0.0,
         finest=narrowest,
         spacing=min(0.4 * narrowest, 0.36 * finest),
         cuts=(-half, -inner, inner, half) if narrowest < _SHARP * half else (),

@@ -10,6 +10,7 @@ Every cosine that could vanish has cancelled: nothing is singular at the limb.
 - `record_around`: over normals about the half vector. The nodes crowd towards the half vector on the lobe's own scale, and
   are nowhere further apart than the kernel allows. A highlight of a thousandth of a pixel is neither missed nor noisy.
   Nodes and kernel are products in u and v, so two matrix products give all pixels of a rectangle.
+  Through a lens out of focus that is so for shares of the light, each of one disc (`disc_stamps.py`).
 - `record_inside`: a few nodes on the sensor about each pixel. The light is smooth there on the scale of the kernel.
 - `record_in_window`: over (u, v) about each pixel, along limb and terminator. What is visible and lit is one interval of u
   whose ends are known, and the light is smooth up to them.
@@ -26,6 +27,7 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
 from matcam.forward.integral.blur import Blur, BlurTerms, Line
+from matcam.forward.integral.disc_stamps import DiscShares
 from matcam.forward.integral.pupil import mean_over_pupil
 from matcam.material.material import Material
 from matcam.numerics.approximation import graded_nodes, nodes_in_panels
@@ -152,11 +154,15 @@ class HighlightPanels(NamedTuple):
         graded: panels that grow from the lobe's scale outwards.
         even: panels of one length between the half vector and the border.
         order: Gauss-Legendre nodes per panel.
+        margin: points by which a record is smaller than the rectangle that is asked for, where light is divided.
+        shares: into which light is divided by its disc out of focus; 0: no disc is.
     """
 
     graded: int
     even: int
     order: int
+    margin: int = 0
+    shares: int = 0
 
 
 class WindowPanels(NamedTuple):
@@ -198,6 +204,8 @@ def record_around(
     element = scene.sample.surface(u, v[:, None])
     light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1) * weight[..., None]
     spread = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
+    shares = DiscShares.over(blur.blur, scene.sample, element, panels.shares)
+    light = shares.divided(light, element)
 
     def recorded(along: Line, across: Line) -> jax.Array:
         columns = along(x[:, None, None] - element.x)
@@ -211,8 +219,8 @@ def record_around(
 
     total = jnp.zeros((y.size, x.size, light.shape[-1]))
     for term in blur.terms:
-        total += blur.blur.weights[term] * blur.blur.through_disc(term, spread, recorded)
-    return total
+        total += blur.blur.weights[term] * shares.through.through_disc(term, spread, recorded)
+    return shares.together(total, x[1] - x[0], panels.margin)
 
 
 def record_around_turned(
@@ -236,12 +244,14 @@ def record_around_turned(
     corners = scene.from_sensor(*(a.ravel() for a in jnp.meshgrid(jnp.stack([x[0], x[-1]]), jnp.stack([y[0], y[-1]]))))
     ends = jnp.min(corners[0]) - reach, jnp.max(corners[0]) + reach
     u, v, weight = _around(scene, ends, jnp.max(jnp.abs(corners[1])) + reach, panels)
+    shares = DiscShares.over(blur.blur, scene.sample, scene.sample.surface(u, v[:, None]), panels.shares)
 
     def line(total: jax.Array, nodes: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, None]:
         """Add the light of a line of nodes, a few hundred at one v."""
         element = scene.sample.surface(nodes[0], nodes[1])
         light = jnp.concatenate([scene.sent(element), scene.flat_field(element)[..., None]], axis=-1)
         light *= nodes[2][:, None]
+        light = shares.divided(light, element)
         spread = blur.blur.spread(scene.sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
         at_x, at_y = scene.on_sensor(element.x, element.y)
 
@@ -250,12 +260,14 @@ def record_around_turned(
             return across(y[:, None] - at_y) @ columns.reshape(light.shape[0], -1)
 
         for term in blur.terms:
-            total += (blur.blur.weights[term] * blur.blur.through_disc(term, spread, recorded)).reshape(total.shape)
+            seen = shares.through.through_disc(term, spread, recorded)
+            total += (blur.blur.weights[term] * seen).reshape(total.shape)
         return total, None
 
     both = jnp.concatenate([u, u]), jnp.concatenate([v, -v]), jnp.concatenate([weight, weight])
-    channels = scene.channels() + 1
-    return jax.lax.scan(line, jnp.zeros((y.size, x.size, channels)), both)[0]
+    channels = (scene.channels() + 1) * max(panels.shares, 1)
+    total = jax.lax.scan(line, jnp.zeros((y.size, x.size, channels)), both)[0]
+    return shares.together(total, x[1] - x[0], panels.margin)
 
 
 def _around(

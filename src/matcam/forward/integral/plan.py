@@ -14,6 +14,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
+from matcam.forward.integral.disc_stamps import margin_for, shares_for
 from matcam.forward.integral.integrals import Turn, highlight_x
 from matcam.numerics.approximation import POINTS
 from matcam.sample.curved import Cylinder
@@ -73,10 +74,13 @@ class PlanPart(eqx.Module):
     Attributes:
         terms: indices of the terms.
         reach: distance to which the kernel is followed, px.
+        reach_in_focus: the same without the discs of a lens out of focus, px.
         cuts: offsets at which the kernel must be cut, px; () where it is smooth.
         spacing: step of the grid around a highlight, px.
         steps: points of that grid from the highlight to its border.
         even: panels that the kernel asks for between the highlight and the border.
+        margin: points of the grid beyond its border that discs of a lens out of focus reach; 0: there are none.
+        shares: of the light by its disc out of focus; 0: there are none.
         lamps: lamps whose highlights are recorded, (pictures, 1 or 3), rad.
         turns: azimuth of each picture's lamps, (pictures,), rad; None: 0.
         inside: indices of places in smooth light.
@@ -89,10 +93,13 @@ class PlanPart(eqx.Module):
 
     terms: tuple[int, ...] = eqx.field(static=True)
     reach: np.ndarray
+    reach_in_focus: np.ndarray
     cuts: np.ndarray
     spacing: np.ndarray
     steps: int = eqx.field(static=True)
     even: int = eqx.field(static=True)
+    margin: int = eqx.field(static=True)
+    shares: int = eqx.field(static=True)
     lamps: np.ndarray
     turns: np.ndarray | None
     inside: np.ndarray
@@ -197,10 +204,13 @@ def _part(
     return PlanPart(
         terms=group.terms,
         reach=np.asarray(scale.reach),
+        reach_in_focus=np.asarray(scale.reach_in_focus),
         cuts=np.asarray(scale.cuts),
         spacing=np.asarray(scale.spacing),
         steps=_round_up(int(np.ceil(scale.near / scale.spacing)) + POINTS // 2, 4),
         even=_even_panels(scale, np.sqrt(2) if lamps[1] is not None else 1.0),
+        margin=_round_up(margin_for(scale.disc, float(scale.spacing)), 4) if scale.disc else 0,
+        shares=_shares(imaging, scale, np.sqrt(2) if lamps[1] is not None else 1.0) if scale.disc else 0,
         lamps=_lamps_around(lamp_angles, places, near),
         turns=lamps[1],
         inside=inside_index,
@@ -236,6 +246,13 @@ def _in_the_scene(imaging: Imaging, places: RecordPlaces) -> tuple[jax.Array, ja
         aside = np.abs(places.x - peak * turn.cosine), np.abs(places.y - peak * turn.sine)
         x, y = places.x * turn.cosine + places.y * turn.sine, places.y * turn.cosine - places.x * turn.sine
     return jnp.asarray(x), jnp.asarray(y), np.asarray(np.maximum(*aside))
+
+
+def _shares(imaging: Imaging, scale: BlurScale, longer: float) -> int:
+    """Return how many shares of light serve around a highlight at the limb, where depth changes most. longer: see below."""
+    radius = float(imaging.sample.radius)
+    deepest = np.sqrt(1 - max(1 - 2 * longer * (scale.near + scale.reach) / radius, 0) ** 2)
+    return shares_for(radius * float(imaging.blur.aperture) * deepest / 4 / scale.finest)
 
 
 def _even_panels(scale: BlurScale, longer: float) -> int:

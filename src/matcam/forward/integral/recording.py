@@ -74,7 +74,10 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
         panels = WindowPanels(*kernel, window.panels, window.ridge)
         records.append(_record_in_window(subject, part.terms, panels, _at(places, window.index), window.whole))
     if part.near.size:
-        grid = _HighlightGrid(part.terms, part.steps, part.even, jnp.asarray(part.reach), jnp.asarray(part.spacing))
+        around = HighlightPanels(_GRADED, part.even, _ORDER, part.margin, part.shares)
+        grid = _HighlightGrid(
+            part.terms, part.steps, around, jnp.asarray(part.reach_in_focus), jnp.asarray(part.spacing)
+        )
         lamps = jnp.asarray(part.lamps), None if part.turns is None else jnp.asarray(part.turns)
         picture = places.picture[part.near]
         records.append(_read_highlights(subject, grid, lamps, _at(places, part.near), picture, part.near_whole))
@@ -133,7 +136,7 @@ class _HighlightGrid(NamedTuple):
 
     terms: tuple[int, ...]
     steps: int
-    even: int
+    panels: HighlightPanels
     reach: jax.Array
     spacing: jax.Array
 
@@ -147,19 +150,19 @@ def _read_highlights(
     *arrays: AnyArray,
 ) -> jax.Array:
     angles, azimuths = lamps
-    columns = np.arange(-grid.steps, grid.steps + 1)
+    columns, more = np.arange(-grid.steps, grid.steps + 1), grid.panels.margin
     # both sides of the plane of camera and lamp are the same, unless the pixel is turned against it
     rows = columns if azimuths is not None else np.arange(-POINTS // 2, grid.steps + 1)
-    panels = HighlightPanels(graded=_GRADED, even=grid.even, order=_ORDER)
+    beyond, above = (np.arange(points[0] - more, points[-1] + more + 1) for points in (columns, rows))
     sample, blur, nearness = subject.imaging.sample, subject.through(grid.terms), subject.imaging.lamp_nearness
 
     def stamp(lamp: tuple[jax.Array, Turn | None]) -> jax.Array:
         peak, turn = highlight_x(sample, lamp[0], nearness), lamp[1]
         if turn is None:
-            x, y = peak + grid.spacing * columns, grid.spacing * rows
-            return record_around(subject.under(lamp[0]), blur, x, y, grid.reach, panels)
-        x, y = peak * turn.cosine + grid.spacing * columns, peak * turn.sine + grid.spacing * rows
-        return record_around_turned(subject.under(*lamp), blur, x, y, grid.reach, panels)
+            x, y = peak + grid.spacing * beyond, grid.spacing * above
+            return record_around(subject.under(lamp[0]), blur, x, y, grid.reach, grid.panels)
+        x, y = peak * turn.cosine + grid.spacing * beyond, peak * turn.sine + grid.spacing * above
+        return record_around_turned(subject.under(*lamp), blur, x, y, grid.reach, grid.panels)
 
     turns = None
     if azimuths is not None:
