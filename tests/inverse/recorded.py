@@ -6,9 +6,12 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, Rig, Sphere
+from matcam import BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Sphere
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
+from matcam.forward.integral.recording import record
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.sample_view import SampleView
 from tests.oracle import sphere_cells as oracle
@@ -48,7 +51,7 @@ def table_of(cells, values):
 
 
 def made(every, setup):
-    cells = chosen_cells(SampleView(256.0), "centre", every)
+    cells = chosen_cells(SampleView(setup.radius), "centre", every)
     rule = oracle.Cells(GRID.theta_h[cells.i_theta_h], cells.theta_d, GRID.phi_d[cells.i_phi_d], setup)
     return Pictures(cells, rule)
 
@@ -57,6 +60,25 @@ def made(every, setup):
 def pictures(every, setup=None):
     """Kept for the next test that asks for the same."""
     return made(every, setup or oracle.Setup())
+
+
+def measured(ndf, rig, cells):
+    """Values of chosen cells, F = 1, Smith, by the operator that `measure` applies; (slices, cells)."""
+    slices, numbers = np.nonzero(cells.valid)
+    lamps, ways, turn = 2 * np.asarray(cells.theta_d), cells.x.shape[-1], rig.lamp_azimuth
+    picture = np.repeat(slices, ways).astype(np.int32)
+    x, y = (np.asarray(at)[slices, numbers].ravel() for at in (cells.x, cells.y))
+    of_places = of_slices = None
+    if turn is not None:
+        x, y = x * np.cos(turn) - y * np.sin(turn), y * np.cos(turn) + x * np.sin(turn)
+        of_places, of_slices = np.full(x.size, turn), np.full(lamps.size, turn)
+    imaging = imaging_of(rig)
+    plan = integration_plan(imaging, lamps, RecordPlaces(x, y, lamps[picture], picture, of_places), of_slices)
+    recorded = np.asarray(record(Microfacet(ndf, 1.0), imaging, plan))
+    values = np.full(cells.valid.shape, np.nan)
+    cos_i = np.asarray(cells.cos_i)[slices, numbers]
+    values[slices, numbers] = np.mean(recorded[:, 0].reshape(-1, ways) / cos_i, axis=-1)
+    return values
 
 
 def draw(count, seed):

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from matcam import GGX, BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Sphere
+from matcam import GGX, BoxPixel, Camera, GaussianOptics, Rig, Sphere
 from matcam.core.workspace import Workspace
-from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
+from tests.inverse.recorded import measured
 from tests.oracle.focus_disc import kernel
 
 RADIUS, SIGMA, FOCUS = 60.0, 0.5, 0.4
@@ -29,32 +27,12 @@ def light(x, y, lamp, alpha):
         return d / (1 + sum(lambdas)) / (4 * n_z), n_z, (cos_i > 0) & (np.hypot(n_x, n_y) < 1)
 
 
-def measured(alpha, rig, cells):
-    """Values of cells by the operator that `measure` applies, shape of `cells.valid`."""
-    slices, numbers = np.nonzero(cells.valid)
-    lamps, ways, turn = 2 * np.asarray(cells.theta_d), cells.x.shape[-1], rig.lamp_azimuth
-    pictures = np.repeat(slices, ways).astype(np.int32)
-    x, y = (np.asarray(at)[slices, numbers].ravel() for at in (cells.x, cells.y))
-    turns = None
-    if turn is not None:
-        x, y = x * np.cos(turn) - y * np.sin(turn), y * np.cos(turn) + x * np.sin(turn)
-        turns = np.full(x.size, turn), np.full(lamps.size, turn)
-    imaging, places = imaging_of(rig), RecordPlaces(x, y, lamps[pictures], pictures, turns and turns[0])
-    recorded = np.asarray(
-        record(Microfacet(GGX(alpha), 1.0), imaging, integration_plan(imaging, lamps, places, turns and turns[1]))
-    )
-    values = np.full(cells.valid.shape, np.nan)
-    cos_i = np.asarray(cells.cos_i)[slices, numbers]
-    values[slices, numbers] = np.mean(recorded[:, 0].reshape(-1, ways) / cos_i, axis=-1)
-    return values
-
-
 @pytest.mark.parametrize("azimuth", [None, 0.5])
 @pytest.mark.parametrize("alpha", [pytest.param(0.03, marks=pytest.mark.slow), 0.1])
 def test_records_of_a_lens_out_of_focus_are_means_over_its_pupil(azimuth, alpha):
     rig = replace(RIG, lamp_azimuth=azimuth)
     cells, operator = lobe_operator(rig, "centre", 18, (), Workspace())
-    table = measured(alpha, rig, cells)
+    table = measured(GGX(alpha), rig, cells)
     found = np.asarray(operator.record(GGX(alpha), "smith", np.zeros(0)))
     reach, per_px = 6.5, 10
     fine = (np.arange(int(2 * reach * per_px)) + 0.5) / per_px - reach

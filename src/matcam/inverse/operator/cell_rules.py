@@ -150,9 +150,8 @@ def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
         )
         shown = rule(0, widest)
         weights = [transfer(rule, widest) for rule in rules]
-    theta = np.asarray(shown.theta)
-    at, cos_psi = masking_samples(theta, np.asarray(shown.cos_psi))
-    return _Found(theta, [np.asarray(w) for w in weights], {"sample_theta": at, "sample_cos_psi": cos_psi})
+    samples = dict(zip(("sample_theta", "sample_cos_psi", "sample_share"), masking_samples(shown), strict=True))
+    return _Found(np.asarray(shown.theta), [np.asarray(w) for w in weights], samples)
 
 
 def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:

@@ -26,7 +26,7 @@ from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
-from matcam.inverse.operator.polar_rule import THROUGH_SAMPLES
+from matcam.inverse.operator.polar_rule import SAMPLED, THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
@@ -112,7 +112,10 @@ class LobeOperator(eqx.Module):
     def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
         """Return G at the nodes, from the Lambdas at its samples."""
         both = g2(masking, lambda_i, lambda_o, self.azimuth)
-        mean = jnp.mean(both, axis=-1) if self.share is None else jnp.sum(both * self.share, axis=-1)
+        if self.share is None:
+            mean = jnp.mean(both, axis=-1)
+        else:  # as jnp.sum over the pair XLA takes five times as long
+            mean = both[..., 0] * self.share[..., 0] + both[..., 1] * self.share[..., 1]
         joint = mean @ self.through_samples.T
         return joint.reshape(self.slope2.shape)
 
@@ -256,6 +259,7 @@ def operator_in(
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
         description = f"{description}, discs out of focus by {CHORD_RULE}"
+    description = f"{description}, masking at {SAMPLED.size} nodes"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     # before a near camera G is taken at every node: close to the limb no polynomial follows it

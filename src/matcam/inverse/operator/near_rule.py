@@ -28,6 +28,7 @@ from matcam.inverse.operator.polar_rule import (
     both_sides,
     nearest_seen,
     onto_nodes,
+    skewed_pair,
     stretched,
 )
 from matcam.inverse.operator.sample_view import SampleView, angles_between, square_border
@@ -36,8 +37,6 @@ from matcam.numerics.sine import sine_and_cosine
 _BLOCK = 32
 _MORE_AZIMUTHS = np.polynomial.legendre.leggauss(30)
 """A turned pixel is met over up to sqrt(2) times its side."""
-_MOST_LEAN = 1e3
-"""Largest skewness of what a circle shows."""
 _LEAST_SPREAD = 1e-7
 """Standard deviation of the cosine of an azimuth below which all azimuths are one."""
 
@@ -253,11 +252,7 @@ def _azimuths(at: _Directions, place: jax.Array, share: jax.Array) -> tuple[jax.
     off = cos_psi - middle[..., None]
     spread = jnp.sqrt(jnp.maximum(mean(off**2), _LEAST_SPREAD**2))
     slope = mean(off * (at.theta_d - beside[..., None])) / spread
-    # Gauss's rule of two nodes, exact to the third moment: close to the limb a circle is seen at two ends, of unequal light
-    lean = jnp.clip(mean(off**3) / spread**3, -_MOST_LEAN, _MOST_LEAN) / 2
-    root = jnp.sqrt(lean**2 + 1)
-    nodes = jnp.stack([lean - root, lean + root], -1)
-    shares = jnp.stack([lean + root, root - lean], -1) / (2 * root[..., None])
+    nodes, shares = skewed_pair(mean(off**3) / spread**3)
     pair = jnp.clip(middle[..., None] + spread[..., None] * nodes, -1, 1)
     here = jnp.where(total == 0, jnp.nan, mean(place))
     return here, pair, beside[..., None] + slope[..., None] * nodes, shares

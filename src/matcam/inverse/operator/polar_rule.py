@@ -32,18 +32,28 @@ _FINEST = 25.0
 """Outer end of the nodes over the angle at which they become even."""
 _REACH = 6.2
 """How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
+_LEAST_SPREAD = 1e-5
+"""Least standard deviation of the cosines of a circle's azimuths: their moments are differences of sums."""
+_MOST_LEAN = 1e3
+"""Largest skewness of what a circle shows."""
 _BLOCK = 128
 """Pixels at a time: what fits into a processor's cache."""
-SAMPLED = np.array([0, 5, 10, 15, 19, 24, 29, 34, 39])
-"""Nodes at which G is taken: it is smooth over the nodes, and the polynomial through these gives it at all of them."""
+SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
+"""Nodes at which G is taken. Where the limb cuts a circle off G has a kink: cubics keep it in its place."""
+_CUBIC = 4
 
 
-def _sample_polynomials() -> np.ndarray:
-    """Return Lagrange's polynomials through the samples at all nodes, (nodes, samples)."""
-    return np.stack(lagrange_basis(NODES[0][SAMPLED], NODES[0]), axis=-1)
+def _sample_cubics() -> np.ndarray:
+    """Return Lagrange's cubic through the four samples about each node, at that node, (nodes, samples)."""
+    through = np.zeros((NODES[0].size, SAMPLED.size))
+    for node, place in enumerate(NODES[0]):
+        first = int(np.clip(np.searchsorted(SAMPLED, node, "right") - _CUBIC // 2, 0, SAMPLED.size - _CUBIC))
+        about = slice(first, first + _CUBIC)
+        through[node, about] = lagrange_basis(NODES[0][SAMPLED[about]], place)
+    return through
 
 
-THROUGH_SAMPLES = _sample_polynomials()
+THROUGH_SAMPLES = _sample_cubics()
 
 
 class Pixels(NamedTuple):
@@ -69,11 +79,13 @@ class PolarRule(NamedTuple):
         theta: (pixels, nodes), rad from the half vector.
         weight: (pixels, nodes).
         cos_psi: (pixels, nodes, 2), cosine of the two azimuths at which G is taken; NaN where nothing is seen.
+        share: (pixels, nodes, 2), shares of the weight at these azimuths.
     """
 
     theta: jax.Array
     weight: jax.Array
     cos_psi: jax.Array
+    share: jax.Array
 
 
 class PolarWindow(NamedTuple):
@@ -145,7 +157,7 @@ def polar_rule(
         from_ = jnp.arccos(jnp.clip(jnp.minimum(along[1], horizon), -1, 1))
         to = jnp.arccos(jnp.clip(jnp.maximum(along[0], -horizon), -1, 1))
         rise = [jnp.arcsin(jnp.clip((y + side * rows) / radius / sin, 0, 1)) for side in (-1, 1)]
-        total, mean, square = 0.0, 0.0, 0.0
+        total, moments = 0.0, jnp.zeros(3)[:, None, None]
         for begin, end in ((rise[0], rise[1]), (jnp.pi - rise[1], jnp.pi - rise[0])):
             begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
             half = jnp.maximum(end - begin, 0.0) / 2
@@ -159,19 +171,31 @@ def polar_rule(
                 kernel = lamp_kernel(SampleView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
-            mean += jnp.sum(share * cos_psi, -1)
-            square += jnp.sum(share * cos_psi**2, -1)
+            moments += jnp.stack([jnp.sum(share * cos_psi**n, -1) for n in (1, 2, 3)])
         safe = jnp.where(total == 0, 1.0, total)
-        middle = jnp.clip(mean / safe, -1, 1)
-        spread = jnp.sqrt(jnp.maximum(square / safe - middle**2, 1e-18))
-        pair = jnp.clip(middle[..., None] + spread[..., None] * np.array([-1.0, 1.0]), -1, 1)
+        middle, square, cube = moments / safe
+        spread = jnp.sqrt(jnp.maximum(square - middle**2, _LEAST_SPREAD**2))
+        nodes, shares = skewed_pair((cube - 3 * middle * square + 2 * middle**3) / spread**3)
+        pair = jnp.clip(middle[..., None] + spread[..., None] * nodes, -1, 1)
         pair = jnp.where((total == 0)[..., None], jnp.nan, pair)
         weight = factor[..., 0] * radius**2 / 4 * (sin * step)[..., 0] * total
-        return PolarRule(theta[..., 0], weight, pair)
+        return PolarRule(theta[..., 0], weight, pair, shares)
 
     arguments = (*pixels, *window, *variances)
     blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
+
+
+def skewed_pair(lean: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the two nodes, in standard deviations from the mean, and their shares, on a trailing axis.
+
+    They are Gauss's rule, exact to the third moment: close to the limb a circle is seen at two ends, of unequal light.
+    lean: third moment of what they stand for, in standard deviations.
+    """
+    lean = jnp.clip(lean, -_MOST_LEAN, _MOST_LEAN) / 2
+    root = jnp.sqrt(lean**2 + 1)
+    nodes = jnp.stack([lean - root, lean + root], -1)
+    return nodes, jnp.stack([lean + root, root - lean], -1) / (2 * root[..., None])
 
 
 def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array) -> jax.Array:
@@ -236,11 +260,11 @@ def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
     return jax.lax.map(block, blocks).reshape(rule.weight.shape)
 
 
-def masking_samples(theta: np.ndarray, cos_psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (theta, cos psi) at the sampled nodes; where nothing is seen, the azimuths of the nearest node that sees any."""
-    nearest = nearest_seen(np.isfinite(cos_psi[..., 0]))
-    complete = np.take_along_axis(cos_psi, nearest[..., None], axis=1)
-    return theta[:, SAMPLED], np.nan_to_num(complete[:, SAMPLED])
+def masking_samples(rule: PolarRule) -> tuple[np.ndarray, ...]:
+    """Return (theta, cos psi, shares) at the sampled nodes; where nothing is seen, those of the nearest node that sees any."""
+    theta, cos_psi, share = (np.asarray(a) for a in (rule.theta, rule.cos_psi, rule.share))
+    nearest = nearest_seen(np.isfinite(cos_psi[..., 0]))[:, SAMPLED, None]
+    return theta[:, SAMPLED], *(np.nan_to_num(np.take_along_axis(a, nearest, axis=1)) for a in (cos_psi, share))
 
 
 def nearest_seen(seen: np.ndarray) -> np.ndarray:
