@@ -39,7 +39,8 @@ def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, f
         ndfs: the lobes.
         dims: see `peak_response`. Default: 2.
         exact: see `peak_response`; masking is Smith's. Default: False.
-        fast: True for a quarter of the angles by `response_preview`, in two dimensions on a sphere. Default: False.
+        fast: True for a quarter of the angles by `response_preview`, in two dimensions on a sphere, without the disc of a lens
+            out of focus. Default: False.
 
     Returns:
         Dataset over (roughness, theta): `response`, and `relative_response` (to theta = 0); over roughness: `loss_angle`, rad,

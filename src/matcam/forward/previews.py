@@ -5,8 +5,8 @@
 - What the camera changes is the difference of these two lobes times the peak. It is added to the sphere.
 
 So a preview has no blurred limb and no blurred terminator. It takes the lobe's shape at the highlight for its shape all
-over, and leaves out a rig's aperture. A program is compiled once for all rigs of a kind of lens and pixel: every number
-may change.
+over, takes a lamp's disc for a Gaussian of its variance, and leaves out a rig's aperture. A program is compiled once for all
+rigs of a kind of lens and pixel: every number may change.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
     """Return the response at the peak, fast enough for a slider.
 
     It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians: within 1e-6 for a Gaussian lens and its
-    halo, within 0.5 % for another.
+    halo, within 0.5 % for another. A lamp's disc is a Gaussian, which is 2 % off for one as wide as the blur.
 
     Args:
         rig: camera, `Sphere` and lamp.

@@ -189,7 +189,7 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: float, fineness: fl
     angle, disc = np.asarray(lamp_angle, dtype=np.float64), disc_of(lamp)
     if disc == 0:
         return [LampPoint(angle, np.full_like(angle, azimuth), 1.0, 1.0)]
-    rings, spokes = int(np.ceil(1.3 + 1.1 * fineness)), int(np.ceil(6.5 + 4.2 * fineness))
+    rings, spokes = rings_and_spokes(fineness)
     share, weight = np.polynomial.legendre.leggauss(rings)
     points = []
     for ring, (u, ring_weight) in enumerate(zip((1 + share) / 2, weight / 2, strict=True)):
@@ -207,6 +207,11 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: float, fineness: fl
             around = azimuth + np.arctan2(y, x)
             points.append(LampPoint(np.arctan2(np.hypot(x, y), z), around, length, share_of_light))
     return points
+
+
+def rings_and_spokes(fineness: float) -> tuple[int, int]:
+    """Return how many rings of points, and points on each, stand for an even disc; see `lamp_points`."""
+    return int(np.ceil(1.3 + 1.1 * fineness)), int(np.ceil(6.5 + 4.2 * fineness))
 
 
 def disc_of(lamp: Lamp) -> float:

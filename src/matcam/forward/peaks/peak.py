@@ -19,28 +19,41 @@ from typing import NamedTuple
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import BlurTerms, Imaging, groups_of, imaging_of
-from matcam.forward.integral.integrals import HighlightPanels, Scene, highlight_x, record_around
+from matcam.forward.integral.discs import disc_fineness
+from matcam.forward.integral.integrals import (
+    HighlightPanels,
+    Scene,
+    Turn,
+    highlight_x,
+    record_around,
+    record_around_turned,
+)
+from matcam.forward.peaks.disc_points import DiscPoints, has_discs, mean_over_discs
 from matcam.forward.peaks.peak_tables import tabulated_peak
+from matcam.lamp.lamps import Lamp, disc_of, lamp_points
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import MixtureNDF, SlopeDistribution
 from matcam.material.ndf.power_lobes import EPD
 from matcam.rigs import Rig
+from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Curved, Flat
 
 # Frequency rule for lenses without a closed form: crowded towards 0, where the widest Gaussians of a mixture live
 _FREQUENCY_PANELS, _GRADE = 24, 4
+_VALUES = 1 << 20
+"""Values of a lobe's Gaussians that are held at a time."""
+_EVEN = 6
+"""Panels of one length about an exact peak, in focus."""
 
 
-@kept_program
 def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
     """Record a lobe at offsets from its peak, relative to the true peak.
 
@@ -54,41 +67,61 @@ def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: An
     Returns:
         Relative record, (slices, points), no unit. At offset (0, 0) it is the response at the peak.
     """
-    theta_o = jnp.asarray(theta_o)
-    weights, widths = ndf.mixture()
-    (scale_x, scale_y), (lamp_x, lamp_y) = rig.px_per_rad(theta_o), rig.lamp_spread(theta_o)
-    lobe = _SensorLobe(
-        std_x=scale_x[:, None] * widths,
-        std_y=scale_y[:, None] * widths,
-        lamp_x=_finite(lamp_x * scale_x)[:, None],
-        lamp_y=_finite(lamp_y * scale_y)[:, None],
-        x=jnp.asarray(x),
-        y=jnp.asarray(y),
-    )
-    if isinstance(rig.camera.optics, GaussianOptics):
-        return jax.vmap(partial(_product_of_closed_forms, rig.camera, weights))(lobe)
-    rule = rig.camera.optics.frequency_rule(_FREQUENCY_PANELS, _GRADE)
-    frequency = jnp.asarray(rule.frequency)
-    transfer = rig.camera.transfer(frequency[:, None], frequency)
-    return jax.lax.map(partial(_by_frequencies, rule, transfer, weights), lobe)
+    theta_o, x, y = (jnp.asarray(a) for a in (theta_o, x, y))
+    if not has_discs(rig):
+        return _lobe_in_focus(rig, ndf, theta_o, x, y)
+
+    def mean(slices: np.ndarray, points: DiscPoints) -> jax.Array:
+        places = x[slices], y[slices]
+        at = ((a[..., None] - p[:, None]).reshape(slices.size, -1) for a, p in zip(places, points[:2], strict=True))
+        records = _lobe_in_focus(rig, ndf, theta_o[slices], *at)
+        return records.reshape(*places[0].shape, -1) @ points.share
+
+    return mean_over_discs(rig, theta_o, mean)
 
 
-@kept_program
 def line_record(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array) -> jax.Array:
     """Return the response at the peak in one dimension, (slices,).
 
     It is the paper's, towards the limb.
     """
+    if not has_discs(rig):
+        return _line_in_focus(rig, ndf, theta_o, np.zeros((theta_o.size, 1)))[:, 0]
+    return mean_over_discs(
+        rig, theta_o, lambda slices, points: _line_in_focus(rig, ndf, theta_o[slices], points.x) @ points.share
+    )
+
+
+@kept_program
+def _lobe_in_focus(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
+    """Return the record of a lobe under a point lamp, through a lens in focus; see `lobe_record`."""
     weights, widths = ndf.mixture()
-    scale, lamp = rig.px_per_rad(theta_o)[0], rig.lamp_spread(theta_o)[0]
-    std, lamp = scale[:, None] * widths, _finite(scale * lamp)[:, None]
+    scale_x, scale_y = rig.px_per_rad(theta_o)
+    lobe = _SensorLobe(
+        std_x=scale_x[:, None] * widths, std_y=scale_y[:, None] * widths, x=jnp.asarray(x), y=jnp.asarray(y)
+    )
+    if isinstance(rig.camera.optics, GaussianOptics):
+        together = max(1, _VALUES // (lobe.x.shape[1] * widths.size))
+        return jax.lax.map(partial(_product_of_closed_forms, rig, weights), lobe, batch_size=together)
+    rule = rig.camera.optics.frequency_rule(_FREQUENCY_PANELS, _GRADE)
+    frequency = jnp.asarray(rule.frequency)
+    transfer = rig.camera.transfer(frequency[:, None], frequency)
+    return jax.lax.map(partial(_by_frequencies, rule, transfer, weights, rig.jitter), lobe)
+
+
+@kept_program
+def _line_in_focus(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, x: AnyArray) -> jax.Array:
+    """Return the same in one dimension, at offsets from the peak, (slices, points)."""
+    weights, widths = ndf.mixture()
+    std = rig.px_per_rad(theta_o)[0][:, None] * widths
     camera = rig.camera
     if isinstance(camera.optics, GaussianOptics):
-        return _gaussian_record(camera, jnp.zeros(()), std, lamp) @ weights
+        return _gaussian_record(rig, jnp.asarray(x)[..., None], std[:, None]) @ weights
     rule = camera.optics.frequency_rule(_FREQUENCY_PANELS, _GRADE)
-    transfer = 2 * rule.weight * camera.mtf(rule.frequency)
-    spectra = _gaussian_spectrum(rule, std[..., None], lamp[..., None])
-    return jnp.where(jnp.isinf(std), 1.0, spectra @ transfer) @ weights
+    uniform = jnp.isinf(std)
+    spectra = _gaussian_spectrum(rule, jnp.where(uniform, 1.0, std)[..., None], rig.jitter)
+    lines = jnp.einsum("skf,f,spf->spk", spectra, camera.mtf(rule.frequency), _waves(rule, jnp.asarray(x)))
+    return jnp.where(uniform[:, None], 1.0, lines) @ weights
 
 
 class _SensorLobe(NamedTuple):
@@ -97,66 +130,54 @@ class _SensorLobe(NamedTuple):
     Attributes:
         std_x: standard deviations of its Gaussians towards the limb, (slices, n).
         std_y: the same across.
-        lamp_x: standard deviation of the lamp's disc towards the limb, (slices, 1).
-        lamp_y: the same across.
         x: offsets at which it is recorded, towards the limb, (slices, points).
         y: the same across.
     """
 
     std_x: jax.Array
     std_y: jax.Array
-    lamp_x: jax.Array
-    lamp_y: jax.Array
     x: jax.Array
     y: jax.Array
 
 
-def _product_of_closed_forms(camera: Camera, weights: jax.Array, lobe: _SensorLobe) -> jax.Array:
-    along = _gaussian_record(camera, lobe.x[:, None], lobe.std_x, lobe.lamp_x)
-    across = _gaussian_record(camera, lobe.y[:, None], lobe.std_y, lobe.lamp_y)
+def _product_of_closed_forms(rig: Rig, weights: jax.Array, lobe: _SensorLobe) -> jax.Array:
+    along = _gaussian_record(rig, lobe.x[:, None], lobe.std_x)
+    across = _gaussian_record(rig, lobe.y[:, None], lobe.std_y)
     return jnp.dot(along * across, weights)
 
 
-def _gaussian_record(camera: Camera, u: jax.Array, std: jax.Array, lamp: jax.Array) -> jax.Array:
+def _gaussian_record(rig: Rig, u: jax.Array, std: jax.Array) -> jax.Array:
     """Return b(u; s), 1 where s is infinite.
 
     It is the record of a line with a Gaussian profile of unit peak.
     """
     uniform = jnp.isinf(std)
     std = jnp.where(uniform, 1.0, std)
-    total = jnp.sqrt(std**2 + camera.optics.sigma**2 + lamp**2)  # type: ignore[attr-defined]
-    return jnp.where(uniform, 1.0, jnp.sqrt(2 * jnp.pi) * std * camera.pixel.of_gaussian(u, total))
+    total = jnp.sqrt(std**2 + rig.camera.optics.sigma**2 + rig.jitter**2)  # type: ignore[attr-defined]
+    return jnp.where(uniform, 1.0, jnp.sqrt(2 * jnp.pi) * std * rig.camera.pixel.of_gaussian(u, total))
 
 
-def _by_frequencies(rule: Rule, transfer: jax.Array, weights: jax.Array, lobe: _SensorLobe) -> jax.Array:
+def _by_frequencies(
+    rule: Rule, transfer: jax.Array, weights: jax.Array, jitter: jax.Array, lobe: _SensorLobe
+) -> jax.Array:
     """Return the same by a tensor rule over (fx, fy).
 
     The spectrum of the mixture is multiplied by the camera's transfer function.
     """
-
-    def wave(u: jax.Array) -> jax.Array:
-        return jnp.asarray(2 * rule.weight * jnp.cos(2 * jnp.pi * rule.frequency * u[:, None]))
-
-    along = _gaussian_spectrum(rule, lobe.std_x[:, None], lobe.lamp_x[:, None])
-    across = _gaussian_spectrum(rule, lobe.std_y[:, None], lobe.lamp_y[:, None])
+    along, across = (_gaussian_spectrum(rule, std[:, None], jitter) for std in (lobe.std_x, lobe.std_y))
     spectrum = jnp.einsum("j,ja,jb->ab", weights, along, across) * transfer
-    return jnp.sum((wave(lobe.x) @ spectrum) * wave(lobe.y), axis=-1)
+    return jnp.sum((_waves(rule, lobe.x) @ spectrum) * _waves(rule, lobe.y), axis=-1)
 
 
-def _gaussian_spectrum(rule: Rule, std: jax.Array, lamp: jax.Array) -> jax.Array:
-    """Return the Fourier transform of a unit-peak Gaussian line.
+def _waves(rule: Rule, u: jax.Array) -> jax.Array:
+    """Return what each frequency adds at offsets u, px; frequencies last."""
+    return jnp.asarray(2 * rule.weight * jnp.cos(2 * jnp.pi * rule.frequency * u[..., None]))
 
-    Its width is `std` px, spread further by the lamp.
-    """
-    blur = jnp.exp(-2 * (jnp.pi * rule.frequency) ** 2 * (std**2 + lamp**2))
+
+def _gaussian_spectrum(rule: Rule, std: jax.Array, jitter: jax.Array) -> jax.Array:
+    """Return the Fourier transform of a unit-peak Gaussian line of width `std` px, which jitter spreads further."""
+    blur = jnp.exp(-2 * (jnp.pi * rule.frequency) ** 2 * (std**2 + jitter**2))
     return jnp.sqrt(2 * jnp.pi) * std * blur
-
-
-def _finite(x: jax.Array) -> jax.Array:
-    return jnp.where(jnp.isfinite(x), x, 0.0)
-
-
-_PANELS = HighlightPanels(graded=10, even=6, order=8)
 
 
 def peak_response(
@@ -220,7 +241,7 @@ def _in_tangent_plane(ndf: SlopeDistribution, rig: Rig, theta: jax.Array, dims: 
 
 @_in_tangent_plane.register(MixtureNDF)
 def _closed_form(ndf: MixtureNDF, rig: Rig, theta: jax.Array, dims: int) -> jax.Array:
-    if dims == 1:
+    if dims == 1 or isinstance(rig.sample, Cylinder):  # a cylinder shows every line across its axis alike
         return line_record(rig, ndf, theta)
     centre = np.zeros((theta.size, 1))
     return lobe_record(rig, ndf, theta, centre, centre)[:, 0]
@@ -239,19 +260,93 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
         raise ArgumentError(
             f"an exact peak needs a Sphere, a Cylinder or a Flat sample, not a {type(rig.sample).__name__}"
         )
-    imaging = imaging_of(rig, gaussian_disc=True)
+    imaging = imaging_of(rig)
     material = Microfacet(ndf, 1.0, masking=masking)
-    groups = groups_of(imaging.blur, imaging.sample)
+    disc = isinstance(rig.sample, Sphere) and disc_of(rig.lamp) > 0
+    groups = groups_of(imaging.blur, imaging.sample, turned=disc)
     # lengths as arrays: what is compiled for one rig serves all of its kind
     reaches = jnp.asarray([group.scale.reach for group in groups])
     terms = tuple(BlurTerms(imaging.blur, group.terms) for group in groups)
-    return _responses(material, imaging, terms, reaches, theta)
+    # a lens's disc reaches further than its blur, on whose scale the disc's border lies
+    finer = max(group.scale.reach / group.scale.reach_in_focus for group in groups)
+    even = _EVEN * int(np.exp2(np.ceil(np.log2(finer))))
+    if not disc:
+        return _responses(material, imaging, terms, reaches, theta, even)
+    if not is_concrete(theta):
+        raise ArgumentError("a lamp's disc sets how an exact peak is integrated: call this outside of jax.jit and vmap")
+    lamps = np.asarray(imaging.sample.lamp_angle(theta, rig.lamp.nearness))
+    fineness = disc_fineness(rig, imaging, lamps, material)
+    points = (_sampled_lamp(rig.lamp, *one) for one in zip(lamps, fineness, strict=True))
+    return jnp.stack([_response_under_disc(material, imaging, terms, reaches, point, even) for point in points])
+
+
+class _LampDisc(NamedTuple):
+    """A lamp's disc as points.
+
+    Attributes:
+        angle: between the disc's centre and the optical axis, rad.
+        angles: the same of its points, (points,).
+        azimuths: of its points, rad.
+        distances: of its points, over the centre's.
+        shares: of its light; 0 where the points only fill the array up.
+    """
+
+    angle: np.ndarray
+    angles: np.ndarray
+    azimuths: np.ndarray
+    distances: np.ndarray
+    shares: np.ndarray
+
+
+def _sampled_lamp(lamp: Lamp, angle: np.ndarray, fineness: float) -> _LampDisc:
+    """Return the points of a lamp's disc, their count a power of 2: each is a program."""
+    points = lamp_points(lamp, angle, 0.0, float(fineness))
+    more = (1 << (len(points) - 1).bit_length()) - len(points)
+    rows = [(p.angle, p.azimuth, p.distance, p.weight) for p in points]
+    rows += [(*rows[-1][:3], 0.0)] * more
+    return _LampDisc(np.asarray(angle), *np.array(rows, dtype=np.float64).T)
+
+
+@kept_program
+def _response_under_disc(
+    material: Microfacet,
+    imaging: Imaging,
+    blurs: tuple[BlurTerms, ...],
+    reaches: jax.Array,
+    disc: _LampDisc,
+    even: int,
+) -> jax.Array:
+    """Return recorded over true peak under a lamp's disc, the mean over its points."""
+    sample, nearness = imaging.sample, imaging.lamp_nearness
+    panels, at = HighlightPanels(graded=10, even=even, order=8), jnp.zeros(1)
+    x = highlight_x(sample, disc.angle, nearness)
+
+    def one(point: tuple[jax.Array, ...]) -> jax.Array:
+        angle, azimuth, distance, share = point
+        near = None if nearness is None else nearness / distance
+        scene = Scene(material, sample, angle, near, Turn(jnp.cos(azimuth), jnp.sin(azimuth)))
+        records = (
+            record_around_turned(scene, blur, x[None], at, reach, panels)[0, 0, 0]
+            for blur, reach in zip(blurs, reaches, strict=True)
+        )
+        return share * sum(records, jnp.zeros(()))
+
+    recorded = jnp.sum(jax.lax.map(one, tuple(jnp.asarray(a) for a in disc[1:])))
+    element, _ = sample.at(x, jnp.zeros(()))
+    return recorded / Scene(material, sample, jnp.asarray(disc.angle), nearness).sent(element)[0]
 
 
 @kept_program
 def _responses(
-    material: Microfacet, imaging: Imaging, blurs: tuple[BlurTerms, ...], reaches: jax.Array, theta: jax.Array
+    material: Microfacet,
+    imaging: Imaging,
+    blurs: tuple[BlurTerms, ...],
+    reaches: jax.Array,
+    theta: jax.Array,
+    even: int,
 ) -> jax.Array:
+    panels = HighlightPanels(graded=10, even=even, order=8)
+
     def one(angle: jax.Array) -> jax.Array:
         sample, near = imaging.sample, imaging.lamp_nearness
         scene = Scene(material, sample, sample.lamp_angle(angle, near), near)
@@ -259,7 +354,7 @@ def _responses(
         element, _ = sample.at(x, jnp.zeros(()))
         centre = jnp.zeros(1)
         recorded = sum(
-            record_around(scene, blur, x[None], centre, reach, _PANELS)[0, 0, 0]
+            record_around(scene, blur, x[None], centre, reach, panels)[0, 0, 0]
             for blur, reach in zip(blurs, reaches, strict=True)
         )
         return recorded / scene.sent(element)[0]

@@ -98,7 +98,7 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
     Its error is below 1e-4.
 
     Args:
-        rig: a rig with Gaussian optics, box pixel and point lamp.
+        rig: a rig with Gaussian optics in focus, box pixel and point lamp.
         ndf: the lobe.
         theta_o: viewing angle, rad, any shape.
         dims: 2, or 1 for the direction towards the limb alone.
@@ -115,20 +115,22 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
             "the peak of an EPD lobe is tabulated only for GaussianOptics and BoxPixel, this camera has "
             f"{type(optics).__name__} and {type(pixel).__name__}"
         )
-    lamp = _in_range("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
+    discs = _in_range("lamp_radius with an EPD lobe", rig.lamp_radius, (0, 0))
+    discs += _in_range("aperture with an EPD lobe", rig.aperture, (0, 0))
+    sigma = jnp.hypot(optics.sigma, rig.jitter)
     scale_x, scale_y = rig.px_per_rad(theta_o)
     if dims == 1:
         scale_y = jnp.full_like(scale_x, jnp.inf)
     # a size that is infinite is none: a line's response is left, or a flat sample's, which is 1
     plane, line = jnp.isfinite(scale_x) & jnp.isfinite(scale_y), jnp.isfinite(scale_x) & jnp.isinf(scale_y)
-    width = jnp.sqrt(optics.sigma**2 + pixel.half_width**2 / 3)
+    width = jnp.sqrt(sigma**2 + pixel.half_width**2 / 3)
     along = ndf.beta * jnp.where(plane | line, scale_x, width) / width
     lobe = EPDOnSensor(
         along=along,
         across=jnp.where(plane, ndf.beta * jnp.where(plane, scale_y, width) / width, along),
-        half_widths=_in_range("half_width / sigma with an EPD lobe", pixel.half_width / optics.sigma, HALF_WIDTHS),
+        half_widths=_in_range("half_width / sigma with an EPD lobe", pixel.half_width / sigma, HALF_WIDTHS),
         power=_in_range("power of an EPD lobe whose peak is tabulated", ndf.power, POWERS),
-        peak=width * pixel.of_gaussian(0.0, optics.sigma),
+        peak=width * pixel.of_gaussian(0.0, sigma),
     )
     size = "size of an EPD lobe on the sensor, in widths of the kernel,"
     plane_size = _in_range(size, jnp.where(plane, lobe.plane_size, 1.0), SIZES["plane"])
@@ -137,7 +139,7 @@ def tabulated_peak(rig: Rig, ndf: EPD, theta_o: jax.Array, dims: int) -> jax.Arr
     shared = lobe.share, jnp.log(lobe.power)
     in_plane = jax.nn.sigmoid(_table("plane").at(jnp.log(plane_size), jnp.log(ratio), shared) + lobe.narrow_plane)
     in_line = jax.nn.sigmoid(_table("line").at(jnp.log(line_size), None, shared) + lobe.narrow_line)
-    return jnp.where(plane, in_plane, jnp.where(line, in_line, 1.0)) + lamp
+    return jnp.where(plane, in_plane, jnp.where(line, in_line, 1.0)) + discs
 
 
 class PeakTable(NamedTuple):
