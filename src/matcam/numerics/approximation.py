@@ -28,6 +28,22 @@ def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
+def in_order(cuts: list[jax.Array], rows: int) -> jax.Array:
+    """Return cuts in ascending order, on a trailing axis of as many.
+
+    They are exchanged in pairs: XLA sorts a few numbers of each of many places a hundred times as long.
+
+    Args:
+        cuts: arrays of one shape; each of the first `rows` is at most the next.
+        rows: how many are in order already.
+    """
+    for last in range(max(rows, 1), len(cuts)):
+        for place in range(last, 0, -1):
+            low, high = cuts[place - 1], cuts[place]
+            cuts = [*cuts[: place - 1], jnp.minimum(low, high), jnp.maximum(low, high), *cuts[place + 1 :]]
+    return jnp.stack(jnp.broadcast_arrays(*cuts), axis=-1)
+
+
 def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) -> tuple[jax.Array, jax.Array]:
     """Return (nodes, weights) for a function that peaks at the first of `borders` on the scale `scale`.
 

@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.shading import Vector
+from matcam.numerics.sine import arcsine
 
 
 class Element(NamedTuple):
@@ -234,7 +235,7 @@ class Curved(Sample):
         Args:
             v: second coordinate of the surface.
         """
-        return self._seen_from(v, self.nearness)
+        return jnp.full_like(v, jnp.pi / 2) if self.distant else self._seen_from(v, self.nearness)
 
     def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
         """Return the largest angle in u from a point in the plane of x and the axis that sees the surface at v."""
@@ -271,6 +272,9 @@ class Curved(Sample):
         """
         section, q = self.section(v), self.nearness
         slope = x / (self.stretch * jnp.where(section > 0, section, 1.0))
+        if self.distant:
+            inside = jnp.abs(slope) < 1
+            return jnp.where(inside, arcsine(jnp.where(inside, slope, 0.0)), jnp.sign(slope) * jnp.pi / 2)
         u = angle_on_circle(slope, slope * section * q)
         end = self.visible(v)
         return jnp.clip(u, -end, end)

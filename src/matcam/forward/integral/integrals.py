@@ -30,12 +30,12 @@ from matcam.forward.integral.blur import Blur, BlurTerms, Line
 from matcam.forward.integral.disc_stamps import DiscShares
 from matcam.forward.integral.pupil import mean_over_pupil
 from matcam.material.material import Material
-from matcam.numerics.approximation import graded_nodes, nodes_in_panels
+from matcam.numerics.approximation import graded_nodes, in_order, nodes_in_panels
 from matcam.sample.shape import Curved, Element
 
 # Orders of the Gauss-Legendre panels about a pixel, and their cuts about a squeezed lobe, in the lobe's width there
-_ORDER_V, _ORDER_V_RIDGE = 9, 7
-_ORDER_U, _ORDER_U_RIDGE = 10, 6
+_ORDER_V, _ORDER_V_RIDGE = 8, 7
+_ORDER_U, _ORDER_U_RIDGE = 8, 6
 _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
@@ -369,8 +369,10 @@ def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, 
     v, v_weight = nodes_in_panels(borders, _ORDER_V_RIDGE if panels.ridge else _ORDER_V)
     low, high = sample.lit(v, lamps.lamp_angle, scene.lamp_nearness)
     low, high = (jnp.clip(sample.across(at_x[:, None] + side * panels.reach, v), low, high) for side in (-1, 1))
-    inner = [low[..., None], high[..., None], *_cuts_along_u(scene, (at_x, at_y), v, (low, high), panels)]
-    along = jnp.sort(jnp.clip(jnp.concatenate(inner, axis=-1), low[..., None], high[..., None]), axis=-1)
+    by_kernel, *others = _cuts_along_u(scene, (at_x, at_y), v, (low, high), panels)
+    first_cuts = [low, *jnp.unstack(by_kernel, axis=-1), high]
+    more = [jnp.clip(cut, low, high) for cuts in others for cut in jnp.unstack(cuts, axis=-1)]
+    along = in_order([*(jnp.clip(cut, low, high) for cut in first_cuts), *more], len(first_cuts))
     u, u_weight = nodes_in_panels(along, _ORDER_U_RIDGE if panels.ridge else _ORDER_U)
     return _through_kernel(scene, blur, (x, y), _SurfaceNodes(u, v[..., None], u_weight * v_weight[..., None]))
 
@@ -384,9 +386,9 @@ class _SurfaceNodes(NamedTuple):
 
 
 def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Array]:  # type: ignore[no-untyped-def]
-    """Return the places in u at which panels must end.
+    """Return the places in u at which panels must end, on a trailing axis; those of the first array are in order.
 
-    Between them, on a trailing axis, the integrand is smooth.
+    Between them the integrand is smooth.
     """
     sample, finest, (x, y) = scene.sample, scene.material.finest, places
     cuts = panels.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if panels.ridge else jnp.zeros(1)

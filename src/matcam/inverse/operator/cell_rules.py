@@ -24,6 +24,7 @@ from matcam.inverse.operator.polar_rule import (
     PolarWindow,
     kernel_reach,
     masking_samples,
+    on_highlight,
     padded,
     polar_rule,
     polar_window,
@@ -41,15 +42,18 @@ class _Blurs(NamedTuple):
         blurs: the rig's own first.
         spreads: for each, the variances along x and y, (pixels,), px^2.
         reaches: for each, the half sides of what a pixel sees, (2, pixels), px along its axes.
-        terms: of the blurs, those that are looked at.
         discs: for each, the lamp's disc, where it is not in the spreads.
     """
 
     blurs: list[Blur]
     spreads: list[tuple[np.ndarray, ...]]
     reaches: list[np.ndarray]
-    terms: tuple[int, ...]
     discs: list[LampDisc | None]
+
+    @property
+    def terms(self) -> tuple[int, ...]:
+        """Return the indices of the blurs' terms."""
+        return tuple(range(self.blurs[0].stds.size))
 
 
 class _Found(NamedTuple):
@@ -96,20 +100,25 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
     half_width = float(rig.camera.pixel.half_width)
     columns: list[dict[str, np.ndarray]] = []
+    widths: list[_Blurs] = []
     for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
-        widths = [np.asarray(blur.stds)[list(terms)].max() for blur in blurs]
+        parts = [_only(blur, terms) for blur in blurs]
+        widest = [np.asarray(blur.stds).max() for blur in parts]
         reaches = [
             kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
-            for s, v, m, blur in zip(widths, spreads, moved, blurs, strict=True)
+            for s, v, m, blur in zip(widest, spreads, moved, parts, strict=True)
         ]
-        through = _Blurs(blurs, spreads, reaches, terms, discs)
+        widths.append(_Blurs(parts, spreads, reaches, discs))
+    pixels = Pixels(x, y, theta_d, factor)
+    finest = on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
+    for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         if view.line:
-            found_here = _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+            found_here = _line_rules(view.radius, pixels, together[0])
         elif view.plain:
-            found_here = [_far_rules(view.radius, Pixels(x, y, theta_d, factor), through)]
+            found_here = [_far_rules(view.radius, pixels, together, np.inf if len(widths) == 1 else finest)]
         else:
             near = NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor)
-            found_here = [_near_rules(view, near, through)]
+            found_here = [_near_rules(view, near, together[0])]
         for rules in found_here:
             weight, *others = rules.weights
             named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
@@ -136,27 +145,69 @@ def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std
     return np.maximum(disc(off - reach), disc(off + reach))
 
 
-def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
-    blurs, spreads, reaches, terms, discs = through
+def _only(blur: Blur, terms: tuple[int, ...]) -> Blur:
+    """Return a blur of some of its terms: one program serves as many terms of any width."""
+    index = np.array(terms)
+    return dataclasses.replace(blur, weights=blur.weights[index], stds=blur.stds[index])
 
-    def rule(n: int, window: PolarWindow):  # type: ignore[no-untyped-def]
-        return polar_rule(jnp.asarray(radius), blurs[n], tuple(spreads[n]), terms, pixels, window, discs[n])
 
-    rules = [rule(n, polar_window(radius, pixels, *reach)) for n, reach in enumerate(reaches)]
-    shown, weights = rules[0], [rules[0].weight]
-    if len(blurs) > 1:  # all on the nodes of the widest
-        widest = polar_window(radius, pixels, *np.max(reaches, axis=0))._replace(
-            reach=reaches[0][0], rows=reaches[0][1]
-        )
-        shown = rule(0, widest)
-        weights = [transfer(rule, widest) for rule in rules]
+def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
+    """Divide the terms of a blur, from the narrowest: a lens's core, what surrounds it, and wide tails."""
+    reach = np.array([np.max(through.reaches[0]) for through in widths])
+    ends = np.searchsorted(reach, np.maximum(_SURROUNDINGS, reach[0]), side="right")
+    return [widths[a:b] for a, b in zip([0, *ends], [*ends, len(widths)], strict=True) if b > a]
+
+
+def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: float) -> _Found:
+    """Return a rule on one set of nodes for terms of several widths. finest: as of a `PolarWindow`."""
+
+    def rule(n: int, window: PolarWindow, through: _Blurs):  # type: ignore[no-untyped-def]
+        return polar_rule(
+            jnp.asarray(radius), through.blurs[n], tuple(through.spreads[n]), through.terms, pixels, window,
+            through.discs[n],
+        )  # fmt: skip
+
+    count, wide = len(widths[0].blurs), np.min(widths[0].reaches[0]) > _SURROUNDINGS[0]
+    own = finest if wide else np.inf
+    rules = [
+        [
+            rule(n, polar_window(radius, pixels, *reach)._replace(finest=own), through)
+            for n, reach in enumerate(through.reaches)
+        ]
+        for through in widths
+    ]
+    if count == len(widths) == 1 and np.isinf(finest):
+        shown, weights = rules[0][0], [np.asarray(rules[0][0].weight)]
+    else:  # all on the nodes of the widest
+        widest = polar_window(radius, pixels, *np.max([through.reaches for through in widths], axis=(0, 1)))
+        widest = widest._replace(finest=finest)
+        weights = [sum(np.asarray(transfer(of_width[n], widest)) for of_width in rules) for n in range(count)]  # type: ignore[misc]
+        seen = widths[-1].reaches[0]
+        shown = rule(0, widest._replace(reach=seen[0], rows=seen[1]), _standing_for(widths))
     samples = dict(zip(("sample_theta", "sample_cos_psi", "sample_share"), masking_samples(shown), strict=True))
-    return _Found(np.asarray(shown.theta), [np.asarray(w) for w in weights], samples)
+    return _Found(np.asarray(shown.theta), weights, samples)
+
+
+def _standing_for(widths: list[_Blurs]) -> _Blurs:
+    """Return a blur by which masking's azimuths are weighed: a Gaussian as wide as the rig's own blur by these terms.
+
+    The blur itself has negative shares: means over it may lie anywhere. As wide: its transfer falls to a half with that of
+    the terms.
+    """
+    own = [through.blurs[0] for through in widths]
+    weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
+    frequency = np.geomspace(0.01 / stds.max(), 2 / stds.min(), 2000)
+    transfer_ = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
+    half = frequency[np.argmax(transfer_ < 0.5)]
+    std = max(np.sqrt(np.log(2) / 2) / (np.pi * half), np.max(widths[-1].reaches[0]) / _RESOLVED)
+    stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]))
+    return widths[0]._replace(blurs=[stand_in])
 
 
 def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     """Return the rules of a cylinder's two arms."""
-    blurs, spreads, reaches, terms, _ = through
+    blurs, spreads, reaches, _ = through
+    terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)
     arms = []
     for arm in ARMS:
@@ -171,7 +222,8 @@ def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
 
 
 def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found:
-    blurs, spreads, reaches, terms, discs = through
+    blurs, spreads, reaches, discs = through
+    terms = through.terms
     onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
     nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0
     rules: list[NearRule] = [
@@ -192,6 +244,10 @@ def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
     return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
+_SURROUNDINGS = np.array([9.0, 45.0])
+"""Reach of the terms of a lens that count as its core, and as what surrounds it, px."""
+_RESOLVED = 10
+"""Reach of a blur over the least standard deviation that the azimuths of a rule resolve."""
 _INSIDE = 1 - 1e-9
 """Share of a sample's radius within which it is seen."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))

@@ -26,7 +26,7 @@ from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
-from matcam.inverse.operator.polar_rule import SAMPLED, THROUGH_SAMPLES
+from matcam.inverse.operator.polar_rule import NODE_RULE, SAMPLED, THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
@@ -259,7 +259,7 @@ def operator_in(
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
         description = f"{description}, discs out of focus by {CHORD_RULE}"
-    description = f"{description}, masking at {SAMPLED.size} nodes"
+    description = f"{description}, masking at {SAMPLED.size} nodes, {NODE_RULE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))
     # before a near camera G is taken at every node: close to the limb no polynomial follows it

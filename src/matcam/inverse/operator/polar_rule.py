@@ -25,8 +25,10 @@ from matcam.numerics.approximation import lagrange_basis
 from matcam.numerics.sine import sine_and_cosine
 
 NODES = np.polynomial.legendre.leggauss(40)
-_BARYCENTRIC = (-1.0) ** np.arange(40) * np.sqrt((1 - NODES[0] ** 2) * NODES[1])
-"""Barycentric weights of the polynomial through the nodes (Wang & Xiang 2012)."""
+_LOCAL = 10
+"""Nodes on which a weight between them is laid: further away the masking may be another one."""
+NODE_RULE = f"weights on {_LOCAL} nodes"
+"""How weights come to the nodes of several widths; rules that are kept say so."""
 AZIMUTHS = np.polynomial.legendre.leggauss(22)
 _FINEST = 25.0
 """Outer end of the nodes over the angle at which they become even."""
@@ -36,11 +38,22 @@ _LEAST_SPREAD = 1e-5
 """Least standard deviation of the cosines of a circle's azimuths: their moments are differences of sums."""
 _MOST_LEAN = 1e3
 """Largest skewness of what a circle shows."""
+_SPELT_OUT = 4
+"""Terms of a blur up to which a program spells each out."""
 _BLOCK = 128
 """Pixels at a time: what fits into a processor's cache."""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
 """Nodes at which G is taken. Where the limb cuts a circle off G has a kink: cubics keep it in its place."""
 _CUBIC = 4
+
+
+def _local_barycentric() -> np.ndarray:
+    """Return the barycentric weights of each run of neighbouring nodes, (runs, nodes of each)."""
+    runs = NODES[0][np.arange(NODES[0].size - _LOCAL + 1)[:, None] + np.arange(_LOCAL)]
+    return 1 / np.prod(runs[:, :, None] - runs[:, None] + np.eye(_LOCAL), axis=2)
+
+
+_BARYCENTRIC = _local_barycentric()
 
 
 def _sample_cubics() -> np.ndarray:
@@ -96,12 +109,14 @@ class PolarWindow(NamedTuple):
         high: largest angle, rad.
         reach: half side of what the kernel reaches along x, px.
         rows: the same along y.
+        finest: angle above which nodes need not be even, rad; infinite: the window's own.
     """
 
     low: np.ndarray
     high: np.ndarray
     reach: np.ndarray
     rows: np.ndarray
+    finest: np.ndarray | float = np.inf
 
 
 def polar_window(radius: float, pixels: Pixels, reach: np.ndarray, rows: np.ndarray) -> PolarWindow:
@@ -119,6 +134,11 @@ def polar_window(radius: float, pixels: Pixels, reach: np.ndarray, rows: np.ndar
     return PolarWindow(
         np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2), reach, rows
     )
+
+
+def on_highlight(radius: float, reach: float) -> float:
+    """Return the angle at which nodes about a highlight become even, rad. reach: half side of what a pixel there sees, px."""
+    return float(np.sqrt(2) * reach / radius / _FINEST)
 
 
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
@@ -144,8 +164,8 @@ def polar_rule(
 
     def block(arguments):  # type: ignore[no-untyped-def]
         arguments, disc = arguments
-        x, y, theta_d, factor, low, high, reach, rows, var_x, var_y = (a[:, None, None] for a in arguments)
-        scale, first, last = stretched(low, high)
+        x, y, theta_d, factor, low, high, reach, rows, finest, var_x, var_y = (a[:, None, None] for a in arguments)
+        scale, first, last = stretched(low, high, finest)
         t = first + (last - first) * (NODES[0][:, None] + 1) / 2
         theta = scale * jnp.sinh(t)
         step = scale * jnp.cosh(t) * (last - first) / 2 * NODES[1][:, None]
@@ -181,7 +201,7 @@ def polar_rule(
         weight = factor[..., 0] * radius**2 / 4 * (sin * step)[..., 0] * total
         return PolarRule(theta[..., 0], weight, pair, shares)
 
-    arguments = (*pixels, *window, *variances)
+    arguments = tuple(jnp.broadcast_to(a, pixels.x.shape) for a in (*pixels, *window, *variances))
     blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
 
@@ -207,13 +227,25 @@ def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y:
     def of(along: Line, across: Line) -> jax.Array:
         return along(at[0]) * (across(at[1] - y) + across(at[1] + y))
 
-    return sum((blur.weights[j] * blur.through_disc(j, spread, of) for j in terms), jnp.zeros(()))
+    def one(j: int | jax.Array) -> jax.Array:
+        return blur.weights[j] * blur.through_disc(j, spread, of)
+
+    if len(terms) <= _SPELT_OUT:
+        return sum((one(j) for j in terms), jnp.zeros(()))
+    total = one(terms[0])
+    return jax.lax.scan(lambda total, j: (total + one(j), None), total, jnp.array(terms[1:]))[0]
 
 
-def stretched(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last."""
+def stretched(
+    low: jax.Array, high: jax.Array, finest: jax.Array | float = jnp.inf
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last.
+
+    finest: angle above which no more than a narrow lobe's tail is seen, rad; infinite: what is seen is narrow.
+    """
     # the highlight itself is inside only where the window begins at 0
     scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
+    scale = jnp.minimum(scale, jnp.maximum(low, finest))
     return scale, jnp.arcsinh(low / scale), jnp.arcsinh(high / scale)
 
 
@@ -242,20 +274,25 @@ _FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
 def transfer(rule: PolarRule, window: PolarWindow) -> jax.Array:
     """Return a rule's weights at the nodes of a wider window.
 
-    The result is the same for all that a polynomial through those nodes follows. So a kernel need not be smooth on their scale;
-    only the lobe has to be.
+    The result is the same for all that polynomials through neighbouring nodes follow. So a kernel need not be smooth on their
+    scale; only the lobe has to be.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        theta, weight, low, high = arguments
-        scale, first, last = (a[:, None] for a in stretched(low, high))
+        theta, weight, low, high, finest = arguments
+        scale, first, last = (a[:, None] for a in stretched(low, high, finest))
         t = 2 * (jnp.arcsinh(theta / scale) - first) / (last - first) - 1
-        gap = t[..., None] - NODES[0]
+        begin = jnp.clip(jnp.searchsorted(NODES[0], t) - _LOCAL // 2, 0, NODES[0].size - _LOCAL)
+        about = begin[..., None] + np.arange(_LOCAL)
+        gap = t[..., None] - jnp.asarray(NODES[0])[about]
         gap = jnp.where(jnp.abs(gap) < 1e-13, 1e-13, gap)
-        share = _BARYCENTRIC / gap
-        return jnp.sum(weight[..., None] * share / jnp.sum(share, -1, keepdims=True), axis=1)
+        share = jnp.asarray(_BARYCENTRIC)[begin] / gap
+        share *= (weight / jnp.sum(share, -1))[..., None]
+        pixel = jnp.arange(theta.shape[0])[:, None, None]
+        return jnp.zeros_like(theta).at[pixel, about].add(share)
 
-    arguments = (rule.theta, rule.weight, window.low, window.high)
+    finest = jnp.broadcast_to(window.finest, window.low.shape)
+    arguments = (rule.theta, rule.weight, window.low, window.high, finest)
     blocks = tuple(a.reshape(-1, _BLOCK, *a.shape[1:]) for a in arguments)
     return jax.lax.map(block, blocks).reshape(rule.weight.shape)
 
