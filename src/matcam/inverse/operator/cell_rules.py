@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jnp
+from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
@@ -20,6 +21,7 @@ from matcam.inverse.operator.near_rule import (
     near_window,
 )
 from matcam.inverse.operator.polar_rule import (
+    PIECE,
     Pixels,
     PolarWindow,
     kernel_reach,
@@ -50,6 +52,14 @@ class _Blurs(NamedTuple):
     reaches: list[np.ndarray]
     terms: tuple[int, ...]
     discs: list[LampDisc | None]
+
+    def of(self, piece: slice) -> _Blurs:
+        """Return what is held of some pixels."""
+        return self._replace(
+            spreads=[tuple(v[piece] for v in spread) for spread in self.spreads],
+            reaches=[reach[:, piece] for reach in self.reaches],
+            discs=[disc and LampDisc._make(a[piece] for a in disc) for disc in self.discs],
+        )
 
 
 class _Found(NamedTuple):
@@ -103,14 +113,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
             for s, v, m, blur in zip(widths, spreads, moved, blurs, strict=True)
         ]
         through = _Blurs(blurs, spreads, reaches, terms, discs)
-        if view.line:
-            found_here = _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
-        elif view.plain:
-            found_here = [_far_rules(view.radius, Pixels(x, y, theta_d, factor), through)]
-        else:
-            near = NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor)
-            found_here = [_near_rules(view, near, through)]
-        for rules in found_here:
+        for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), through):
             weight, *others = rules.weights
             named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
             for n, changes in enumerate(_changes_along(axes, weight, others)):
@@ -120,6 +123,35 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for n, axis in enumerate(axes):
         arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
     return arrays
+
+
+def _in_pieces(view: SampleView, pixels: tuple[np.ndarray, ...], through: _Blurs) -> list[_Found]:
+    """Return the rules of pixels, piece by piece on all cores; a cylinder's are two. pixels: see `_rules`."""
+    pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
+
+    def rules(piece: slice) -> list[_Found]:
+        return _rules(view, tuple(a[piece] for a in pixels), through.of(piece))
+
+    return [_joined(parts) for parts in zip(*in_order(rules, pieces, available_cores()), strict=True)]
+
+
+def _joined(parts: tuple[_Found, ...]) -> _Found:
+    """Return the rules of all pixels of some pieces."""
+    return _Found(
+        np.concatenate([part.theta for part in parts]),
+        [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
+        {name: np.concatenate([part.samples[name] for part in parts]) for name in parts[0].samples},
+    )
+
+
+def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], through: _Blurs) -> list[_Found]:
+    """Return the rules of pixels, given by x, y, theta_d, the lamp's angle, and the record's factor."""
+    x, y, theta_d, lamp_angle, factor = pixels
+    if view.line:
+        return _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+    if view.plain:
+        return [_far_rules(view.radius, Pixels(x, y, theta_d, factor), through)]
+    return [_near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)]
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.forward.integral.blur import Blur, Line, Spread
-from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.sample_view import SampleView, square_border
+from matcam.forward.integral.blur import Blur, Spread
+from matcam.inverse.operator.lamp_lines import LampDisc, both_sides, disc_kernel
+from matcam.inverse.operator.sample_view import square_border
 from matcam.numerics.approximation import lagrange_basis
 from matcam.numerics.sine import sine_and_cosine
 
@@ -38,6 +38,8 @@ _MOST_LEAN = 1e3
 """Largest skewness of what a circle shows."""
 _BLOCK = 128
 """Pixels at a time: what fits into a processor's cache."""
+PIECE = 2 * _BLOCK
+"""Pixels of one call: one program serves any number of them, and several cores share them."""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
 """Nodes at which G is taken. Where the limb cuts a circle off G has a kink: cubics keep it in its place."""
 _CUBIC = 4
@@ -168,7 +170,7 @@ def polar_rule(
                 spread = Spread(var_x, var_y, jnp.abs(blur.defocus(radius, normal[2])))
                 kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y)
             else:
-                kernel = lamp_kernel(SampleView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
+                kernel = disc_kernel(radius, blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
             moments += jnp.stack([jnp.sum(share * cos_psi**n, -1) for n in (1, 2, 3)])
@@ -196,18 +198,6 @@ def skewed_pair(lean: jax.Array) -> tuple[jax.Array, jax.Array]:
     root = jnp.sqrt(lean**2 + 1)
     nodes = jnp.stack([lean - root, lean + root], -1)
     return nodes, jnp.stack([lean + root, root - lean], -1) / (2 * root[..., None])
-
-
-def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array) -> jax.Array:
-    """Return the kernel at places on either side of the plane of camera and lamp, added up, 1/px^2.
-
-    at: px, from the pixel along x, and from the plane. y: of the pixel, px.
-    """
-
-    def of(along: Line, across: Line) -> jax.Array:
-        return along(at[0]) * (across(at[1] - y) + across(at[1] + y))
-
-    return sum((blur.weights[j] * blur.through_disc(j, spread, of) for j in terms), jnp.zeros(()))
 
 
 def stretched(low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -277,5 +267,5 @@ def nearest_seen(seen: np.ndarray) -> np.ndarray:
 
 
 def padded(array: np.ndarray) -> np.ndarray:
-    """Repeat the last of an array of pixels up to a whole number of blocks."""
-    return np.concatenate([array, np.repeat(array[-1:], -array.size % _BLOCK)])
+    """Repeat the last of an array of pixels up to a whole number of pieces."""
+    return np.concatenate([array, np.repeat(array[-1:], -array.size % PIECE)])
