@@ -8,6 +8,8 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, GaussianOptics, Rig, Sphere, WindowedGaussianPixel, fit
 from matcam.camera import PixelNoise
 from matcam.forward.integral.blur import blur_of
+from matcam.inverse.correction.doubts import rig_doubts
+from matcam.inverse.fit.fit_setup import free_setup
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, places_in
 from matcam.inverse.operator.lamp_lines import lamp_discs
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
@@ -178,3 +180,19 @@ def test_a_free_lamp_is_followed_as_a_disc():
         )
         assert by_slice[:2].max() < 1e-3
         assert by_slice.max() < 5e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("degrees", "far"), [(0.0, False), (0.06, False), (0.25, True)])
+def test_a_doubt_of_the_lamp_goes_as_far_as_the_data_ask(degrees, far):
+    """The rig says that the lamp is a point. Nearby three points of the axis do, to 0.13 degrees."""
+    cells, operator = lobe_operator(under(256.0, degrees), "centre", 18, (), NEVER)
+    values = (
+        np.asarray(operator.record(GGX(0.003), "smith", ())) * conductor(cells.theta_d, *recorded.CHROMIUM)[:, None]
+    )
+    setup = free_setup([recorded.table_of(cells, values)], recorded.rig(), noise=PixelNoise(1e-3, 1e-5), every=18)
+    (doubt,) = rig_doubts(setup, setup.rig, setup.solve(), ("lamp_radius",))
+    print(f"{degrees} degrees: {np.degrees(doubt.value):.4f} +- {np.degrees(doubt.std):.1g}, up to {doubt.axis.high}")
+    assert (doubt.axis.high > 0.1) is far
+    assert doubt.contradicts is (degrees > 0)
+    assert np.degrees(doubt.value) == pytest.approx(degrees, abs=2e-3 if degrees else 0.02)

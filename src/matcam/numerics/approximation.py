@@ -28,7 +28,7 @@ def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
-def in_order(cuts: list[jax.Array], rows: int) -> jax.Array:
+def ascending(cuts: list[jax.Array], rows: int) -> jax.Array:
     """Return cuts in ascending order, on a trailing axis of as many.
 
     They are exchanged in pairs: XLA sorts a few numbers of each of many places a hundred times as long.

@@ -107,7 +107,7 @@ class Blur(eqx.Module):
         """
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
-    def through_disc(self, term: int | jax.Array, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
+    def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
         """Return the sum of what is made of each product that one term of the kernel consists of.
 
         Args:
@@ -138,11 +138,11 @@ class Blur(eqx.Module):
         rest = jax.tree.map(lambda a: a[1:], chords)
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
 
-    def kernel(self, offset: jax.Array, term: int | jax.Array, variance: jax.Array) -> jax.Array:
+    def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
         """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
-    def kernel_until(self, offset: jax.Array, term: int | jax.Array, variance: jax.Array) -> jax.Array:
+    def kernel_until(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
         """Return the integral of `kernel` up to an offset, no unit."""
         return self.pixel.until_gaussian(offset, self._std(term, variance))
 
@@ -150,7 +150,7 @@ class Blur(eqx.Module):
         self,
         x: jax.Array,
         y: jax.Array,
-        term: int | jax.Array,
+        term: int,
         spread: Spread,
         turn: tuple[jax.Array, jax.Array],
         nodes: int,
@@ -188,7 +188,7 @@ class Blur(eqx.Module):
             total += share * density * self.pixel.of_gaussian(second - slope * off, rest)
         return jnp.asarray(total)
 
-    def rule(self, term: int | jax.Array, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the five-node Gauss rule of a term along one axis.
 
         Its weight function is the term's kernel. It is exact for polynomials of degree 9, and so for all that is smooth
@@ -205,7 +205,7 @@ class Blur(eqx.Module):
         weights = jnp.stack([w_outer, w_inner, 1 - 2 * (w_inner + w_outer), w_inner, w_outer], axis=-1)
         return jnp.stack([-y, -x, 0 * x, x, y], axis=-1), weights
 
-    def _std(self, term: int | jax.Array, variance: jax.Array) -> jax.Array:
+    def _std(self, term: int, variance: jax.Array) -> jax.Array:
         return jnp.sqrt(self.stds[term] ** 2 + variance) if self.varies else self.stds[term]
 
     def _moments(self, std: jax.Array) -> tuple[jax.Array, ...]:

@@ -30,7 +30,7 @@ from matcam.forward.integral.blur import Blur, BlurTerms, Line
 from matcam.forward.integral.disc_stamps import DiscShares
 from matcam.forward.integral.pupil import mean_over_pupil
 from matcam.material.material import Material
-from matcam.numerics.approximation import graded_nodes, in_order, nodes_in_panels
+from matcam.numerics.approximation import ascending, graded_nodes, nodes_in_panels
 from matcam.sample.shape import Curved, Element
 
 # Orders of the Gauss-Legendre panels about a pixel, and their cuts about a squeezed lobe, in the lobe's width there
@@ -372,7 +372,7 @@ def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, 
     by_kernel, *others = _cuts_along_u(scene, (at_x, at_y), v, (low, high), panels)
     first_cuts = [low, *jnp.unstack(by_kernel, axis=-1), high]
     more = [jnp.clip(cut, low, high) for cuts in others for cut in jnp.unstack(cuts, axis=-1)]
-    along = in_order([*(jnp.clip(cut, low, high) for cut in first_cuts), *more], len(first_cuts))
+    along = ascending([*(jnp.clip(cut, low, high) for cut in first_cuts), *more], len(first_cuts))
     u, u_weight = nodes_in_panels(along, _ORDER_U_RIDGE if panels.ridge else _ORDER_U)
     return _through_kernel(scene, blur, (x, y), _SurfaceNodes(u, v[..., None], u_weight * v_weight[..., None]))
 

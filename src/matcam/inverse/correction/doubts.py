@@ -39,6 +39,8 @@ CONTRADICTION_WEIGHT = 3.0
 DOUBTED = (LENS, LAMP)
 """Parameters of a rig that are doubted: the lens's width and the lamp's radius."""
 
+_INSIDE = 0.8
+"""Share of an axis's half up to which a parameter is followed nearby: beyond it may want to leave."""
 _SIGNIFICANT = 4.0
 """Standard deviations by which a free parameter has to move for that, and"""
 _LEAST = 0.002
@@ -118,11 +120,20 @@ def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
         if name in [axis.name for axis in found.coordinates.axes]:
             doubts.append(_fitted_doubt(found, name, rig))
         elif name in widths_of(rig) or name in rig.camera.parameters():
-            free = setup.with_(also=(name,))
-            doubts.append(_free_doubt(free.solve(start=found, weights="start"), name))
+            doubts.append(_followed_doubt(setup.with_(also=(name,)), found, name))
     if not found.resolved:  # a lobe at its bound pushes the lens
         return tuple(doubt._replace(contradicts=doubt.contradicts and doubt.axis.name != LENS) for doubt in doubts)
     return tuple(doubts)
+
+
+def _followed_doubt(free: FitSetup, found: MaterialFit, name: str) -> Doubt:
+    """Return the doubt of a parameter that is free, followed nearby, and farther where the data ask for it."""
+    doubt = _free_doubt(free.with_(nearby=True).solve(start=found, weights="start"), name)
+    axis, whole = doubt.axis, free.prior.axes[-1 - free.lens_shape]
+    ends = [own for own, far in ((axis.low, whole.low), (axis.high, whole.high)) if own != far]
+    if all(abs(doubt.coordinate) < _INSIDE * abs(end) or doubt.coordinate * end < 0 for end in ends):
+        return doubt
+    return _free_doubt(free.solve(start=found, weights="start"), name)
 
 
 def _free_doubt(fit: MaterialFit, name: str) -> Doubt:

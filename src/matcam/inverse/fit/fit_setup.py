@@ -73,6 +73,7 @@ class FitSetup:
             the camera is stated as exact. Where it states nothing, a tenth of the lens's width is assumed.
         free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
         also: names of the rig's parameters that are fitted with nothing known, beside those with a prior. Default: ().
+        nearby: whether a lamp in `also` is followed about the rig's value alone. Default: False.
         lens_shape: whether the shape of the lens's kernel is fitted, too: between a disc's and one with long tails. Default:
             False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
@@ -109,6 +110,7 @@ class FitSetup:
     camera_parameters: CameraParameters | None = None
     free: tuple[str, ...] = (LENS,)
     also: tuple[str, ...] = ()
+    nearby: bool = False
     lens_shape: bool = False
     bend: float = 0.0
     stiff_below: float = 0.0
@@ -242,7 +244,7 @@ class FitSetup:
         elif camera_parameters == "prior" and known.uncertainty is not None:
             axes, root = _stated_prior(self.rig, known.uncertainty)
         if self.also:
-            axes = (*axes, *(free_axis(name, self.rig) for name in self.also))
+            axes = (*axes, *(free_axis(name, self.rig, nearby=self.nearby) for name in self.also))
             root = np.pad(root, ((0, 0), (0, len(self.also))))
         if self.lens_shape:
             axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))

@@ -27,6 +27,9 @@ from matcam.material.masking import cot_of, lambda_from_table
 from matcam.material.ndf.free_lobe import BentNDF, bend_basis
 from matcam.numerics.approximation import combined, lagrange_basis
 
+_FEW = 2
+"""Coordinates of a lobe up to which Lambda in closed form is differentiated by each in turn."""
+
 
 def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return a lobe's record, (slices, cells), and its derivatives by q, (parameters, slices, cells).
@@ -49,6 +52,7 @@ class _Lobe(NamedTuple):
         masked_by: what Lambda is made of: the table, or the coordinates themselves.
         masked_slopes: its derivatives by q, (lobe coordinates, values).
         lambda_at: Lambda by these and by the cosine of directions.
+        in_closed_form: whether it is made of the coordinates themselves.
     """
 
     kind: LobeKind
@@ -57,6 +61,7 @@ class _Lobe(NamedTuple):
     masked_by: jax.Array
     masked_slopes: jax.Array
     lambda_at: Callable[[jax.Array, jax.Array], jax.Array]
+    in_closed_form: bool = False
 
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
@@ -71,7 +76,7 @@ class _Lobe(NamedTuple):
         ndf = kind.ndf(q)
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
-            return cls(kind, q, by_norm, q, jnp.eye(q.size), lambda own, cos: quick_lambda(kind.ndf(own), cos))
+            return cls(kind, q, by_norm, q, jnp.eye(q.size), lambda own, cos: quick_lambda(kind.ndf(own), cos), True)
         return cls(
             kind, q, by_norm, table, slopes, lambda table, cos: lambda_from_table(table, ndf.roughness, cot_of(cos))
         )
@@ -119,7 +124,15 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
                 total = total + jnp.sum(share * change, axis=(1, 2, 3, 4))
             return total
 
-        by_lambda = jax.vmap(along)(lobe.masked_slopes)
+        if kind.size > _FEW:  # each cell with coordinates of its own: one pass back for all
+
+            def of_cells(own: jax.Array) -> list[jax.Array]:
+                return [jax.vmap(lobe.lambda_at)(own, cos) for cos in cosines]
+
+            _, back = jax.vjp(of_cells, jnp.broadcast_to(lobe.masked_by, (len(operator.slope2), lobe.masked_by.size)))
+            by_lambda = lobe.masked_slopes @ back(list(pulled))[0].T
+        else:
+            by_lambda = jax.vmap(along)(lobe.masked_slopes)
 
     visible = seen * light
     record = _over_nodes(weight * visible)

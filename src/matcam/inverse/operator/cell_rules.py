@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jnp
+from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
@@ -20,6 +21,7 @@ from matcam.inverse.operator.near_rule import (
     near_window,
 )
 from matcam.inverse.operator.polar_rule import (
+    PIECE,
     Pixels,
     PolarWindow,
     kernel_reach,
@@ -54,6 +56,14 @@ class _Blurs(NamedTuple):
     def terms(self) -> tuple[int, ...]:
         """Return the indices of the blurs' terms."""
         return tuple(range(self.blurs[0].stds.size))
+
+    def of(self, piece: slice) -> _Blurs:
+        """Return what is held of some pixels."""
+        return self._replace(
+            spreads=[tuple(v[piece] for v in spread) for spread in self.spreads],
+            reaches=[reach[:, piece] for reach in self.reaches],
+            discs=[disc and LampDisc._make(a[piece] for a in disc) for disc in self.discs],
+        )
 
 
 class _Found(NamedTuple):
@@ -109,17 +119,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
             for s, v, m, blur in zip(widest, spreads, moved, parts, strict=True)
         ]
         widths.append(_Blurs(parts, spreads, reaches, discs))
-    pixels = Pixels(x, y, theta_d, factor)
-    finest = on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
-        if view.line:
-            found_here = _line_rules(view.radius, pixels, together[0])
-        elif view.plain:
-            found_here = [_far_rules(view.radius, pixels, together, np.inf if len(widths) == 1 else finest)]
-        else:
-            near = NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor)
-            found_here = [_near_rules(view, near, together[0])]
-        for rules in found_here:
+        for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
             weight, *others = rules.weights
             named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
             for n, changes in enumerate(_changes_along(axes, weight, others)):
@@ -129,6 +130,44 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for n, axis in enumerate(axes):
         arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
     return arrays
+
+
+def _finest(view: SampleView, widths: list[_Blurs]) -> float:
+    """Return the angle at which nodes for terms of several widths become even, rad; infinite: there is one width."""
+    return np.inf if len(widths) == 1 else on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
+
+
+def _in_pieces(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
+    """Return the rules of pixels, piece by piece on all cores; a cylinder's are two. pixels: see `_rules`."""
+    pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
+
+    def rules(piece: slice) -> list[_Found]:
+        return _rules(view, tuple(a[piece] for a in pixels), [through.of(piece) for through in widths], finest)
+
+    return [_joined(parts) for parts in zip(*in_order(rules, pieces, available_cores()), strict=True)]
+
+
+def _joined(parts: tuple[_Found, ...]) -> _Found:
+    """Return the rules of all pixels of some pieces."""
+    return _Found(
+        np.concatenate([part.theta for part in parts]),
+        [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
+        {name: np.concatenate([part.samples[name] for part in parts]) for name in parts[0].samples},
+    )
+
+
+def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
+    """Return the rules of pixels, given by x, y, theta_d, the lamp's angle, and the record's factor.
+
+    widths: blurs of one width; on a distant sphere of several, on one set of nodes.
+    """
+    x, y, theta_d, lamp_angle, factor = pixels
+    if view.plain:
+        return [_far_rules(view.radius, Pixels(x, y, theta_d, factor), widths, finest)]
+    (through,) = widths
+    if view.line:
+        return _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
+    return [_near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)]
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:

@@ -6,23 +6,28 @@ distant cameras and lamps, and at the highlight itself for near ones.
 
 Chords (`numerics/disc_chords.py`) run so that their images lie along the pixel's second axis. Where on a chord the pixel is met
 says how far the image bends aside there, and how densely it is run through.
+
+An image that is small beside the blur is an ellipse, and takes a few Gaussians instead (`numerics/disc_gaussians.py`): a
+twentieth of the time.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.blur import PIXELS_SHARE, Blur
+from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Line, Spread
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
+from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
 from matcam.sample.shape import highlight_between
 
 _GAUSSIAN = 0.45
 """Radius of the lamp's image over the blur's standard deviation up to which a Gaussian of its variance is within 1e-3."""
-DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE)
+DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE, LARGEST, len(DISC_GAUSSIANS))
 """All that says how many chords a rig's pixels have: a kept rule is of no use where this is different."""
 _SMALLEST = 1e-5
 """Least angular radius of a disc, rad: that of a lamp which is a point."""
@@ -52,13 +57,17 @@ class LampDisc(NamedTuple):
         chord: (pixels, 2), direction of the chords along the plane of camera and lamp, and across it.
         rule: (pixels,), which of `COUNTS`.
         turn: (pixels, 2), cosine and sine of the plane of camera and lamp against the pixel's first axis.
+        image: (pixels, 2), how far the highlight moves with the lamp along and across its plane, px/rad.
+        relative: (pixels,), half of the image's larger width over the blur's standard deviation.
     """
 
-    radius: jax.Array
+    radius: jax.Array | np.ndarray
     lamp_angle: np.ndarray
     chord: np.ndarray
     rule: np.ndarray
     turn: np.ndarray
+    image: np.ndarray
+    relative: np.ndarray
 
 
 def lamp_discs(
@@ -85,10 +94,50 @@ def lamp_discs(
     discs: list[LampDisc | None] = []
     for blur, (at_peak, _), std in zip(blurs, moved, sharpest, strict=True):
         first, second = (np.abs(a).max(0) for a in _rotated(*at_peak, cosine, sine))
-        rule = chord_rule(*(a / np.hypot(std, PIXELS_SHARE * half) for a in (first, second)))
-        radius = jnp.broadcast_to(jnp.asarray(blur.lamp_radius), x.shape)
-        discs.append(LampDisc(radius, lamp_angle, chord, rule, turns) if float(blur.lamp_radius) > 0 else None)
+        first, second = (a / np.hypot(std, PIXELS_SHARE * half) for a in (first, second))
+        rule, relative = chord_rule(first, second), np.maximum(first, second)
+        radius, image = np.full(x.shape, float(blur.lamp_radius)), np.stack([along, across], -1)
+        disc = LampDisc(radius, lamp_angle, chord, rule, turns, image, relative)
+        discs.append(disc if float(blur.lamp_radius) > 0 else None)
     return discs, np.stack([_SLACK * reach for _, reach in moved])
+
+
+def disc_kernel(
+    radius: jax.Array, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
+) -> jax.Array:
+    """Return what `lamp_kernel` does of a distant rig whose pixels lie along the plane of camera and lamp.
+
+    Small discs are Gaussians where all of the block are small. radius: of the sphere, px.
+    """
+
+    def in_chords() -> jax.Array:
+        return lamp_kernel(SampleView(radius), blur, terms, disc, normal, at, variances)  # type: ignore[arg-type]
+
+    def in_gaussians() -> jax.Array:
+        widening, place = dataclasses.replace(blur, varies=True), (radius * normal[0] - at[0], radius * normal[1])
+        half_widths = [(disc.radius * scale)[:, None, None] for scale in disc.image.T]
+
+        def of_width(total, gaussian):  # type: ignore[no-untyped-def]
+            share, wide = gaussian
+            along, across = (v + wide * half**2 for v, half in zip(variances, half_widths, strict=True))
+            return total + share * both_sides(widening, terms, Spread(along, across, jnp.zeros(())), place, at[1]), None
+
+        start = jnp.zeros(jnp.broadcast_shapes(*(a.shape for a in normal)))
+        return jax.lax.scan(of_width, start, tuple(jnp.asarray(a) for a in DISC_GAUSSIANS.T))[0]
+
+    return jax.lax.cond(jnp.all(disc.relative <= LARGEST), in_gaussians, in_chords)
+
+
+def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array) -> jax.Array:
+    """Return the kernel at places on either side of the plane of camera and lamp, added up, 1/px^2.
+
+    at: px, from the pixel along x, and from the plane. y: of the pixel, px.
+    """
+
+    def of(along: Line, across: Line) -> jax.Array:
+        return along(at[0]) * (across(at[1] - y) + across(at[1] + y))
+
+    return sum((blur.weights[j] * blur.through_disc(j, spread, of) for j in terms), jnp.zeros(()))
 
 
 def lamp_kernel(
@@ -157,11 +206,13 @@ def _moved(
     view: SampleView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Return how far the disc's rim moves the highlight along x and y, (rim, pixels), and at most what is seen, px."""
-    radius = jnp.maximum(blur.lamp_radius, _SMALLEST)
+    farthest = np.zeros((2, *x.shape))
+    if float(blur.lamp_radius) == 0:
+        return (farthest[:1], farthest[:1]), farthest
+    radius = np.maximum(float(blur.lamp_radius), _SMALLEST)
     peak = _highlights(view, 0.0, 0.0, radius, lamp_angle)[0]
     seen = view.normals(x, y)
     at_peak: list[list[np.ndarray]] = []
-    farthest = np.zeros((2, *x.shape))
     for angle in _ROUND:
         to = _highlights(view, np.cos(angle), np.sin(angle), radius, lamp_angle)[0]
         at_peak.append([np.asarray(a - b) for a, b in zip(_place(view, to), _place(view, peak), strict=True)])
@@ -178,34 +229,38 @@ def _moved(
 def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how far the highlight moves with the lamp along and across its plane, px/rad."""
     step = 1e-4
-    ends = [_highlights(view, u, v, jnp.asarray(step), lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
+    ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)
     return np.asarray(x - other) / 2 / step, np.asarray(y) / step
 
 
-def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, jax.Array]:
+def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
     """Return the normals at the highlights of points of the disc, and the points' light.
 
     u, v: of the points in radii of the disc, along the plane of camera and lamp, and across. The light is what a picture reads
-    of a point, but for a factor.
+    of a point, but for a factor. Of NumPy's lamp angles all is NumPy's: JAX would compile each operation by itself.
     """
+    xp: Any = np if isinstance(lamp_angle, np.ndarray) else jnp
     square = u**2 + v**2
     # a distant disc shines evenly over its solid angle; a near one is flat and faces the centre
-    sunk, distant = square * 2 * jnp.sin(radius / 2) ** 2, view.lamp == 0
-    up = jnp.where(distant, 1 - sunk, 1.0)
-    aside = jnp.where(distant, np.sqrt(2) * jnp.sin(radius / 2) * jnp.sqrt(2 - sunk), jnp.tan(radius))
-    length = jnp.where(distant, 1.0, jnp.sqrt(1 + square * jnp.tan(radius) ** 2))
-    sin, cos = jnp.sin(lamp_angle), jnp.cos(lamp_angle)
+    sunk, distant = square * 2 * xp.sin(radius / 2) ** 2, view.lamp == 0
+    up = xp.where(distant, 1 - sunk, 1.0)
+    aside = xp.where(distant, np.sqrt(2) * xp.sin(radius / 2) * xp.sqrt(2 - sunk), xp.tan(radius))
+    length = xp.where(distant, 1.0, xp.sqrt(1 + square * xp.tan(radius) ** 2))
+    sin, cos = xp.sin(lamp_angle), xp.cos(lamp_angle)
     lamp = [a / length for a in (up * sin + aside * u * cos, aside * v, up * cos - aside * u * sin)]
-    off = jnp.sqrt(jnp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
+    off = xp.sqrt(xp.maximum(lamp[0] ** 2 + lamp[1] ** 2, 1e-30))
     w = view.lamp / length
-    lamp_angle = jnp.arctan2(off, lamp[2])
-    distant = is_concrete(view.camera) and is_concrete(view.lamp) and view.distant
-    angle = lamp_angle / 2 if distant else highlight_between(lamp_angle, view.camera, w)
-    normal = jnp.sin(angle) * lamp[0] / off, jnp.sin(angle) * lamp[1] / off, jnp.cos(angle)
+    lamp_angle = xp.arctan2(off, lamp[2])
+    if is_concrete(view.camera) and is_concrete(view.lamp) and view.distant:
+        angle = lamp_angle / 2
+    else:
+        angle = highlight_between(jnp.asarray(lamp_angle), view.camera, w)
+        angle = np.asarray(angle) if xp is np else angle
+    normal = xp.sin(angle) * lamp[0] / off, xp.sin(angle) * lamp[1] / off, xp.cos(angle)
     up = sum(a * b for a, b in zip(normal, lamp, strict=True))
     depth, view_2 = 1 - view.camera * normal[2], 1 + view.camera**2 - 2 * view.camera * normal[2]
-    return normal, jnp.sqrt(view_2) / depth**3 / (1 + w**2 - 2 * w * up) / length**2
+    return normal, xp.sqrt(view_2) / depth**3 / (1 + w**2 - 2 * w * up) / length**2
 
 
 def _turned(one: Any, other: Any, normal: Any) -> tuple:

@@ -78,7 +78,14 @@ class LobeOperator(eqx.Module):
 
         shifts: (axes,), coordinates along them.
         """
-        return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+        table = None if masking is None else quick_table(ndf)
+        if table is None:
+            return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+
+        def one(slice_: LobeOperator) -> jax.Array:
+            return jnp.sum(slice_._weighted(ndf, masking, shifts, table), axis=(-2, -1))
+
+        return self.slice_by_slice(one)
 
     def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array, factor: jax.Array | float = 1.0) -> jax.Array:
         """Return the record of each way by itself, (slices, cells, ways); `record` is their mean.
@@ -94,14 +101,14 @@ class LobeOperator(eqx.Module):
         """
         return jnp.sum(self._weighted(ndf, masking, shifts) * factors, axis=(-2, -1)).reshape(-1, *self.shape)
 
-    def _weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Return D G at the nodes times their weights."""
+    def _weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
+        """Return D G at the nodes times their weights. table: of Lambda, where it is at hand."""
         weight = self.weight
         for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
         light = self.light(ndf)
         if masking is not None:
-            lambda_i, lambda_o = (quick_lambda(ndf, cos) for cos in (self.cos_i, self.cos_o))
+            lambda_i, lambda_o = (quick_lambda(ndf, cos, table) for cos in (self.cos_i, self.cos_o))
             light *= self.joint_masking(masking, lambda_i, lambda_o)
         return weight * light
 

@@ -20,12 +20,11 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.pixel_grid import turned
-from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
+from matcam.inverse.operator.lamp_lines import LampDisc, both_sides, lamp_kernel
 from matcam.inverse.operator.polar_rule import (
     AZIMUTHS,
     NODES,
     PolarWindow,
-    both_sides,
     nearest_seen,
     onto_nodes,
     skewed_pair,

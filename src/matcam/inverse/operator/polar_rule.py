@@ -12,15 +12,14 @@ Nodes in theta are even in asinh(theta / scale). So they meet a lobe a thousandt
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
-from matcam.forward.integral.blur import Blur, Line, Spread
-from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.sample_view import SampleView, square_border
+from matcam.forward.integral.blur import Blur, Spread
+from matcam.inverse.operator.lamp_lines import LampDisc, both_sides, disc_kernel
+from matcam.inverse.operator.sample_view import square_border
 from matcam.numerics.approximation import lagrange_basis
 from matcam.numerics.sine import sine_and_cosine
 
@@ -38,10 +37,10 @@ _LEAST_SPREAD = 1e-5
 """Least standard deviation of the cosines of a circle's azimuths: their moments are differences of sums."""
 _MOST_LEAN = 1e3
 """Largest skewness of what a circle shows."""
-_SPELT_OUT = 4
-"""Terms of a blur up to which a program spells each out."""
 _BLOCK = 128
 """Pixels at a time: what fits into a processor's cache."""
+PIECE = 2 * _BLOCK
+"""Pixels of one call: one program serves any number of them, and several cores share them."""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
 """Nodes at which G is taken. Where the limb cuts a circle off G has a kink: cubics keep it in its place."""
 _CUBIC = 4
@@ -146,7 +145,6 @@ def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
     return half_width + _REACH * stds
 
 
-@partial(jit_plainly, static=("terms",))
 def polar_rule(
     radius: jax.Array,
     blur: Blur,
@@ -161,7 +159,19 @@ def polar_rule(
     variances: px^2, (pixels,), that the blur's spread adds along x and y. pixels: a multiple of the block, see `padded`.
     disc: of a lamp whose disc is not in the variances.
     """
+    program = _plain_rule if disc is None else _disc_rule
+    return program(radius, blur, variances, terms, pixels, window, disc)
 
+
+def _rule(
+    radius: jax.Array,
+    blur: Blur,
+    variances: tuple,
+    terms: tuple[int, ...],
+    pixels: Pixels,
+    window: PolarWindow,
+    disc: LampDisc | None,
+) -> PolarRule:
     def block(arguments):  # type: ignore[no-untyped-def]
         arguments, disc = arguments
         x, y, theta_d, factor, low, high, reach, rows, finest, var_x, var_y = (a[:, None, None] for a in arguments)
@@ -188,7 +198,7 @@ def polar_rule(
                 spread = Spread(var_x, var_y, jnp.abs(blur.defocus(radius, normal[2])))
                 kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y)
             else:
-                kernel = lamp_kernel(SampleView(radius), blur, terms, disc, normal, (x, y), (var_x, var_y))
+                kernel = disc_kernel(radius, blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * AZIMUTHS[1]
             total += jnp.sum(share, -1)
             moments += jnp.stack([jnp.sum(share * cos_psi**n, -1) for n in (1, 2, 3)])
@@ -206,6 +216,11 @@ def polar_rule(
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
 
 
+_plain_rule = jit_plainly(_rule, static=("terms",))
+_disc_rule = jax.jit(_rule, static_argnames=("terms",))
+"""Compiled with all passes: Gaussians of a disc take a third of the time."""
+
+
 def skewed_pair(lean: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the two nodes, in standard deviations from the mean, and their shares, on a trailing axis.
 
@@ -216,24 +231,6 @@ def skewed_pair(lean: jax.Array) -> tuple[jax.Array, jax.Array]:
     root = jnp.sqrt(lean**2 + 1)
     nodes = jnp.stack([lean - root, lean + root], -1)
     return nodes, jnp.stack([lean + root, root - lean], -1) / (2 * root[..., None])
-
-
-def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array) -> jax.Array:
-    """Return the kernel at places on either side of the plane of camera and lamp, added up, 1/px^2.
-
-    at: px, from the pixel along x, and from the plane. y: of the pixel, px.
-    """
-
-    def of(along: Line, across: Line) -> jax.Array:
-        return along(at[0]) * (across(at[1] - y) + across(at[1] + y))
-
-    def one(j: int | jax.Array) -> jax.Array:
-        return blur.weights[j] * blur.through_disc(j, spread, of)
-
-    if len(terms) <= _SPELT_OUT:
-        return sum((one(j) for j in terms), jnp.zeros(()))
-    total = one(terms[0])
-    return jax.lax.scan(lambda total, j: (total + one(j), None), total, jnp.array(terms[1:]))[0]
 
 
 def stretched(
@@ -314,5 +311,5 @@ def nearest_seen(seen: np.ndarray) -> np.ndarray:
 
 
 def padded(array: np.ndarray) -> np.ndarray:
-    """Repeat the last of an array of pixels up to a whole number of blocks."""
-    return np.concatenate([array, np.repeat(array[-1:], -array.size % _BLOCK)])
+    """Repeat the last of an array of pixels up to a whole number of pieces."""
+    return np.concatenate([array, np.repeat(array[-1:], -array.size % PIECE)])

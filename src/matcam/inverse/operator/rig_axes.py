@@ -34,6 +34,8 @@ _FREE_RANGE = 0.5
 """Half range of ln(value / rig's), for a free parameter that is no width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
 """Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the picture."""
+_NEARBY = 0.03
+"""Largest coordinate of a lamp that is followed nearby."""
 _SHARPEST = 0.1
 """px; below this a lens makes the pixel's border a step, which the rule's nodes do not follow: extrapolated from here."""
 _NARROWEST = 1e-3
@@ -157,8 +159,12 @@ def widths_of(rig: Rig) -> tuple[str, ...]:
     return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
 
 
-def free_axis(name: str, rig: Rig) -> Axis:
-    """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not."""
+def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
+    """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not.
+
+    nearby: whether the lamp's radius is followed about the rig's value alone: where rig and data agree nobody asks for more,
+        and large discs take long.
+    """
     parameters = rig.camera.parameters()
     if name not in parameters and name not in widths_of(rig):
         raise ArgumentError(
@@ -174,6 +180,8 @@ def free_axis(name: str, rig: Rig) -> Axis:
     total = base**2 + softening**2
     narrowest = _NARROWEST if name == LENS else 0.0
     low, high = 0.5 * np.log((narrowest**2 + softening**2) / total), _WIDEST_LENS if name == LENS else _WIDEST
+    if nearby and name == LAMP:
+        low, high = max(low, -_NEARBY), _NEARBY
     sharpest = 0.5 * np.log((_SHARPEST**2 + softening**2) / total) if name == LENS else low
     return Axis(name, base, softening, float(low), high, _points(min(sharpest, -1e-3) if low < 0 else 0.0, high))
 
