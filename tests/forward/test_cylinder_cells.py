@@ -20,10 +20,13 @@ from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward import true_table
-from matcam.forward.cylinder_cells import LinePlaces, line_places, line_record
+from matcam.forward.cylinder_cells import line_places
+from matcam.forward.integral.cylinder_discs import LinePlaces, line_record
 from matcam.forward.integral.cylinder_record import towards
+from matcam.lamp.lamps import closeness
+from tests.forward.test_lamps import made
 from tests.oracle import cylinder_cells as oracle
-from tests.oracle import sphere_cells
+from tests.oracle import lamp_record, sphere_cells
 
 RIGS = [(0.5, 0.5, 256.0), (0.15, 0.5, 400.0), (1.5, 0.4, 60.0), (0.8, 0.5, 12.0)]  # sigma, half width, radius: px
 ALPHAS = (0.001, 0.005, 0.05, 0.3)
@@ -74,6 +77,41 @@ def test_a_lens_out_of_focus_makes_discs(alpha):
     found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig, line_places(rig, *angles)))[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
+
+
+def check_cells(count, rule=(1, 1), alpha=0.05, **geometry):
+    """Cells of a cylinder of 60 px before near cameras and under near lamps or discs, one way each."""
+    rig, theirs = made(radius=60.0, kind="cylinder", **geometry)
+    angles = drawn_cells(np.random.default_rng(7), count)
+    places, cos_i = line_places(rig, *angles), np.asarray(cosines(*angles)[0])
+    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0, 0.2), rig, places))[:, 0]
+    found = found / (cos_i * np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
+    surface = lamp_record.Surface(alpha, 0.2)
+    truth = [lamp_record.recorded_line_cell(cell, surface, theirs, rule) for cell in zip(*angles, strict=True)]
+    missed = np.abs(found - truth) / np.maximum(1e-4 * np.array(truth), 1e-7 * max(truth))
+    print(f"worst: {missed.max():.2g} of what is allowed, of {missed.size}")
+    assert missed.max() < 1
+
+
+def test_cells_before_a_near_camera_and_under_a_near_lamp():
+    check_cells(6, camera=6.0, lamp=5.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "geometry",
+    [{"camera": 9.0}, {"lamp": 6.0}, {"camera": 6.0, "lamp": 5.0}, {"camera": 20.0, "lamp": 50.0, "alpha": 0.006}],
+)
+def test_cells_before_near_cameras_and_under_near_lamps(geometry):
+    check_cells(60, **geometry)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("count", "geometry"), [(40, {"disc": 0.03}), (12, {"disc": 0.05, "lamp": 6.0}), (8, {"disc": 0.03, "camera": 8.0})]
+)
+def test_cells_under_a_disc(count, geometry):
+    check_cells(count, (4, 15), **geometry)
 
 
 def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():

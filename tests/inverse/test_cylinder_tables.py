@@ -94,11 +94,12 @@ def test_a_cylinder_and_a_sphere_of_one_size_do_not_share_a_rule():
     assert rig_key(RIG) != rig_key(Rig(RIG.camera, matcam.Sphere(256.0)))
 
 
-def test_cylinders_that_no_table_is_recorded_of_are_refused():
+def test_cylinders_whose_tables_cannot_be_fitted_are_refused():
     camera = RIG.camera
     for rig, words in (
         (Rig(camera, Cylinder(100.0, 20.0)), "needs a distant camera and lamp"),
         (Rig(camera, Cylinder(100.0), lamp_radius=0.01), "a lamp without a disc"),
+        (Rig(camera, Cylinder(100.0), matcam.NearLamp(20.0)), "needs a distant camera and lamp"),
         (Rig(camera, Cylinder(100.0), cell_value="nearest"), "need a sphere"),
     ):
         with pytest.raises(ArgumentError, match=words):

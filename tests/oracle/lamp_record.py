@@ -88,6 +88,23 @@ def recorded_cell(angles, azimuth, surface, rig, disc=(1, 1), orders=(12, 16)):
     return np.mean(ways)
 
 
+def recorded_line_cell(angles, surface, rig, disc=(1, 1), orders=(12, 16)):
+    """One way of a cell of a cylinder's table over the irradiance: its normal lies across the axis, at the axis's height 0, and
+    the lamp stands where the cell's angles want it."""
+    theta_h, theta_d, phi = angles
+    normal = np.array([-np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h)])
+    light, view = (np.array([side * np.sin(theta_d), 0, np.cos(theta_d)]) for side in (1, -1))
+    axis, lamp = _far(normal, view, 1 / rig.distance), _far(normal, light, 1 / rig.lamp_distance)
+    across = normal - (normal @ axis) * axis
+    size = np.linalg.norm(across)
+    across = across / size if size > 1e-12 else np.array([1.0, 0, 0])
+    along = np.cross(axis, across)
+    x = rig.radius * np.sqrt(1 - 1 / rig.distance**2) * (normal @ across) / (1 - normal @ axis / rig.distance)
+    irradiance = normal @ light / np.sum((lamp - normal / rig.lamp_distance) ** 2)
+    lamp_angle, azimuth = np.arccos(np.clip(lamp @ axis, -1, 1)), np.arctan2(lamp @ along, lamp @ across)
+    return record(x, 0.0, lamp_angle, azimuth, surface, rig, disc, orders) / irradiance
+
+
 def _far(normal, towards, nearness):
     """Unit vector from the sample's centre to what is seen from the surface in a direction."""
     cos = normal @ towards

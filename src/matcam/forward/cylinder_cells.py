@@ -17,31 +17,14 @@ from matcam.core.grid import cosines, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
 from matcam.forward.cells_in_pictures import cell_sampling
-from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.cylinder_discs import cylinder_fineness, record_under_points
-from matcam.lamp.lamps import closeness, lamp_points
+from matcam.forward.integral.cylinder_discs import LinePlaces, line_record
+from matcam.lamp.lamps import closeness
 from matcam.material.material import Material
 from matcam.rigs import UNKNOWN, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
 _TURN = 1e-9
 """Sine of half an azimuth up to which it is a whole turn, and none."""
-_LEAST_FINENESS = 0.25
-"""Radius of a lamp's image over its blur below which no fewer points would do."""
-
-
-class LinePlaces(NamedTuple):
-    """Hold places on the line that a cylinder shows at height 0, arrays of one shape; each has a lamp of its own.
-
-    Attributes:
-        x: px from the axis.
-        lamp_angle: between lamp and optical axis, rad.
-        azimuth: of the lamp about that axis, rad.
-    """
-
-    x: np.ndarray
-    lamp_angle: np.ndarray
-    azimuth: np.ndarray
 
 
 class CylinderCells(NamedTuple):
@@ -120,24 +103,3 @@ def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.nd
     x, y, lamp_angle = (np.asarray(a) for a in place)
     off = np.hypot(x, y)
     return LinePlaces(off, lamp_angle, np.where(off > 0, np.arctan2(-y, x), 0.0))
-
-
-def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
-    """Return the radiance that places on a cylinder record, 1/sr, (places, channels).
-
-    The irradiance is 1 at the cylinder's centre, on a surface that faces the lamp. Places whose lamp needs about as many
-    points are recorded together.
-    """
-    cylinder, blur, nearness = imaging_of(rig)
-    assert isinstance(cylinder, Cylinder)
-    std = float(np.min(np.asarray(jax.lax.stop_gradient(blur.stds))))
-    fineness = cylinder_fineness(rig, places.lamp_angle, places.azimuth, std, material)
-    levels = np.where(fineness > 0, np.exp2(np.ceil(2 * np.log2(np.maximum(fineness, _LEAST_FINENESS))) / 2), 0.0)
-    parts, order = [], []
-    for level in np.unique(levels):
-        index = np.flatnonzero(levels == level)
-        x, angle, azimuth = (a[index] for a in places)
-        points = lamp_points(rig.lamp, angle, azimuth, float(level))
-        parts.append(record_under_points(material, cylinder, blur, (x, np.zeros_like(x)), points, nearness))
-        order.append(index)
-    return jnp.concatenate(parts)[np.argsort(np.concatenate(order))]

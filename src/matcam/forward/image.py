@@ -220,8 +220,7 @@ def _view(
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
     if isinstance(rig.sample, Cylinder):
-        std = float(np.min(np.asarray(jax.lax.stop_gradient(imaging.blur.stds))))
-        fineness = cylinder_fineness(rig, np.array(angle), azimuth, std, material)
+        fineness = cylinder_fineness(rig, imaging.blur, np.array(angle), azimuth, material)
     else:
         fineness = disc_fineness(rig, imaging, np.array(angle), material)
     points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))

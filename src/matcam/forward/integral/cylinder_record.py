@@ -165,8 +165,10 @@ def _ends(cylinder: Cylinder, light: _Light) -> tuple[jax.Array, jax.Array]:
 
 
 def _mirror_row(cylinder: Cylinder, light: _Light, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Return the row, px, in which the cylinder mirrors the lamp; infinite or 0 where it is in none or in all."""
+    """Return the row, px, in which the cylinder mirrors the lamp; 0 where it does in all or in none."""
     x, y, z = light.towards
+    if light.nearness is None and cylinder.distant:
+        return jnp.zeros_like(x)
     across = jnp.maximum(jnp.hypot(x, z), 1e-12)
     q, w = cylinder.nearness, jnp.zeros_like(across) if light.nearness is None else light.nearness / across
     angle = jnp.arctan2(x, z)
@@ -322,7 +324,7 @@ def _record_rough(
 
 
 class _Window(NamedTuple):
-    """Hold what pixels see across the cylinder; arrays (places,): the ends of the light, the kernel's reach, px, and columns."""
+    """Hold what pixels see across the cylinder; arrays (places,): the light's ends, the kernel's reach, px, columns."""
 
     low: jax.Array
     high: jax.Array
