@@ -61,13 +61,13 @@ class CylinderPlaces(NamedTuple):
     nearness: AnyArray | None = None
 
 
-class _Light(NamedTuple):
+class PlacedLamps(NamedTuple):
     """Hold lamps of some places, ready to broadcast: directions, and nearness; None: distant."""
 
     towards: Vector
     nearness: AnyArray | None
 
-    def beside(self, axes: int) -> _Light:
+    def beside(self, axes: int) -> PlacedLamps:
         """Return the lamps for arrays with further axes of nodes."""
         return jax.tree.map(lambda a: jnp.asarray(a).reshape(*a.shape, *[1] * axes), self)
 
@@ -125,7 +125,7 @@ def smooth_places(
     half = float(blur.pixel.half_width)
     widest = float(np.max(np.asarray(blur.stds)[list(terms)]))
     std, reach = float(np.hypot(widest, half / np.sqrt(3))), _REACH * widest + half
-    light = _Light(places.lamp, places.nearness)
+    light = PlacedLamps(places.lamp, places.nearness)
     x, y = places.x, places.y
     size = 1 << max(x.size - 1, 1).bit_length()  # few sizes: each is a program
     padded = jax.tree.map(lambda a: np.resize(a, size), (x, y, light))
@@ -136,19 +136,19 @@ def smooth_places(
 
 @jax.jit
 def _smoothness(
-    cylinder: Cylinder, x: jax.Array, y: jax.Array, light: _Light, reach: float
+    cylinder: Cylinder, x: jax.Array, y: jax.Array, light: PlacedLamps, reach: float
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Return whether no end of the light is within reach, the least angle from the half vector there, and its turns per px."""
-    low, high = _ends(cylinder, light)
+    low, high = ends_of_light(cylinder, light)
     first, last = (_at_column(cylinder, x + side * reach) for side in (-1, 1))
     inside = (jnp.abs(x) + reach < cylinder.radius) & (first > low) & (last < high)
-    row = jnp.clip(_mirror_row(cylinder, light, low, high), y - reach, y + reach)
-    peak, miss = _ridge(cylinder, light, row, low, high)
+    row = jnp.clip(mirror_row(cylinder, light, low, high), y - reach, y + reach)
+    peak, miss = ridge_of(cylinder, light, row, low, high)
     away = jnp.hypot(miss, jnp.sin(jnp.clip(peak, first, last) - peak))
     u = _at_column(cylinder, x)
     q, cosine = cylinder.nearness, jnp.cos(u)
     turn_x = (1 - q * cosine) ** 2 / (cylinder.stretch * jnp.maximum(cosine - q, 1e-9))
-    return inside, away, turn_x, _turn_along(cylinder, light, u, row)
+    return inside, away, turn_x, turn_along(cylinder, light, u, row)
 
 
 def _at_column(cylinder: Cylinder, x: jax.Array) -> jax.Array:
@@ -156,7 +156,7 @@ def _at_column(cylinder: Cylinder, x: jax.Array) -> jax.Array:
     return cylinder.across(x, jnp.zeros_like(x))
 
 
-def _ends(cylinder: Cylinder, light: _Light) -> tuple[jax.Array, jax.Array]:
+def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, jax.Array]:
     """Return the u between which the cylinder is visible and lit: limb and terminator are straight."""
     across = jnp.hypot(light.towards[0], light.towards[2])
     # a lamp that shines along the axis lights nothing
@@ -164,7 +164,7 @@ def _ends(cylinder: Cylinder, light: _Light) -> tuple[jax.Array, jax.Array]:
     return cylinder.lit(jnp.zeros_like(across), jnp.arctan2(light.towards[0], light.towards[2]), near)
 
 
-def _mirror_row(cylinder: Cylinder, light: _Light, low: jax.Array, high: jax.Array) -> jax.Array:
+def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax.Array) -> jax.Array:
     """Return the row, px, in which the cylinder mirrors the lamp; 0 where it does in all or in none."""
     x, y, z = light.towards
     if light.nearness is None and cylinder.distant:
@@ -180,7 +180,9 @@ def _mirror_row(cylinder: Cylinder, light: _Light, low: jax.Array, high: jax.Arr
     return cylinder.surface(u, height).y
 
 
-def _seen(cylinder: Cylinder, light: _Light, u: jax.Array, row: jax.Array) -> tuple[Element, Vector, jax.Array | None]:
+def seen_at(
+    cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array
+) -> tuple[Element, Vector, jax.Array | None]:
     """Return the surface at u in rows, px, the direction to the lamp, and the square of its distance; None: 1."""
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:
@@ -192,14 +194,14 @@ def _seen(cylinder: Cylinder, light: _Light, u: jax.Array, row: jax.Array) -> tu
     return element, (x / length, y / length, z / length), square
 
 
-def _ridge(
-    cylinder: Cylinder, light: _Light, row: jax.Array, low: jax.Array, high: jax.Array
+def ridge_of(
+    cylinder: Cylinder, light: PlacedLamps, row: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Return where a row comes closest to the half vector, as u, and the angle by which it misses it, rad."""
     angle = jnp.arctan2(light.towards[0], light.towards[2] + 1)
 
     def newton(_: int, u: jax.Array) -> jax.Array:
-        element, lamp, square = _seen(cylinder, light, u, row)
+        element, lamp, square = seen_at(cylinder, light, u, row)
         tangent, normal, view = element.tangent, element.normal, element.view
         aside = [tangent[0] * one[0] + tangent[2] * one[2] for one in (lamp, view)]
         slope = normal[0] * (lamp[0] + view[0]) + normal[2] * (lamp[2] + view[2])
@@ -212,16 +214,16 @@ def _ridge(
     line = light.nearness is None and cylinder.distant
     start = jnp.clip(angle, low, high) + 0 * row
     u = start if line else jax.lax.fori_loop(0, _STEPS, newton, start)
-    element, lamp, _ = _seen(cylinder, light, u, row)
+    element, lamp, _ = seen_at(cylinder, light, u, row)
     half = [a + b for a, b in zip(lamp, element.view, strict=True)]
     return u, jnp.arctan2(jnp.abs(half[1]), jnp.hypot(half[0], half[2]))
 
 
-def _turn_along(cylinder: Cylinder, light: _Light, u: jax.Array, row: jax.Array) -> jax.Array:
+def turn_along(cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
     """Return by how much the half vector turns along the cylinder at most, rad/px."""
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(u)
-    element, lamp, square = _seen(cylinder, light, u, row)
+    element, lamp, square = seen_at(cylinder, light, u, row)
     turn = cylinder.nearness + jnp.zeros_like(u)
     if light.nearness is not None and square is not None:
         turn += light.nearness / jnp.sqrt(square)
@@ -229,9 +231,9 @@ def _turn_along(cylinder: Cylinder, light: _Light, u: jax.Array, row: jax.Array)
     return turn / jnp.sqrt(jnp.maximum(total, 1e-12)) * (1 - cylinder.nearness * jnp.cos(u)) / cylinder.stretch
 
 
-def _sent(material: Material, cylinder: Cylinder, light: _Light, u: jax.Array, row: jax.Array) -> jax.Array:
+def _sent(material: Material, cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
     """Return the light of the surface at u in rows, px, per rad and px, channels last."""
-    element, lamp, square = _seen(cylinder, light, u, row)
+    element, lamp, square = seen_at(cylinder, light, u, row)
     # area is px^2 per rad and radius along the axis: a radius takes as many rows as the scale says
     share = element.area / (cylinder.stretch / (1 - cylinder.nearness * jnp.cos(u)))
     return _through(material, element, lamp, share if square is None else share / square)
@@ -246,18 +248,18 @@ def _through(material: Material, element: Element, lamp: Vector, factor: jax.Arr
 
 
 def _channels(material: Material, cylinder: Cylinder) -> int:
-    light = _Light((jnp.zeros(1), jnp.zeros(1), jnp.ones(1)), None)
+    light = PlacedLamps((jnp.zeros(1), jnp.zeros(1), jnp.ones(1)), None)
     return jax.eval_shape(lambda: _sent(material, cylinder, light, jnp.zeros(1), jnp.zeros(1))).shape[-1]
 
 
 def light_at(material: Material, cylinder: Cylinder, places: CylinderPlaces) -> jax.Array:
     """Return the radiance at places of a sharp picture, 1/sr, (places, channels); 0 where there is none."""
     element, visible = cylinder.at(jnp.asarray(places.x), jnp.asarray(places.y))
-    light = _Light(places.lamp, places.nearness)
+    light = PlacedLamps(places.lamp, places.nearness)
     u, _ = cylinder.coordinates(element)
-    low, high = _ends(cylinder, light)
+    low, high = ends_of_light(cylinder, light)
     lit = visible & (u > low) & (u < high)
-    _, lamp, square = _seen(cylinder, light, u, jnp.asarray(places.y))
+    _, lamp, square = seen_at(cylinder, light, u, jnp.asarray(places.y))
     sent = _through(material, element, lamp, element.area if square is None else element.area / square)
     return jnp.where(lit[:, None], sent, 0.0)
 
@@ -269,7 +271,7 @@ def _record_smooth(material: Material, cylinder: Cylinder, through: BlurTerms, p
     def integral(at: CylinderPlaces) -> jax.Array:
         total: jax.Array | float = 0.0
         x, y = (jnp.asarray(a)[:, None] for a in (at.x, at.y))
-        light = _Light(at.lamp, at.nearness).beside(1)
+        light = PlacedLamps(at.lamp, at.nearness).beside(1)
         for term in through.terms:
             offset, weight = blur.rule(term, jnp.zeros(()))
             dx, dy = offset, jnp.zeros_like(offset)
@@ -278,7 +280,7 @@ def _record_smooth(material: Material, cylinder: Cylinder, through: BlurTerms, p
                 weight = jnp.outer(weight, weight).ravel()
             element, _ = cylinder.at(x + dx, y + dy)
             u, _ = cylinder.coordinates(element)
-            _, lamp, square = _seen(cylinder, light, u, y + dy)
+            _, lamp, square = seen_at(cylinder, light, u, y + dy)
             sent = _through(material, element, lamp, element.area if square is None else element.area / square)
             total += blur.weights[term] * jnp.sum(sent * weight[:, None], axis=1)
         return jnp.asarray(total)
@@ -306,9 +308,9 @@ def _record_rough(
     count = 1 if line else _RULE
 
     def integral(at: CylinderPlaces) -> jax.Array:
-        light, x, y = _Light(at.lamp, at.nearness), jnp.asarray(at.x), jnp.asarray(at.y)
+        light, x, y = PlacedLamps(at.lamp, at.nearness), jnp.asarray(at.x), jnp.asarray(at.y)
         reach = _reach(cylinder, through, x)
-        low, high = _ends(cylinder, light)
+        low, high = ends_of_light(cylinder, light)
         window = _Window(low, high, reach, x, elongation)
         total: jax.Array | float = 0.0
         if rough_rows:
@@ -346,14 +348,14 @@ def _spread(blur: Blur, cylinder: Cylinder, normal_z: jax.Array) -> Spread:
 
 
 def _rows_about(
-    material: Material, cylinder: Cylinder, through: BlurTerms, light: _Light, window: _Window, y: jax.Array
+    material: Material, cylinder: Cylinder, through: BlurTerms, light: PlacedLamps, window: _Window, y: jax.Array
 ) -> _Nodes:
     """Return rows about pixels, (places, rows), that crowd where the cylinder mirrors the lamp, on the lobe's scale."""
-    mirror, own = _mirror_row(cylinder, light, window.low, window.high)[:, None], y[:, None]
+    mirror, own = mirror_row(cylinder, light, window.low, window.high)[:, None], y[:, None]
     first, last = own - window.reach[:, None], own + window.reach[:, None]
     middle = jnp.clip(mirror, first, last)
-    u, _ = _ridge(cylinder, light, middle[:, 0], window.low, window.high)
-    per_px = _turn_along(cylinder, light, u, middle[:, 0])[:, None]
+    u, _ = ridge_of(cylinder, light, middle[:, 0], window.low, window.high)
+    per_px = turn_along(cylinder, light, u, middle[:, 0])[:, None]
     angle = jnp.hypot(material.finest, per_px * (middle - mirror) / window.elongation)
     scale = jnp.minimum(angle / per_px, 1e9)
     steps = np.array([-1.0, 1.0]), np.arange(1, _EVEN) / _EVEN
@@ -389,7 +391,7 @@ def _sum_over(
     material: Material,
     cylinder: Cylinder,
     through: BlurTerms,
-    light: _Light,
+    light: PlacedLamps,
     window: _Window,
     rows: _Nodes,
     y: jax.Array | None,
@@ -400,7 +402,7 @@ def _sum_over(
     """
     low, high, reach, x = (a[:, None, None] for a in window[:4])
     beside, row = light.beside(1), rows.at
-    peak, miss = (a[..., None] for a in _ridge(cylinder, beside, row, low[..., 0], high[..., 0]))
+    peak, miss = (a[..., None] for a in ridge_of(cylinder, beside, row, low[..., 0], high[..., 0]))
     blur, finest = through.blur, material.finest
 
     def along(column: jax.Array) -> jax.Array:

@@ -10,6 +10,7 @@ import numpy as np
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.cylinder_rule import LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, line_rule
 from matcam.inverse.operator.near_rule import (
@@ -76,6 +77,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
     depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
 
+    lamps = [float(blur.lamp_radius) for blur in blurs]
+    if view.line:
+        blurs = [blur.of_point() for blur in blurs]
     discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
     chords = max(blur.chords for blur in blurs)
     if any(disc is not None for disc in discs):
@@ -96,14 +100,20 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
     half_width = float(rig.camera.pixel.half_width)
     columns: list[dict[str, np.ndarray]] = []
-    for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
+    together = [group.terms for group in groups_of(blurs[0], rig.sample)]  # type: ignore[arg-type]
+    if view.line and any(lamps) and not view.distant:  # rows by the rule of one term
+        together = [(term,) for terms in together for term in terms]
+    for terms in together:
         widths = [np.asarray(blur.stds)[list(terms)].max() for blur in blurs]
         reaches = [
             kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
             for s, v, m, blur in zip(widths, spreads, moved, blurs, strict=True)
         ]
         through = _Blurs(blurs, spreads, reaches, terms, discs)
-        if view.line:
+        if view.line and (any(lamps) or not view.distant):
+            line = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
+            found_here = _cylinder_rules(view, line, through, lamps)
+        elif view.line:
             found_here = _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
         elif view.plain:
             found_here = [_far_rules(view.radius, Pixels(x, y, theta_d, factor), through)]
@@ -170,6 +180,36 @@ def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     return arms
 
 
+def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, lamps: list[float]) -> list[_Found]:
+    """Return the rules of a cylinder's two arms where one line under one lamp does not do; lamps: radii of the discs, rad."""
+    blurs, spreads, reaches, terms, _ = through
+    widest = np.max([along for along, _ in reaches], axis=0)
+    low, high = line_window(view.cylinder, view.lamp, pixels, widest, max(lamps))
+    onto = jnp.asarray(low), jnp.asarray(high)
+    near = jnp.asarray(view.lamp) if view.lamp else None
+    arms = []
+    for arm in ARMS:
+        rules: list[NearRule] = [
+            cylinder_rule(
+                view.cylinder,
+                blur,
+                jnp.asarray(spread[0]),
+                terms,
+                pixels,
+                near,
+                reach[0],
+                jnp.asarray(disc),
+                onto,
+                arm,
+                any(lamps),
+            )
+            for blur, spread, reach, disc in zip(blurs, spreads, reaches, lamps, strict=True)
+        ]
+        samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
+        arms.append(_Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples))
+    return arms
+
+
 def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found:
     blurs, spreads, reaches, terms, discs = through
     onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
@@ -180,8 +220,7 @@ def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found
         )
         for blur, spread, reach, disc in zip(blurs, spreads, reaches, discs, strict=True)
     ]
-    names = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
-    samples = dict(zip(names, near_masking_samples(rules[0]), strict=True))
+    samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
     return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples)
 
 
@@ -192,6 +231,8 @@ def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
     return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
+_MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
+"""Names of what `near_masking_samples` returns."""
 _INSIDE = 1 - 1e-9
 """Share of a sample's radius within which it is seen."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))

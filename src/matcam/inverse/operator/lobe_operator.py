@@ -244,25 +244,10 @@ def check_rig(rig: Rig) -> None:
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
-        _check_line(rig)
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
             "cell_value must be 'centre' or 'edge'"
-        )
-
-
-def _check_line(rig: Rig) -> None:
-    """Raise ArgumentError for a rig whose light changes along a cylinder, or comes from several directions."""
-    if not sample_view(rig).distant:
-        raise ArgumentError(
-            "a fit to a cylinder's table needs a distant camera and lamp: before near ones light changes along the cylinder, "
-            "and the rule of its cells is that of one line; measure takes them"
-        )
-    if float(rig.lamp_radius) > 0:
-        raise ArgumentError(
-            f"a fit to a cylinder's table needs a lamp without a disc, got a radius of {float(rig.lamp_radius):g} rad: its "
-            "points miss the one line that its cells are read on by different angles; measure takes them"
         )
 
 
