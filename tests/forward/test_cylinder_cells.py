@@ -79,10 +79,11 @@ def test_a_lens_out_of_focus_makes_discs(alpha):
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
 
-def check_cells(count, rule=(1, 1), alpha=0.05, **geometry):
-    """Cells of a cylinder of 60 px before near cameras and under near lamps or discs, one way each."""
+def check_cells(count, rule=(1, 1), alpha=0.05, most=np.pi / 2, **geometry):
+    """Cells of a cylinder of 60 px before near cameras and under near lamps or discs, one way each; most: of theta_d."""
     rig, theirs = made(radius=60.0, kind="cylinder", **geometry)
-    angles = drawn_cells(np.random.default_rng(7), count)
+    angles = drawn_cells(np.random.default_rng(7), 4 * count)
+    angles = tuple(a[angles[1] < most][:count] for a in angles)
     places, cos_i = line_places(rig, *angles), np.asarray(cosines(*angles)[0])
     found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0, 0.2), rig, places))[:, 0]
     found = found / (cos_i * np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
@@ -108,10 +109,11 @@ def test_cells_before_near_cameras_and_under_near_lamps(geometry):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("count", "geometry"), [(40, {"disc": 0.03}), (12, {"disc": 0.05, "lamp": 6.0}), (8, {"disc": 0.03, "camera": 8.0})]
+    ("count", "geometry"), [(10, {"disc": 0.02}), (5, {"disc": 0.02, "lamp": 6.0}), (5, {"disc": 0.02, "camera": 8.0})]
 )
 def test_cells_under_a_disc(count, geometry):
-    check_cells(count, (4, 15), **geometry)
+    """Up to 69 degrees: further on the oracle would need thousands of points."""
+    check_cells(count, (5, 17), most=1.2, **geometry)
 
 
 def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():

@@ -82,7 +82,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         blurs = [blur.of_point() for blur in blurs]
     discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
     chords = max(blur.chords for blur in blurs)
-    if any(disc is not None for disc in discs):
+    if any(disc is not None for disc in discs) or (view.line and any(lamps)):
         blurs, chords = [blur.of_point() for blur in blurs], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds

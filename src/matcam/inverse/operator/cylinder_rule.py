@@ -143,7 +143,7 @@ def cylinder_rule(
         lamp = sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(angle)
         light = PlacedLamps(lamp, None if nearness is None else jnp.full_like(x, nearness))
         low, high = ends_of_light(cylinder, light)
-        samples = _samples(cylinder, blur, terms, light, reach, to_theta / _FINEST, disc if discs else None)
+        samples = _samples(cylinder, blur, terms, variance, light, reach, to_theta / _FINEST, disc if discs else None)
         closest, _ = ridge_of(cylinder, samples.light, samples.row, low, high)
 
         def turns(column: jax.Array) -> jax.Array:
@@ -196,6 +196,7 @@ def _samples(
     cylinder: Cylinder,
     blur: Blur,
     terms: tuple[int, ...],
+    variance: jax.Array,
     light: PlacedLamps,
     reach: jax.Array,
     finest: jax.Array,
@@ -210,8 +211,8 @@ def _samples(
             middle, slope = _meeting(*(_miss(cylinder, light, at, ends) for at in (-reach, zero, reach)))
             row, share = _crowded(middle * reach, (-reach, -half + zero, half + zero, reach), finest * reach / slope)
         else:
-            offset, weight = blur.rule(terms[0], jnp.zeros(()))
-            row, share = zero + offset, jnp.broadcast_to(weight, (reach.shape[0], weight.size))
+            offset, weight = blur.rule(terms[0], variance[:, 0])
+            row, share = zero + offset, jnp.broadcast_to(weight, (reach.shape[0], offset.shape[-1]))
     if disc is None:
         many = PlacedLamps(tuple(a + 0 * row for a in light.towards), _beside(light.nearness, row))  # type: ignore[arg-type]
         return _Samples(many, row, share, (0 * row, 0 * row))
