@@ -13,7 +13,6 @@ from matcam import (
     GaussianOptics,
     HaloOptics,
     Microfacet,
-    NearLamp,
     Rig,
     peak_response,
 )
@@ -21,9 +20,13 @@ from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward import true_table
-from matcam.forward.cylinder_cells import LinePlaces, line_places, line_record
+from matcam.forward.cylinder_cells import line_places
+from matcam.forward.integral.cylinder_discs import LinePlaces, line_record
+from matcam.forward.integral.cylinder_record import towards
+from matcam.lamp.lamps import closeness
+from tests.forward.test_lamps import made
 from tests.oracle import cylinder_cells as oracle
-from tests.oracle import sphere_cells
+from tests.oracle import lamp_record, sphere_cells
 
 RIGS = [(0.5, 0.5, 256.0), (0.15, 0.5, 400.0), (1.5, 0.4, 60.0), (0.8, 0.5, 12.0)]  # sigma, half width, radius: px
 ALPHAS = (0.001, 0.005, 0.05, 0.3)
@@ -56,7 +59,7 @@ def test_drawn_cells_are_those_of_an_independent_quadrature(view, alpha):
     truth = np.array(
         [oracle.record(lobe.p22, smith(lobe), radius, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
     )
-    places = line_places(radius, *angles)
+    places = line_places(rig_of(*view), *angles)
     found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig_of(*view), places))[:, 0] / np.asarray(
         cosines(*angles)[0]
     )
@@ -71,18 +74,56 @@ def test_a_lens_out_of_focus_makes_discs(alpha):
         [oracle.record(lobe.p22, smith(lobe), 150.0, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
     )
     rig = rig_of(0.5, 0.5, 150.0, aperture=0.03, focus=0.4)
-    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig, line_places(150.0, *angles)))[:, 0]
+    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig, line_places(rig, *angles)))[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
 
+def check_cells(count, rule=(1, 1), alpha=0.05, most=np.pi / 2, **geometry):
+    """Cells of a cylinder of 60 px before near cameras and under near lamps or discs, one way each; most: of theta_d."""
+    rig, theirs = made(radius=60.0, kind="cylinder", **geometry)
+    angles = drawn_cells(np.random.default_rng(7), 4 * count)
+    angles = tuple(a[angles[1] < most][:count] for a in angles)
+    places, cos_i = line_places(rig, *angles), np.asarray(cosines(*angles)[0])
+    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0, 0.2), rig, places))[:, 0]
+    found = found / (cos_i * np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
+    surface = lamp_record.Surface(alpha, 0.2)
+    truth = [lamp_record.recorded_line_cell(cell, surface, theirs, rule) for cell in zip(*angles, strict=True)]
+    missed = np.abs(found - truth) / np.maximum(1e-4 * np.array(truth), 1e-7 * max(truth))
+    print(f"worst: {missed.max():.2g} of what is allowed, of {missed.size}")
+    assert missed.max() < 1
+
+
+def test_cells_before_a_near_camera_and_under_a_near_lamp():
+    check_cells(6, camera=6.0, lamp=5.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "geometry",
+    [{"camera": 9.0}, {"lamp": 6.0}, {"camera": 6.0, "lamp": 5.0}, {"camera": 20.0, "lamp": 50.0, "alpha": 0.006}],
+)
+def test_cells_before_near_cameras_and_under_near_lamps(geometry):
+    check_cells(60, **geometry)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("count", "geometry"), [(10, {"disc": 0.02}), (5, {"disc": 0.02, "lamp": 6.0}), (5, {"disc": 0.02, "camera": 8.0})]
+)
+def test_cells_under_a_disc(count, geometry):
+    """Up to 69 degrees: further on the oracle would need thousands of points."""
+    check_cells(count, (5, 17), most=1.2, **geometry)
+
+
 def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():
     angles = drawn_cells(np.random.default_rng(2), 40)
-    places = line_places(100.0, *angles)
+    places = line_places(rig_of(0.5, 0.5, 100.0), *angles)
     for n, cell in enumerate(zip(*angles, strict=True)):
         normal, light, _ = oracle.directions(*cell)
         np.testing.assert_allclose(places.x[n], 100 * normal[0], atol=1e-10)
-        np.testing.assert_allclose([part[n] for part in places.lamp], light, atol=1e-10)
+        lamp = towards(places.lamp_angle[n], places.azimuth[n])
+        np.testing.assert_allclose(lamp, light, atol=1e-10)
 
 
 def test_a_table_holds_the_cells_of_both_ways_and_a_sharp_camera_reads_the_material():
@@ -98,7 +139,7 @@ def test_a_table_holds_the_cells_of_both_ways_and_a_sharp_camera_reads_the_mater
 
 def test_the_peak_is_that_of_the_exact_peak_response():
     rig, theta_d = rig_of(0.6, 0.5, 200.0), np.radians(np.arange(1.0, 86.0, 7.0))
-    places = line_places(200.0, 0 * theta_d, theta_d, 0 * theta_d)
+    places = line_places(rig, 0 * theta_d, theta_d, 0 * theta_d)
     recorded = np.asarray(line_record(Microfacet(GGX(0.004), 1.0, masking=None), rig, places))[:, 0]
     true = 1 / (np.pi * 0.004**2) / (4 * np.cos(theta_d))
     np.testing.assert_allclose(
@@ -129,7 +170,7 @@ def test_a_lens_of_several_gaussians_is_the_sum_of_its_terms(optics, alpha):
         ]
     )
     rig = Rig(Camera(optics, BoxPixel(0.5)), Cylinder(150.0))
-    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig, line_places(150.0, *angles)))[:, 0]
+    found = np.asarray(line_record(Microfacet(GGX(alpha), 1.0), rig, line_places(rig, *angles)))[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
@@ -141,15 +182,14 @@ def test_under_a_lamp_across_the_axis_a_row_of_the_picture_says_the_same(apertur
     row = matcam.picture(material, rig, 1.0, shape=(1, 81))
     x = row.x.values
     shown = (x > 0) & (x < 40)
-    lamp = tuple(np.full(shown.sum(), part) for part in (np.sin(1.0), 0.0, np.cos(1.0)))
-    found = np.asarray(line_record(material, rig, LinePlaces(x[shown], lamp)))[:, 0]
+    places = LinePlaces(x[shown], np.full(shown.sum(), 1.0), np.zeros(shown.sum()))
+    found = np.asarray(line_record(material, rig, places))[:, 0]
     np.testing.assert_allclose(found, row.values[0, shown, 0], rtol=2e-4, atol=1e-7 * found.max())
 
 
 def test_derivatives_are_those_of_differences():
     jax = pytest.importorskip("jax")
-    places = line_places(80.0, *drawn_cells(np.random.default_rng(4), 30))
-    places = LinePlaces(*(jax.tree.map(np.asarray, part) for part in places))
+    places = line_places(rig_of(0.6, 0.5, 80.0), *drawn_cells(np.random.default_rng(4), 30))
 
     def total(alpha, sigma):
         return line_record(Microfacet(GGX(alpha), 1.0), rig_of(sigma, 0.5, 80.0), places).sum()
@@ -163,9 +203,6 @@ def test_derivatives_are_those_of_differences():
 def test_what_a_cylinder_cannot_show_is_refused():
     camera, material = matcam.rigs.merl().camera, Microfacet(GGX(0.1), 0.9)
     for rig, words in (
-        (Rig(camera, Cylinder(100.0, 20.0)), "needs a distant camera and lamp"),
-        (Rig(camera, Cylinder(100.0), NearLamp(20.0)), "needs a distant camera and lamp"),
-        (Rig(camera, Cylinder(100.0), lamp_radius=0.01), "a lamp without a disc, got a radius of 0.01 rad"),
         (Rig(camera, Cylinder(100.0), lamp_azimuth=0.3), "the lamp's azimuth must be left out"),
         (Rig(camera, Cylinder(100.0), cell_value="mean"), "cell_value must be 'centre' or 'edge'"),
     ):

@@ -206,7 +206,6 @@ CAMERA = Camera(GaussianOptics(0.5))
         (lambda: picture(MATERIAL, Rig(CAMERA, Sphere(20, 5), NearLamp(5)), 0.0), "the lamp stands in the camera"),
         (lambda: picture(MATERIAL, Rig(CAMERA, SMALL), 0.5, 45), "azimuth must lie in .* np.radians.*, got 45"),
         (lambda: measure(MATERIAL, Rig(CAMERA, SMALL), azimuth=90), "azimuth must lie in"),
-        (lambda: picture(MATERIAL, Rig(CAMERA, Cylinder(20)), 0.5, 0.5), "azimuth must be 0 or pi with a cylinder"),
     ],
 )
 def test_bad_lamps_are_refused_in_one_line(call, message):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcam import GGX, Cylinder, Flat, Microfacet, Rig, Sphere, rigs
+from matcam import GGX, Flat, Microfacet, Rig, Sphere, rigs
 from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, merl_grid
@@ -100,8 +100,6 @@ def test_refusals():
     table = recorded(0.05)
     with pytest.raises(ArgumentError, match="needs a rig with a Sphere or Cylinder, not a Flat"):
         with_pixel_noise(table, Rig(rigs.merl().camera, Flat()), PixelNoise(), 1)
-    with pytest.raises(ArgumentError, match="needs a distant camera and lamp"):
-        with_pixel_noise(table, Rig(rigs.merl().camera, Cylinder(100, 5)), PixelNoise(), 1)
     with pytest.raises(ArgumentError, match="must be 'centre' or 'edge', got 'center'"):
         with_pixel_noise(table.assign_attrs(sampling="center"), rigs.merl(), PixelNoise(), 1)
     with pytest.raises(ArgumentError, match="must be one of 'centre', 'edge'"):

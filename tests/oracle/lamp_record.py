@@ -88,6 +88,23 @@ def recorded_cell(angles, azimuth, surface, rig, disc=(1, 1), orders=(12, 16)):
     return np.mean(ways)
 
 
+def recorded_line_cell(angles, surface, rig, disc=(1, 1), orders=(12, 16)):
+    """One way of a cell of a cylinder's table over the irradiance: its normal lies across the axis, at the axis's height 0, and
+    the lamp stands where the cell's angles want it."""
+    theta_h, theta_d, phi = angles
+    normal = np.array([-np.sin(theta_h) * np.cos(phi), np.sin(theta_h) * np.sin(phi), np.cos(theta_h)])
+    light, view = (np.array([side * np.sin(theta_d), 0, np.cos(theta_d)]) for side in (1, -1))
+    axis, lamp = _far(normal, view, 1 / rig.distance), _far(normal, light, 1 / rig.lamp_distance)
+    across = normal - (normal @ axis) * axis
+    size = np.linalg.norm(across)
+    across = across / size if size > 1e-12 else np.array([1.0, 0, 0])
+    along = np.cross(axis, across)
+    x = rig.radius * np.sqrt(1 - 1 / rig.distance**2) * (normal @ across) / (1 - normal @ axis / rig.distance)
+    irradiance = normal @ light / np.sum((lamp - normal / rig.lamp_distance) ** 2)
+    lamp_angle, azimuth = np.arccos(np.clip(lamp @ axis, -1, 1)), np.arctan2(lamp @ along, lamp @ across)
+    return record(x, 0.0, lamp_angle, azimuth, surface, rig, disc, orders) / irradiance
+
+
 def _far(normal, towards, nearness):
     """Unit vector from the sample's centre to what is seen from the surface in a direction."""
     cos = normal @ towards
@@ -170,32 +187,91 @@ def _sphere_nodes(x, y, towards, q, w, surface, rig, reach, order):
 
 
 def _cylinder_nodes(x, y, towards, q, w, surface, rig, reach, order):
-    """The same of a cylinder along y; the lamp lies in the plane across it."""
+    """The same of a cylinder along y; the lamp may stand anywhere. Limb and terminator are straight, along y."""
     stretch = rig.radius * np.sqrt(1 - q**2)
-    limb, half, a = np.arccos(q), np.arccos(w), np.arctan2(towards[0], towards[2])
+    across = np.hypot(towards[0], towards[2])
+    limb, half, a = np.arccos(q), np.arccos(min(w / max(across, 1e-12), 1.0)), np.arctan2(towards[0], towards[2])
+    low, high = max(a - half, -limb), min(a + half, limb)
     first, last = (np.sign(e) * _angle_at(abs(e), stretch, q, limb, rig.radius) for e in (x - reach, x + reach))
-    first, last = max(first, a - half, -limb), min(last, a + half, limb)
+    first, last = max(first, low), min(last, high)
     if last <= first:
         return None
-    peak = np.sign(a) * _highlight(abs(a), q, w)
+    mirror = _mirror_height(towards, q, w, low, high)
+    here = (y + np.array([-1, 1]) * reach) * (1 - q * np.cos((first + last) / 2)) / stretch
+    peak = _closest(np.clip(mirror, *here), towards, q, w, low, high)
     grades = surface.alpha * 3.0 ** np.arange(-1, 7)
     layers = np.array([1e-3, 0.01, 0.05, 0.2]) * (last - first)
     inner = [
         peak,
         *(peak - grades),
         *(peak + grades),
-        *np.linspace(first, last, 9),
+        *np.linspace(first, last, 25),
         *(first + layers),
         *(last - layers),
     ]
     u, u_weight = _panels(np.unique(np.clip(inner, first, last)), order)
     scale = stretch / (1 - q * np.cos(u))
-    low, high = ((y + side * reach) / scale for side in (-1, 1))
-    share, v_weight = _panels(np.linspace(0, 1, 17), order)
-    v = low[:, None] + (high - low)[:, None] * share
-    weight = u_weight[:, None] * (high - low)[:, None] * v_weight
+    ends = (y + np.array([[-1], [1]]) * reach) / scale
+    cuts = ends[0] + (ends[1] - ends[0]) * np.linspace(0, 1, 17)[:, None]
+    if w + q > 0:  # the half vector turns along the axis, by half of what the sights do
+        steps = 2 / (w + q) * surface.alpha * 3.0 ** np.arange(-1, 6)
+        about = mirror + np.concatenate([-steps, [0], steps])
+        cuts = np.concatenate([cuts, np.clip(about[:, None], *ends)])
+    cuts = np.sort(cuts, axis=0).T
+    unit, unit_weight = np.polynomial.legendre.leggauss(order)
+    width = np.diff(cuts, axis=1)[..., None] / 2
+    v = (cuts[:, :-1, None] + width * (1 + unit)).reshape(u.size, -1)
+    weight = u_weight[:, None] * (width * unit_weight).reshape(u.size, -1)
     u = np.broadcast_to(u[:, None], v.shape).ravel()
     return np.stack([np.sin(u), 0 * u, np.cos(u)]), v.ravel(), weight.ravel()
+
+
+def cylinder_mirror(lamp_angle, azimuth, rig):
+    """Where a cylinder mirrors the lamp's centre, px; 0 along it where it does all along, or nowhere."""
+    towards, q, w = (
+        lamp_vectors(rig._replace(lamp_radius=0.0), lamp_angle, azimuth)[0][0],
+        1 / rig.distance,
+        1 / rig.lamp_distance,
+    )
+    limb, half, a = np.arccos(q), np.arccos(w / np.hypot(towards[0], towards[2])), np.arctan2(towards[0], towards[2])
+    ends = max(a - half, -limb), min(a + half, limb)
+    v = _mirror_height(towards, q, w, *ends)
+    u = _closest(v, towards, q, w, *ends)
+    scale = rig.radius * np.sqrt(1 - q**2) / (1 - q * np.cos(u))
+    return scale * np.sin(u), scale * v
+
+
+def _half_vector(u, v, towards, q, w):
+    """Sum of the unit vectors to lamp and camera, at a place of a cylinder."""
+    point = np.array([np.sin(u), v, np.cos(u)])
+    view, light = np.array([0, 0, 1.0]) - q * point, towards - w * point
+    return view / np.linalg.norm(view) + light / np.linalg.norm(light)
+
+
+def _closest(v, towards, q, w, low, high):
+    """The u at which the normal is closest to the half vector, at a height of a cylinder."""
+
+    def aside(u):
+        half = _half_vector(u, v, towards, q, w)
+        return half[0] * np.cos(u) - half[2] * np.sin(u)
+
+    if aside(low) <= 0 or aside(high) >= 0:
+        return low if aside(low) <= 0 else high
+    return brentq(aside, low, high, xtol=1e-14)
+
+
+def _mirror_height(towards, q, w, low, high):
+    """The height at which a cylinder mirrors the lamp; 0 where it does all along, or nowhere."""
+    if q + w == 0 or towards[1] == 0:
+        return 0.0
+
+    def climb(v):
+        return np.sign(towards[1]) * _half_vector(_closest(v, towards, q, w, low, high), v, towards, q, w)[1]
+
+    end = np.sign(towards[1])
+    while climb(end) > 0 and abs(end) < 1e6:
+        end *= 2
+    return brentq(climb, 0, end, xtol=1e-12) if climb(end) < 0 else end
 
 
 def _angle_at(r, stretch, q, limb, radius):

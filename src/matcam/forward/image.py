@@ -7,7 +7,7 @@ the error, the radiance at its centre will do. A highlight can hide between the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby, islice
 from typing import NamedTuple
 
@@ -25,14 +25,16 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.band_limited import BandLimit, band_limit, filtered, fine_line
 from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
-from matcam.forward.integral.discs import disc_fineness, nearer, turned_cylinder
+from matcam.forward.integral.cylinder_discs import cylinder_fineness, places_under, record_under_points
+from matcam.forward.integral.cylinder_record import light_at, smooth_places
+from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.integrals import Scene, Turn, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
-from matcam.sample.curved import Sphere
+from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Curved
 
 _PLACES = 1 << 20
@@ -60,16 +62,16 @@ def picture(
     The lamp's irradiance is 1 at the sample's centre, on a surface that faces it. Row 0 is on top. Pixel centres lie on
     integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
 
-    On a sphere a lamp's disc is a disc: the picture is the mean over those of its points. That takes 15 times as long for
-    a disc whose image is as wide as the blur, and more for a larger one. On a cylinder it is a Gaussian of the disc's variance.
+    A lamp's disc is a disc: the picture is the mean over those of its points. That takes 15 times as long for a disc whose
+    image is as wide as the blur, and more for a larger one.
 
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d if all is distant. In
             [0, pi), or up to where a near lamp lights nothing that a near camera sees.
-        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. The pixels do not turn with it. On a cylinder 0
-            or pi. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2 is towards +y (up).
+        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Neither pixels nor a cylinder's axis (y) turn with
+            it. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2 is towards +y (up).
         shape: (height, width), px. Default: the rig's crop, or what holds the sample and its blur.
         shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
             none.
@@ -217,11 +219,11 @@ def _view(
     azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
-    if isinstance(rig.sample, Sphere):
-        fineness = disc_fineness(rig, imaging, np.array(angle), material)
-        points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
+    if isinstance(rig.sample, Cylinder):
+        fineness = cylinder_fineness(rig, imaging.blur, np.array(angle), azimuth, material)
     else:
-        points = [LampPoint(np.array(angle), np.array(turned_cylinder(rig, azimuth)), 1.0, 1.0)]
+        fineness = disc_fineness(rig, imaging, np.array(angle), material)
+    points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
     return _View(imaging, angle, azimuth, points, x, y, lens)
 
@@ -272,6 +274,9 @@ def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray
 
     The picture is the mean over the lamp's points; many of them are recorded at once.
     """
+    sample, blur, nearness = view.imaging
+    if isinstance(sample, Cylinder):
+        return record_under_points(material, sample, blur, (x, y), view.points, nearness, one_picture=True)
     total: jax.Array | float = 0.0
     for points in _rings(view.points, max(1, _PLACES // max(x.size, 1))):
         angles, azimuths = (np.array([float(getattr(p, name)) for p in points]) for name in ("angle", "azimuth"))
@@ -303,8 +308,8 @@ def _record_within(error: float, material: Material, view: _View) -> jax.Array:
 
     It must not be differentiated: which pixels are exact depends on the material.
     """
-    sample, turned = view.imaging.sample, bool(np.any([point.azimuth for point in view.points]))
-    scales = [group.scale for group in groups_of(view.imaging.blur, sample, turned)]
+    turned = _turned(view)
+    scales = [group.scale for group in groups_of(view.imaging.blur, view.imaging.sample, turned)]
     around = int(np.ceil(max(scale.reach for scale in scales)))
     beyond = np.arange(1, around + 1)
     wide = np.meshgrid(
@@ -314,15 +319,13 @@ def _record_within(error: float, material: Material, view: _View) -> jax.Array:
         )
     )
     x, y = np.meshgrid(view.x, view.y)
-    side = max(scale.near for scale in scales)
     centres, near = np.zeros((*wide[0].shape, 1)), np.zeros(x.shape, dtype=bool)
     for point in view.points:
-        imaging = nearer(view.imaging, point.distance)
-        turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
-        scene = Scene(material, sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn if turned else None)
-        centres = centres + point.weight * np.asarray(_at_centres(scene, *wide))
-        peak_x, peak_y = scene.on_sensor(highlight_x(sample, scene.lamp_angle, scene.lamp_nearness), jnp.zeros(()))
-        near |= (np.abs(x - float(peak_x)) < side) & (np.abs(y - float(peak_y)) < side)
+        light, highlight = (_on_cylinder if isinstance(view.imaging.sample, Cylinder) else _on_sphere)(
+            material, view, point, wide, (x, y)
+        )
+        centres = centres + point.weight * light
+        near |= highlight
     neighbourhood = (2 * around + 1, 2 * around + 1, 1)
     span = (maximum_filter(centres, neighbourhood) - minimum_filter(centres, neighbourhood)).max(axis=-1)
     height, width = view.y.size, view.x.size
@@ -339,6 +342,43 @@ def _record_within(error: float, material: Material, view: _View) -> jax.Array:
     peak = values[near].max(initial=0.0) or centres.max()
     record_exactly((span > error * peak) & ~near)
     return jnp.asarray(values)
+
+
+def _turned(view: _View) -> bool:
+    """Say whether pixels are turned against the scene's axes, which are those of a cylinder."""
+    return isinstance(view.imaging.sample, Sphere) and bool(np.any([point.azimuth for point in view.points]))
+
+
+_Places = Sequence[np.ndarray]
+"""x and y, px."""
+
+
+def _on_sphere(
+    material: Material, view: _View, point: LampPoint, wide: _Places, pixels: _Places
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the light of a point of the lamp at centres of pixels, and which pixels may see its highlight."""
+    imaging, sample = nearer(view.imaging, point.distance), view.imaging.sample
+    turned = _turned(view)
+    turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
+    scene = Scene(material, sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn if turned else None)
+    peak = scene.on_sensor(highlight_x(sample, scene.lamp_angle, scene.lamp_nearness), jnp.zeros(()))
+    side = max(group.scale.near for group in groups_of(imaging.blur, sample, turned))
+    near = [np.abs(at - float(middle)) < side for at, middle in zip(pixels, peak, strict=True)]
+    return np.asarray(_at_centres(scene, *wide)), near[0] & near[1]
+
+
+def _on_cylinder(
+    material: Material, view: _View, point: LampPoint, wide: _Places, pixels: _Places
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same before a cylinder; its limbs count as highlights, too."""
+    sample, blur, nearness = view.imaging
+    assert isinstance(sample, Cylinder)
+    seen, own = (places_under(at[0].ravel(), at[1].ravel(), point, nearness) for at in (wide, pixels))
+    light = np.asarray(light_at(material, sample, seen)).reshape(*wide[0].shape, -1)
+    near = np.zeros(own.x.shape, dtype=bool)
+    for terms, _ in groups_of(blur, sample):
+        near |= ~np.logical_and(*smooth_places(sample, blur, terms, own, float(material.elongation)))
+    return light, near.reshape(pixels[0].shape)
 
 
 @jax.jit

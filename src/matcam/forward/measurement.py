@@ -65,7 +65,7 @@ def measure(
     lamp's disc: 20 and more. For derivatives see `table_values`.
 
     A cylinder shows the normals of one line: each cell is taken from the picture whose lamp is turned about the optical axis
-    until the cell's normal lies there. Camera and lamp are distant then, and the lamp has no disc.
+    until the cell's normal lies there. The line is where the camera looks squarely at the axis, at height 0.
 
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
@@ -80,8 +80,7 @@ def measure(
         largest error of the lens's MTF, which is taken as a sum of Gaussians; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: a cylinder's camera or lamp is near, its lamp has a disc or an azimuth, or its cells are on real pixels;
-            or the call stands inside jax.jit.
+        ArgumentError: a cylinder's lamp has an azimuth, or its cells are on real pixels; or the call stands inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).

@@ -171,7 +171,7 @@ class LampPoint(NamedTuple):
     weight: float
 
 
-def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: float, fineness: float) -> list[LampPoint]:
+def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float, fineness: float) -> list[LampPoint]:
     """Return the points whose mean is the lamp.
 
     The rule is Gauss-Legendre in the squared radius times equal steps round the disc. With blurs in the picture that are
@@ -180,7 +180,7 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: float, fineness: fl
     Args:
         lamp: the lamp.
         lamp_angle: angles between the lamp's centre and the optical axis, rad, any shape.
-        azimuth: of the lamp about the optical axis, rad.
+        azimuth: of the lamp about the optical axis, rad, one or of lamp_angle's shape.
         fineness: radius of the disc over the standard deviation of what blurs its image, no unit.
 
     Returns:

@@ -2,9 +2,9 @@
 
 - The lens is a sum of Gaussians (`camera/optics/gaussian_sum.py`). Registration jitter adds its variance to each.
 - A lens out of focus spreads light over a disc. A lamp's disc spreads the half vector over an ellipse (docs/model.md 3). Both
-  vary over the picture. Records of pixels and cells take the first as a disc, by chords, each a product in x and y. On spheres
-  they take a lamp's disc as one, too: a record is the mean over its points, and a fit's operator has `lamp_lines`. Elsewhere
-  both are Gaussians with the disc's own standard deviation, a quarter of its diameter.
+  vary over the picture. Records of pixels and cells take the first as a disc, by chords, each a product in x and y. They take
+  a lamp's disc as one, too: a record is the mean over its points, and a fit's operator has `lamp_lines`. Elsewhere both are
+  Gaussians with the disc's own standard deviation, a quarter of its diameter.
 - Terms of about one width share the lengths of their integral: a `BlurGroup`.
 """
 
@@ -25,7 +25,6 @@ from matcam.core.jax import is_concrete, jax, jnp
 from matcam.lamp.lamps import closeness
 from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of, half_of
 from matcam.rigs import Rig
-from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 STEEPEST = 0.1
@@ -303,7 +302,7 @@ class Imaging(NamedTuple):
 def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
     """Return the imaging of a rig whose sample is curved.
 
-    The lamp's disc on a sphere is no part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is, as a
+    The lamp's disc is no part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is, as a
     Gaussian, and so is that of a lens out of focus.
     """
     if not isinstance(rig.sample, Curved):
@@ -311,7 +310,7 @@ def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
             f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
         )
     blur = blur_of(rig, in_discs=not gaussian_disc)
-    if isinstance(rig.sample, Sphere) and not gaussian_disc:
+    if not gaussian_disc:
         blur = blur.of_point()
     return Imaging(rig.sample, blur, rig.lamp.nearness)
 

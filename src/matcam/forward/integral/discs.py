@@ -9,17 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from matcam.core import checks
-from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Imaging
 from matcam.lamp.lamps import disc_of
 from matcam.material.material import Material
 from matcam.rigs import Rig
-from matcam.sample.curved import Cylinder
 
-_LOBE = 0.5
+LOBE = 0.5
 """Share of a lobe's scale that counts as its blur: a GGX lobe has its singularities at its scale."""
-_ALIGNED = 1e-12  # rad
 _WIDEST = 2.0
 """Largest radius of a disc's image, in radii of the sample."""
 
@@ -47,7 +44,7 @@ def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, material: 
     widest = _WIDEST * float(imaging.sample.radius)
     return np.maximum(
         *(
-            np.minimum(scale * disc * larger / 2 / aslant, widest) / np.hypot(std, _LOBE * finest * scale)
+            np.minimum(scale * disc * larger / 2 / aslant, widest) / np.hypot(std, LOBE * finest * scale)
             for scale, aslant in ((along, 1.0), (across, cosine))
         )
     )
@@ -58,16 +55,3 @@ def nearer(imaging: Imaging, distance: float) -> Imaging:
     return (
         imaging if imaging.lamp_nearness is None else imaging._replace(lamp_nearness=imaging.lamp_nearness / distance)
     )
-
-
-def turned_cylinder(rig: Rig, azimuth: float) -> float:
-    """Return the azimuth 0 or pi of a lamp before a cylinder.
-
-    Raises:
-        ArgumentError: the lamp stands outside the plane across the cylinder's axis.
-    """
-    if isinstance(rig.sample, Cylinder) and abs(np.sin(azimuth)) > _ALIGNED:
-        raise ArgumentError(
-            f"azimuth must be 0 or pi with a cylinder (its axis is the picture's y), got {azimuth:g} rad: use a Sphere"
-        )
-    return 0.0 if np.cos(azimuth) > 0 else np.pi

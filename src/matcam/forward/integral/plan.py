@@ -17,7 +17,6 @@ from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_o
 from matcam.forward.integral.disc_stamps import margin_for, shares_for
 from matcam.forward.integral.integrals import Turn, highlight_x
 from matcam.numerics.approximation import POINTS
-from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
@@ -26,7 +25,7 @@ _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
 _FINER = 1.4
 _SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
-"""How much longer a window counts along v, for more panels: one that holds a turned pixel's corners, or a straight limb."""
+"""How much longer a window counts along v, for more panels: one that holds a turned pixel's corners."""
 
 
 class RecordPlaces(NamedTuple):
@@ -185,7 +184,7 @@ def _part(
         )
     )
     aside, turn = aside[: places.x.size], turn / scale.reach
-    turn *= _FINER if lamps[1] is not None or isinstance(sample, Cylinder) else 1.0
+    turn *= _FINER if lamps[1] is not None else 1.0
     inside = smooth & ~ridge & ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
     beside = lit & ~near & ~inside
     windows, least = [], 0.0

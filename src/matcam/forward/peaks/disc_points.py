@@ -23,20 +23,34 @@ _UNKNOWN_FINENESS = 6.0
 
 
 class DiscPoints(NamedTuple):
-    """Hold points about some highlights: x and y, px, (slices, points); their shares, (points,), whose sum is 1."""
+    """Hold points about some highlights.
+
+    Attributes:
+        x: px towards the limb, (slices, points).
+        y: px across, the same.
+        share: of the points, (points,); their sum is 1.
+        aside: angle by which a point turns the half vector across, rad, (slices, points).
+    """
 
     x: jax.Array
     y: jax.Array
     share: np.ndarray
+    aside: jax.Array
 
 
-def mean_over_discs(rig: Rig, theta: jax.Array, record: Callable[[np.ndarray, DiscPoints], jax.Array]) -> jax.Array:
+def mean_over_discs(
+    rig: Rig,
+    theta: jax.Array,
+    record: Callable[[np.ndarray, DiscPoints], jax.Array],
+    finest: float = np.inf,
+) -> jax.Array:
     """Return the mean of a record over the points of a rig's discs.
 
     Args:
         rig: a rig with a curved sample.
         theta: viewing angles of the highlights, rad, (slices,).
         record: takes which of the angles, and returns the mean over their points, slices first.
+        finest: angle across over which the record changes much, rad. Default: infinite, it does not depend on `aside`.
     """
     cosine = jnp.cos(theta)
     lamp = [
@@ -44,13 +58,17 @@ def mean_over_discs(rig: Rig, theta: jax.Array, record: Callable[[np.ndarray, Di
         for scale, spread in zip(rig.px_per_rad(theta), rig.lamp_spread(theta), strict=True)
     ]
     lamp[1] *= cosine / jnp.maximum(cosine, STEEPEST)
+    turned = 2 * rig.lamp_spread(theta)[1] * cosine / jnp.maximum(cosine, STEEPEST)
     blur, nearness = blur_of(rig), rig.lamp.nearness
     normal = jnp.cos(rig.sample.highlight(rig.sample.lamp_angle(theta, nearness), nearness))  # type: ignore[attr-defined]
     focus = jnp.abs(blur.defocus(rig.sample.radius, normal))  # type: ignore[attr-defined]
     std = jnp.hypot(jnp.min(blur.stds), PIXELS_SHARE * blur.pixel.half_width)
     of_lamp, of_lens = (
         _levels(size / width)
-        for size, width in ((jnp.maximum(*lamp), std), (focus, jnp.hypot(std, jnp.minimum(*lamp) / 2)))
+        for size, width in (
+            (jnp.maximum(jnp.maximum(*lamp), turned * std / finest), std),
+            (focus, jnp.hypot(std, jnp.minimum(*lamp) / 2)),
+        )
     )
     found: list[tuple[np.ndarray, jax.Array]] = []
     for level in np.unique(np.stack([of_lamp, of_lens]), axis=1).T:  # the same count of points in one program
@@ -61,7 +79,8 @@ def mean_over_discs(rig: Rig, theta: jax.Array, record: Callable[[np.ndarray, Di
             for axis, at, own in ((lamp[0], lamps[0], lens[0]), (lamp[1], lamps[1], lens[1]))
         )
         share = np.outer(lamps[2], lens[2]).ravel()
-        found.append((slices, record(slices, DiscPoints(x, y, share))))
+        aside = (turned[slices, None, None] * lamps[1][:, None] + 0 * lens[0]).reshape(slices.size, -1)
+        found.append((slices, record(slices, DiscPoints(x, y, share, aside))))
     order = np.argsort(np.concatenate([slices for slices, _ in found]))
     return jnp.concatenate([records for _, records in found])[order]
 

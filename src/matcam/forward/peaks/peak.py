@@ -26,7 +26,9 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import BlurTerms, Imaging, groups_of, imaging_of
-from matcam.forward.integral.discs import disc_fineness
+from matcam.forward.integral.cylinder_discs import LinePlaces, line_record, places_under
+from matcam.forward.integral.cylinder_record import light_at
+from matcam.forward.integral.discs import LOBE, disc_fineness
 from matcam.forward.integral.integrals import (
     HighlightPanels,
     Scene,
@@ -37,13 +39,13 @@ from matcam.forward.integral.integrals import (
 )
 from matcam.forward.peaks.disc_points import DiscPoints, has_discs, mean_over_discs
 from matcam.forward.peaks.peak_tables import tabulated_peak
-from matcam.lamp.lamps import Lamp, disc_of, lamp_points
+from matcam.lamp.lamps import Lamp, LampPoint, disc_of, lamp_points
 from matcam.material.masking import MASKINGS, Masking
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import MixtureNDF, SlopeDistribution
 from matcam.material.ndf.power_lobes import EPD
 from matcam.rigs import Rig
-from matcam.sample.curved import Cylinder, Sphere
+from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved, Flat
 
 # Frequency rule for lenses without a closed form: crowded towards 0, where the widest Gaussians of a mixture live
@@ -80,16 +82,21 @@ def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: An
     return mean_over_discs(rig, theta_o, mean)
 
 
-def line_record(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array) -> jax.Array:
+def response_across(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, one_plane: bool = False) -> jax.Array:
     """Return the response at the peak in one dimension, (slices,).
 
-    It is the paper's, towards the limb.
+    It is the paper's, towards the limb. one_plane: whether only normals of that plane are there, as on a cylinder. A lamp's
+    disc then turns the half vector away from all of them.
     """
     if not has_discs(rig):
-        return _line_in_focus(rig, ndf, theta_o, np.zeros((theta_o.size, 1)))[:, 0]
-    return mean_over_discs(
-        rig, theta_o, lambda slices, points: _line_in_focus(rig, ndf, theta_o[slices], points.x) @ points.share
-    )
+        return _line_in_focus(rig, ndf, theta_o, np.zeros((theta_o.size, 1)), None)[:, 0]
+
+    def mean(slices: np.ndarray, points: DiscPoints) -> jax.Array:
+        return _line_in_focus(rig, ndf, theta_o[slices], points.x, points.aside if one_plane else None) @ points.share
+
+    roughness = jax.lax.stop_gradient(jnp.asarray(ndf.roughness))
+    known = one_plane and is_concrete(roughness)
+    return mean_over_discs(rig, theta_o, mean, LOBE * float(roughness) if known else np.inf)
 
 
 @kept_program
@@ -110,18 +117,23 @@ def _lobe_in_focus(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, x: AnyArray, y
 
 
 @kept_program
-def _line_in_focus(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, x: AnyArray) -> jax.Array:
-    """Return the same in one dimension, at offsets from the peak, (slices, points)."""
+def _line_in_focus(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, x: AnyArray, aside: AnyArray | None) -> jax.Array:
+    """Return the same in one dimension, at offsets from the peak, (slices, points).
+
+    aside: angles by which the half vector misses the plane, rad, as x; None: it lies in it.
+    """
     weights, widths = ndf.mixture()
+    if aside is not None:
+        weights = weights * jnp.exp(-0.5 * (aside[..., None] / widths) ** 2)
     std = rig.px_per_rad(theta_o)[0][:, None] * widths
     camera = rig.camera
     if isinstance(camera.optics, GaussianOptics):
-        return _gaussian_record(rig, jnp.asarray(x)[..., None], std[:, None]) @ weights
+        return jnp.sum(_gaussian_record(rig, jnp.asarray(x)[..., None], std[:, None]) * weights, -1)
     rule = camera.optics.frequency_rule(_FREQUENCY_PANELS, _GRADE)
     uniform = jnp.isinf(std)
     spectra = _gaussian_spectrum(rule, jnp.where(uniform, 1.0, std)[..., None], rig.jitter)
     lines = jnp.einsum("skf,f,spf->spk", spectra, camera.mtf(rule.frequency), _waves(rule, jnp.asarray(x)))
-    return jnp.where(uniform[:, None], 1.0, lines) @ weights
+    return jnp.sum(jnp.where(uniform[:, None], 1.0, lines) * weights, -1)
 
 
 class _SensorLobe(NamedTuple):
@@ -241,8 +253,11 @@ def _in_tangent_plane(ndf: SlopeDistribution, rig: Rig, theta: jax.Array, dims: 
 
 @_in_tangent_plane.register(MixtureNDF)
 def _closed_form(ndf: MixtureNDF, rig: Rig, theta: jax.Array, dims: int) -> jax.Array:
-    if dims == 1 or isinstance(rig.sample, Cylinder):  # a cylinder shows every line across its axis alike
-        return line_record(rig, ndf, theta)
+    sample = rig.sample
+    if dims == 1:
+        return response_across(rig, ndf, theta)
+    if isinstance(sample, Cylinder) and sample.distant and rig.lamp.nearness is None:
+        return response_across(rig, ndf, theta, one_plane=True)  # every line across its axis is alike
     centre = np.zeros((theta.size, 1))
     return lobe_record(rig, ndf, theta, centre, centre)[:, 0]
 
@@ -262,7 +277,7 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
         )
     imaging = imaging_of(rig)
     material = Microfacet(ndf, 1.0, masking=masking)
-    disc = isinstance(rig.sample, Sphere) and disc_of(rig.lamp) > 0
+    disc = disc_of(rig.lamp) > 0
     groups = groups_of(imaging.blur, imaging.sample, turned=disc)
     # lengths as arrays: what is compiled for one rig serves all of its kind
     reaches = jnp.asarray([group.scale.reach for group in groups])
@@ -275,9 +290,21 @@ def _exact_response(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, masking:
     if not is_concrete(theta):
         raise ArgumentError("a lamp's disc sets how an exact peak is integrated: call this outside of jax.jit and vmap")
     lamps = np.asarray(imaging.sample.lamp_angle(theta, rig.lamp.nearness))
+    if isinstance(rig.sample, Cylinder):
+        return _responses_on_cylinder(material, rig, lamps)
     fineness = disc_fineness(rig, imaging, lamps, material)
     points = (_sampled_lamp(rig.lamp, *one) for one in zip(lamps, fineness, strict=True))
     return jnp.stack([_response_under_disc(material, imaging, terms, reaches, point, even) for point in points])
+
+
+def _responses_on_cylinder(material: Microfacet, rig: Rig, lamp_angle: np.ndarray) -> jax.Array:
+    """Return recorded over true peak under lamps with a disc before a cylinder."""
+    sample, near = rig.sample, rig.lamp.nearness
+    assert isinstance(sample, Cylinder)
+    x = np.asarray(highlight_x(sample, jnp.asarray(lamp_angle), near))
+    recorded = line_record(material, rig, LinePlaces(x, lamp_angle, np.zeros_like(x)))
+    centre = places_under(x, np.zeros_like(x), LampPoint(lamp_angle, np.zeros_like(x), 1.0, 1.0), near)
+    return recorded[:, 0] / light_at(material, sample, centre)[:, 0]
 
 
 class _LampDisc(NamedTuple):

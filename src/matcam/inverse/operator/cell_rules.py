@@ -11,6 +11,7 @@ from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.cylinder_rule import LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, line_rule
 from matcam.inverse.operator.near_rule import (
@@ -45,12 +46,14 @@ class _Blurs(NamedTuple):
         spreads: for each, the variances along x and y, (pixels,), px^2.
         reaches: for each, the half sides of what a pixel sees, (2, pixels), px along its axes.
         discs: for each, the lamp's disc, where it is not in the spreads.
+        lamps: for each, the radius of the lamp's disc, rad.
     """
 
     blurs: list[Blur]
     spreads: list[tuple[np.ndarray, ...]]
     reaches: list[np.ndarray]
     discs: list[LampDisc | None]
+    lamps: list[float]
 
     @property
     def terms(self) -> tuple[int, ...]:
@@ -90,9 +93,12 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
     depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
 
+    lamps = [float(blur.lamp_radius) for blur in blurs]
+    if view.line:
+        blurs = [blur.of_point() for blur in blurs]
     discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
     chords = max(blur.chords for blur in blurs)
-    if any(disc is not None for disc in discs):
+    if any(disc is not None for disc in discs) or (view.line and any(lamps)):
         blurs, chords = [blur.of_point() for blur in blurs], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
@@ -111,14 +117,17 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     half_width = float(rig.camera.pixel.half_width)
     columns: list[dict[str, np.ndarray]] = []
     widths: list[_Blurs] = []
-    for terms, _ in groups_of(blurs[0], rig.sample):  # type: ignore[arg-type]
+    groups = [group.terms for group in groups_of(blurs[0], rig.sample)]  # type: ignore[arg-type]
+    if view.line and any(lamps) and not view.distant:  # rows by the rule of one term
+        groups = [(term,) for terms in groups for term in terms]
+    for terms in groups:
         parts = [_only(blur, terms) for blur in blurs]
         widest = [np.asarray(blur.stds).max() for blur in parts]
         reaches = [
             kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
             for s, v, m, blur in zip(widest, spreads, moved, parts, strict=True)
         ]
-        widths.append(_Blurs(parts, spreads, reaches, discs))
+        widths.append(_Blurs(parts, spreads, reaches, discs, lamps))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
             weight, *others = rules.weights
@@ -165,6 +174,8 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     if view.plain:
         return [_far_rules(view.radius, Pixels(x, y, theta_d, factor), widths, finest)]
     (through,) = widths
+    if view.line and (any(through.lamps) or not view.distant):
+        return _cylinder_rules(view, LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor), through)
     if view.line:
         return _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
     return [_near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)]
@@ -245,7 +256,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
 
 def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     """Return the rules of a cylinder's two arms."""
-    blurs, spreads, reaches, _ = through
+    blurs, spreads, reaches, *_ = through
     terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)
     arms = []
@@ -260,8 +271,38 @@ def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     return arms
 
 
+def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs) -> list[_Found]:
+    """Return the rules of a cylinder's two arms where one line under one lamp does not do."""
+    blurs, spreads, reaches, _, lamps = through
+    widest = np.max([along for along, _ in reaches], axis=0)
+    low, high = line_window(view.cylinder, view.lamp, pixels, widest, max(lamps))
+    onto = jnp.asarray(low), jnp.asarray(high)
+    near = jnp.asarray(view.lamp) if view.lamp else None
+    arms = []
+    for arm in ARMS:
+        rules: list[NearRule] = [
+            cylinder_rule(
+                view.cylinder,
+                blur,
+                jnp.asarray(spread[0]),
+                through.terms,
+                pixels,
+                near,
+                reach[0],
+                jnp.asarray(disc),
+                onto,
+                arm,
+                any(lamps),
+            )
+            for blur, spread, reach, disc in zip(blurs, spreads, reaches, lamps, strict=True)
+        ]
+        samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
+        arms.append(_Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples))
+    return arms
+
+
 def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found:
-    blurs, spreads, reaches, discs = through
+    blurs, spreads, reaches, discs, _ = through
     terms = through.terms
     onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
     nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0
@@ -271,8 +312,7 @@ def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found
         )
         for blur, spread, reach, disc in zip(blurs, spreads, reaches, discs, strict=True)
     ]
-    names = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
-    samples = dict(zip(names, near_masking_samples(rules[0]), strict=True))
+    samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
     return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples)
 
 
@@ -283,6 +323,8 @@ def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
     return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
+_MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
+"""Names of what `near_masking_samples` returns."""
 _SURROUNDINGS = np.array([9.0, 45.0])
 """Reach of the terms of a lens that count as its core, and as what surrounds it, px."""
 _RESOLVED = 10

@@ -115,7 +115,7 @@ def _between(angle: np.ndarray, inside: np.ndarray, reach: np.ndarray, rows: np.
     return PolarWindow(low, np.minimum(high + slack, np.pi / 2), reach, rows)
 
 
-class _Directions(NamedTuple):
+class Directions(NamedTuple):
     """Hold what a piece of surface sees of camera and lamp; `view` and `light` are over the distances of these."""
 
     view: Any
@@ -126,7 +126,7 @@ class _Directions(NamedTuple):
     theta_d: Any
 
 
-def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> _Directions:
+def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
     """Return the lengths of view and light, cosines and angles at normals; sin, cos: of the lamp's angle."""
     xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
     n_x, n_y, n_z = normal
@@ -139,7 +139,7 @@ def _directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> _Directions:
     v = -q * n_x / view, -q * n_y / view, (1 - q * n_z) / view
     i = (sin - w * n_x) / light, -w * n_y / light, (cos - w * n_z) / light
     apart, together = (sum((a + side * b) ** 2 for a, b in zip(v, i, strict=True)) for side in (-1, 1))
-    return _Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
+    return Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
 
 
 @partial(jit_plainly, static=("terms", "pixel_nodes"))
@@ -228,7 +228,7 @@ def near_rule(
         through = factor[..., 0] * stretch**2 / 4 * (s * step)[..., 0]
         weight = onto_nodes(place, through[..., None] * share)
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
-        return nodes[:, 0], weight, *_azimuths(at, place, share)
+        return nodes[:, 0], weight, *azimuths_seen(at, place, share)
 
     circles, theta = window.circles, onto
     arguments = (*pixels, circles.low, circles.high, circles.reach, circles.rows, theta.low, theta.high, *variances)
@@ -237,7 +237,7 @@ def near_rule(
     return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
 
 
-def _azimuths(at: _Directions, place: jax.Array, share: jax.Array) -> tuple[jax.Array, ...]:
+def azimuths_seen(at: Directions, place: jax.Array, share: jax.Array) -> tuple[jax.Array, ...]:
     """Return each circle's mean place, and the cosine, theta_d and share of two azimuths that stand for what it shows."""
     total = jnp.sum(share, -1)
     safe = jnp.where(total == 0, 1.0, total)

@@ -155,7 +155,7 @@ def prior_axis(name: str, base: float, std: float) -> Axis:
 
 
 def widths_of(rig: Rig) -> tuple[str, ...]:
-    """Name the widths that a rig may have: before a cylinder lamps have no disc."""
+    """Name the widths that may be left free or doubted: before a cylinder a lamp's disc is as stated."""
     return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
 
 

@@ -66,6 +66,11 @@ class SampleView(NamedTuple):
         """Return the sphere itself."""
         return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
 
+    @property
+    def cylinder(self) -> Cylinder:
+        """Return the cylinder of the sphere's size."""
+        return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
+
     def place(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Place:
         """Return where a picture shows half and difference angles, and under which lamp."""
         angles = np.broadcast_arrays(theta_h, theta_d, phi_d)

@@ -1,0 +1,317 @@
+"""The record of an isotropic lobe in one pixel of a cylinder where light comes from a disc, or changes along the cylinder.
+
+One line under one lamp does not do then (`line_rule.py`): points of a disc miss the line by different angles, and so do rows
+that a near camera or lamp shows. Both are samples of one kind. Each is a line of its own, under a lamp of its own, that misses
+its half vector by an angle of its own. Polynomials in asinh(theta_h / scale) carry the weights of all over to few nodes in
+theta_h, as in `near_rule.py`.
+
+A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is integrated in
+closed form. Where a sample may meet the half vector itself, samples crowd.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.core.jax import jax, jit_plainly, jnp
+from matcam.forward.integral.blur import Blur, Spread
+from matcam.forward.integral.cylinder_record import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
+from matcam.inverse.operator.near_rule import Directions, NearRule, azimuths_seen
+from matcam.inverse.operator.polar_rule import NODES, onto_nodes, stretched
+from matcam.sample.curved import Cylinder
+
+_PANEL = np.polynomial.legendre.leggauss(16)
+_ACROSS = np.polynomial.legendre.leggauss(10)
+_HALVES = np.array([0.5])
+_BLOCK = 8
+_LEAST = 1e-12
+"""Length of an arm of which nothing is seen, rad: its weights are 0."""
+_FINEST = 25.0
+_MEETS, _SLACK = 0.02, 0.02
+"""Share of the largest angle from the half vector below which the least one counts as none, and share added to their range."""
+_SHORT = 1e-3
+"""Length of a chord's image, in standard deviations of the blur, below which it is a point."""
+
+
+class LinePixels(NamedTuple):
+    """Hold pixels on a cylinder at height 0, arrays of one shape, each under a lamp of its own.
+
+    Attributes:
+        x: px from the axis.
+        lamp_angle: between lamp and optical axis, rad.
+        azimuth: of the lamp about it, rad.
+        factor: factor of the record.
+    """
+
+    x: np.ndarray
+    lamp_angle: np.ndarray
+    azimuth: np.ndarray
+    factor: np.ndarray
+
+
+class _Samples(NamedTuple):
+    """Hold lines under lamps of their own, arrays (pixels, samples).
+
+    Attributes:
+        light: their lamps.
+        row: px.
+        share: of the record.
+        shift: by how much the closest normals at a chord's two ends differ from that at its middle, rad, two arrays.
+    """
+
+    light: PlacedLamps
+    row: jax.Array
+    share: jax.Array
+    shift: tuple[jax.Array, jax.Array]
+
+
+def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
+    """Return the lamps of pixels, (pixels, 1). nearness: inverse of their distance, 1/radii; 0: distant."""
+    lamp = tuple(jnp.asarray(a)[:, None] for a in towards(pixels.lamp_angle, pixels.azimuth))
+    near = jnp.full((pixels.x.size, 1), nearness) if nearness else None
+    return PlacedLamps(lamp, near)  # type: ignore[arg-type]
+
+
+def line_window(
+    cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the largest angle from the half vector that pixels see, rad; the least is 0 where it is small.
+
+    reach: of the kernel, (pixels,), px. disc: angular radius of the lamp, rad.
+    """
+    turns = np.linspace(-1, 1, 9)
+    light, bound = lamp_of(pixels, nearness), jnp.asarray(reach)[:, None]
+    rows = bound * (turns if nearness or not cylinder.distant else np.zeros(1))
+    ends = ends_of_light(cylinder, light)
+    own = jnp.asarray(pixels.x)[:, None]
+    first, last = (jnp.clip(cylinder.across(own + s * bound, jnp.zeros(())), *ends) for s in (-1, 1))
+    # chords turn the closest place across the cylinder, too
+    first, last = (jnp.clip(at + side * disc, *ends) for at, side in ((first, -1), (last, 1)))
+    misses, aside, angles = [], [], []
+    for part in turns if disc else np.zeros(1):
+        lamp, _ = _moved(light, disc, jnp.full_like(own, part), jnp.zeros_like(own))
+        misses.append(_miss(cylinder, lamp, rows, ends))
+        aside.append(ridge_of(cylinder, lamp, rows, *ends)[0])
+        for u in (first + 0 * rows, last + 0 * rows, jnp.clip(aside[-1], first, last)):
+            angles.append(_angles(*seen_at(cylinder, lamp, u, rows)[:2]).theta_h)
+    miss, closest = (jnp.concatenate(parts, axis=1) for parts in (misses, aside))
+    angle = np.concatenate([np.asarray(a) for a in angles], axis=1)
+    meets = np.asarray((miss.min(1) <= 0) & (miss.max(1) >= 0) & jnp.any((closest > first) & (closest < last), axis=1))
+    low, high = angle.min(1), angle.max(1)
+    slack = _SLACK * (high - low) + _LEAST
+    low = np.maximum(low - slack, 0.0)
+    return np.where(meets | (low < _MEETS * high), 0.0, low), np.minimum(high + slack, np.pi / 2)
+
+
+@partial(jit_plainly, static=("terms", "arm", "discs"))
+def cylinder_rule(
+    cylinder: Cylinder,
+    blur: Blur,
+    variance: jax.Array,
+    terms: tuple[int, ...],
+    pixels: LinePixels,
+    nearness: jax.Array | None,
+    reach: jax.Array,
+    disc: jax.Array,
+    onto: tuple[jax.Array, jax.Array],
+    arm: float,
+    discs: bool,
+) -> NearRule:
+    """Return one arm's rule for some terms of a blur.
+
+    Args:
+        cylinder: the cylinder.
+        blur: under a lamp without a disc.
+        variance: px^2, (pixels,), that the blur's spread adds.
+        terms: of the blur.
+        pixels: a multiple of the block, see `padded`.
+        nearness: inverse of the lamp's distance, 1/radii; None: distant.
+        reach: half width of what a pixel sees, (pixels,), px.
+        disc: angular radius of the lamp's disc, rad.
+        onto: least and largest theta_h between which the nodes lie, (pixels,), rad.
+        arm: one of `line_rule.ARMS`.
+        discs: whether the lamp has a disc.
+    """
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        x, angle, azimuth, factor, variance, reach, from_theta, to_theta = (a[:, None] for a in arguments)
+        sine, rows = jnp.sin(angle), not discs and (nearness is not None or not cylinder.distant)
+        lamp = sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(angle)
+        light = PlacedLamps(lamp, None if nearness is None else jnp.full_like(x, nearness))
+        low, high = ends_of_light(cylinder, light)
+        samples = _samples(cylinder, blur, terms, variance, light, reach, to_theta / _FINEST, disc if discs else None)
+        closest, _ = ridge_of(cylinder, samples.light, samples.row, low, high)
+
+        def turns(column: jax.Array) -> jax.Array:
+            u = jnp.clip(cylinder.across(column, jnp.zeros(())), low, high)
+            return jnp.maximum(arm * (u - closest), 0.0)
+
+        wide = reach + jnp.zeros_like(closest)
+        if discs:
+            moved = jnp.maximum(jnp.abs(samples.shift[0]), jnp.abs(samples.shift[1]))
+            wide = wide + cylinder.stretch * moved * 1.5
+        half = blur.pixel.half_width
+        own = [turns(x + arm * at) for at in (-wide, -half, half, wide)]
+        scale, first, last = stretched(own[0], jnp.maximum(own[3], own[0] + _LEAST))
+        cuts = jnp.stack([jnp.arcsinh(turn / scale) for turn in own], axis=-1)
+        middle = cuts[..., :1] + _HALVES * (cuts[..., 3:] - cuts[..., :1])
+        cuts = jnp.sort(jnp.concatenate([cuts, middle], axis=-1), axis=-1)
+        left, right = cuts[..., :-1, None], cuts[..., 1:, None]
+        t = ((left + right) / 2 + (right - left) / 2 * _PANEL[0]).reshape(*closest.shape, -1)
+        step = ((right - left) / 2 * _PANEL[1]).reshape(t.shape) * scale[..., None] * jnp.cosh(t)
+        u = closest[..., None] + arm * scale[..., None] * jnp.sinh(t)
+        row = samples.row[..., None] + jnp.zeros_like(u)
+        element, to_lamp, square = seen_at(cylinder, samples.light.beside(1), u, row)
+        at = _angles(element, to_lamp)
+        kernel = _kernel(
+            cylinder, blur, terms, variance[..., None], (x[..., None], u, row), samples.shift if discs else None, rows
+        )
+        area = element.area / (cylinder.stretch / (1 - cylinder.nearness * jnp.cos(u)))
+        share = kernel * step * samples.share[..., None] * area * factor[..., None] / 4
+        if square is not None:
+            share = share / square
+        share = jnp.where((at.cos_i > 0) & (at.cos_o > 0), share, 0.0)
+        scale, first, last = stretched(from_theta, to_theta)
+        place = jnp.clip(
+            2 * (jnp.arcsinh(at.theta_h / scale[..., None]) - first[..., None]) / (last - first)[..., None] - 1,
+            -1.1,
+            1.1,
+        )
+        weight = onto_nodes(place, share)
+        nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
+        # nodes of all samples at about one turn are a circle
+        circles = jax.tree.map(lambda a: jnp.swapaxes(jnp.broadcast_to(a, u.shape), 1, 2), (at, place, share))
+        return nodes, weight, *azimuths_seen(*circles)
+
+    arguments = (*pixels, variance, reach, *onto)
+    found = jax.lax.map(block, tuple(jnp.asarray(a).reshape(-1, _BLOCK) for a in arguments))
+    return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
+
+
+def _samples(
+    cylinder: Cylinder,
+    blur: Blur,
+    terms: tuple[int, ...],
+    variance: jax.Array,
+    light: PlacedLamps,
+    reach: jax.Array,
+    finest: jax.Array,
+    disc: jax.Array | None,
+) -> _Samples:
+    """Return lines under lamps of their own. finest: angle from the half vector on which they crowd, rad, (pixels, 1)."""
+    ends = ends_of_light(cylinder, light)
+    half, zero = blur.pixel.half_width, jnp.zeros_like(reach)
+    row, share = zero, jnp.ones_like(reach)
+    if light.nearness is not None or not cylinder.distant:
+        if disc is None:
+            middle, slope = _meeting(*(_miss(cylinder, light, at, ends) for at in (-reach, zero, reach)))
+            row, share = _crowded(middle * reach, (-reach, -half + zero, half + zero, reach), finest * reach / slope)
+        else:
+            offset, weight = blur.rule(terms[0], variance[:, 0])
+            row, share = zero + offset, jnp.broadcast_to(weight, (reach.shape[0], offset.shape[-1]))
+    if disc is None:
+        many = PlacedLamps(tuple(a + 0 * row for a in light.towards), _beside(light.nearness, row))  # type: ignore[arg-type]
+        return _Samples(many, row, share, (0 * row, 0 * row))
+    one = jnp.ones_like(row)
+    middle, slope = _meeting(
+        *(_miss(cylinder, _moved(light, disc, m * one, 0 * one)[0], row, ends) for m in (-1.0, 0.0, 1.0))
+    )
+    # in angles whose sines are places: a chord's share is even in them
+    quarter = jnp.full_like(middle, jnp.pi / 2)
+    flat = [a.reshape(-1, 1) for a in (jnp.arcsin(middle), quarter, finest / slope)]
+    at, step = _crowded(flat[0], (-flat[1], flat[1]), flat[2])
+    at, step = (a.reshape(row.shape[0], -1) for a in (at, step))
+    each = at.shape[1] // row.shape[1]
+    row, share = (jnp.repeat(a, each, axis=1) for a in (row, share))
+    place, length = jnp.sin(at), jnp.cos(at)
+    lamps = [_moved(light, disc, place, side * length) for side in (0.0, 1.0, -1.0)]
+    closest, *others = (ridge_of(cylinder, lamp, row, *ends)[0] for lamp, _ in lamps)
+    share = share * step * 2 / jnp.pi * length**2 * lamps[0][1]
+    return _Samples(lamps[0][0], row, share, (others[0] - closest, others[1] - closest))
+
+
+def _beside(nearness, row):  # type: ignore[no-untyped-def]
+    return None if nearness is None else nearness + 0 * row
+
+
+def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[jax.Array, jax.Array]) -> jax.Array:
+    """Return by which angle a row misses its half vector, above 0 where that lies higher, rad."""
+    u, miss = ridge_of(cylinder, light, row, *ends)
+    element, lamp, _ = seen_at(cylinder, light, u, row)
+    return jnp.where(lamp[1] + element.view[1] < 0, -miss, miss)
+
+
+def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return where in [-1, 1] an angle is closest to 0, and by how much it changes, from its values at -1, 0 and 1."""
+    slope = (last - first) / 2
+    safe = jnp.where(jnp.abs(slope) > _LEAST, slope, _LEAST)
+    return jnp.clip(-middle / safe, -1, 1), jnp.abs(safe)
+
+
+def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return nodes between the first and the last border that crowd towards a place on a scale, and their weights."""
+    cuts = jnp.concatenate([jnp.arcsinh((at - middle) / scale) for at in (*borders, middle)], axis=1)
+    cuts = jnp.sort(cuts, axis=1)
+    low, high = cuts[:, :-1, None], cuts[:, 1:, None]
+    t = ((low + high) / 2 + (high - low) / 2 * _ACROSS[0]).reshape(cuts.shape[0], -1)
+    step = ((high - low) / 2 * _ACROSS[1]).reshape(t.shape) * scale * jnp.cosh(t)
+    return middle + scale * jnp.sinh(t), step
+
+
+def _moved(light: PlacedLamps, disc: ArrayLike, place: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:
+    """Return the lamp at a point of its disc, and the point's light over the middle's.
+
+    place: in radii of the disc, in the direction in which the half vector turns along the cylinder. along: in the other.
+    """
+    x, y, z = light.towards
+    across = jnp.maximum(jnp.hypot(x, z), 1e-12)
+    first, second = (z / across, 0 * x, -x / across), (-x * y / across, across, -y * z / across)
+    square = place**2 + along**2
+    if light.nearness is None:  # evenly over the disc's solid angle
+        sunk = square * 2 * jnp.sin(disc / 2) ** 2
+        up, aside, length = 1 - sunk, np.sqrt(2) * jnp.sin(disc / 2) * jnp.sqrt(2 - sunk), jnp.ones_like(square)
+    else:  # a flat disc that faces the centre
+        up, aside = jnp.ones_like(square), jnp.tan(disc) * jnp.ones_like(square)
+        length = jnp.sqrt(1 + square * aside**2)
+    lamp = [
+        (up * a + aside * (along * b + place * c)) / length for a, b, c in zip((x, y, z), first, second, strict=True)
+    ]
+    near = None if light.nearness is None else light.nearness / length
+    return PlacedLamps((lamp[0], lamp[1], lamp[2]), near), 1 / length**2
+
+
+def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
+    """Return cosines and angles at pieces of surface."""
+    half, apart = ([a + side * b for a, b in zip(lamp, element.view, strict=True)] for side in (1, -1))
+    normal, tangent = element.normal, element.tangent
+    cos_i, cos_o = (normal[0] * one[0] + normal[2] * one[2] for one in (lamp, element.view))
+    along = tangent[0] * half[0] + tangent[2] * half[2]
+    theta_h = jnp.arctan2(jnp.hypot(along, half[1]), cos_i + cos_o)
+    theta_d = jnp.arctan2(*(jnp.sqrt(sum(a**2 for a in part)) for part in (apart, half)))
+    return Directions(jnp.ones(()), jnp.ones(()), cos_i, cos_o, theta_h, theta_d)
+
+
+def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
+    """Return the kernel at nodes, 1/px or 1/px^2; shift: of a chord's ends, over which it is a mean; None: of a point."""
+    x, u, row = at
+    spread = Spread(variance, variance, jnp.abs(blur.defocus(cylinder.radius, jnp.cos(u))))
+    offset = x - cylinder.surface(u, jnp.zeros(())).x
+    if shift is None:
+        return sum(
+            blur.weights[j]
+            * blur.through_disc(j, spread, lambda across, along: across(offset) * (along(-row) if rows else 1.0))
+            for j in terms
+        )
+    ends = [x - cylinder.surface(u + a[..., None], jnp.zeros(())).x for a in shift]
+    length = ends[0] - ends[1]
+    short = jnp.abs(length) < _SHORT * blur.stds[terms[0]]
+    total = jnp.zeros(())
+    for j in terms:
+        mean = blur.kernel_until(ends[0], j, variance) - blur.kernel_until(ends[1], j, variance)
+        mean = jnp.where(short, blur.kernel(offset, j, variance), mean / jnp.where(short, 1.0, length))
+        total += blur.weights[j] * mean
+    return total
