@@ -125,7 +125,10 @@ METAL = Microfacet(GGX(0.1), 0.9)
     ("do", "words"),
     [
         (lambda: ZernikeOptics(*PARTS, coma=(np.nan, 0)), "coma must lie in [-5, 5] waves rms"),
-        (lambda: ZernikeOptics(*PARTS, coma=(5e-8, 0)), "must be waves rms, not metres, got 5e-08 at most: 5e-08 m are 0.0909"),
+        (
+            lambda: ZernikeOptics(*PARTS, coma=(5e-8, 0)),
+            "must be waves rms, not metres, got 5e-08 at most: 5e-08 m are 0.0909",
+        ),
         (lambda: ZernikeOptics(*PARTS, coma=50), "coma must lie in"),
         (lambda: ZernikeOptics(*PARTS, coma=0.1), "coma must be two numbers"),
         (lambda: ZernikeOptics(*PARTS, defocus=(0.1, 0.1)), "defocus must be a single number"),
@@ -142,7 +145,10 @@ METAL = Microfacet(GGX(0.1), 0.9)
         (lambda: gaussian_sum(LENS), "`picture` takes it"),
         (lambda: matcam.measure(METAL, Rig(Camera(LENS), Sphere(60.0))), "alike in all directions"),
         (lambda: matcam.peak_response(Rig(Camera(LENS), Sphere(60.0)), GGX(0.1), 0.3), "alike in all directions"),
-        (lambda: matcam.forward.highlight_stamps(Camera(LENS), 8, matcam.forward.Highlights(1.0, 0, 0, 1, 1)), "stamps need"),
+        (
+            lambda: matcam.forward.highlight_stamps(Camera(LENS), 8, matcam.forward.Highlights(1.0, 0, 0, 1, 1)),
+            "stamps need",
+        ),
         (lambda: matcam.forward.texture_contrast(Rig(Camera(LENS), Flat()), 0.1, 0.3), "a texture needs a lens"),
         (lambda: matcam.calibrate([], model="zernike"), "model must be one of"),
     ],

@@ -32,6 +32,7 @@ ALL = {"defocus": 0.05, "astigmatism": (0.05, -0.08), "coma": (0.1, 0.06), "tref
 LENS = ZernikeOptics(*PARTS, **ALL)
 MATERIAL = Microfacet(GGX(0.2), 1.0, diffuse=0.3)
 RADIUS = 7.0
+FIELD = {"astigmatism": 0.08, "coma": 0.1, "curvature": 0.05, "spherical": 0.03}
 
 
 def pupil_of(lens):
@@ -94,13 +95,17 @@ def test_colours_have_lenses_and_shifts_of_their_own():
 
 
 @pytest.mark.parametrize(
-    ("angle", "azimuth"),
-    [(1.2, 0.7), pytest.param(0.4, 3.6, marks=pytest.mark.slow), pytest.param(1.2, -1.5, marks=pytest.mark.slow)],
+    ("field", "angle", "azimuth"),
+    [
+        pytest.param({"coma": 0.04}, 0.9, 0.7, id="little"),
+        pytest.param(FIELD, 1.2, 0.7, marks=pytest.mark.slow, id="much"),
+        pytest.param(FIELD, 0.4, 3.6, marks=pytest.mark.slow, id="much, near the axis"),
+    ],
 )
-def test_a_point_off_the_axis_is_spread_by_the_lens_there(angle, azimuth):
+def test_a_point_off_the_axis_is_spread_by_the_lens_there(field, angle, azimuth):
     """A highlight of 0.003 px on a sphere, where the lens over the field says how it is spread."""
     radius = 30.0
-    lens = SeidelOptics(*PARTS, unit=radius, astigmatism=0.08, coma=0.1, curvature=0.05, spherical=0.03)
+    lens = SeidelOptics(*PARTS, unit=radius, **field)
     rig = Rig(Camera(lens, BoxPixel(0.5)), Sphere(radius))
     image = picture(Microfacet(GaussianNDF(1e-4), 1.0, masking=None), rig, angle, azimuth, shape=(61, 61))
     place = radius * np.sin(angle / 2) * np.array([np.cos(azimuth), np.sin(azimuth)])
@@ -112,7 +117,7 @@ def test_a_point_off_the_axis_is_spread_by_the_lens_there(angle, azimuth):
     scale = (found * truth).sum() / (truth**2).sum()
     assert np.abs(found / scale - truth).max() < 1e-4 * truth.max()
     axial = aberrated.seen_by_pixel(pupil_of(lens.at(0.0, 0.0)), 12.0)(x[near] - place[0], y[near] - place[1])
-    assert np.abs(axial - truth).max() > 0.02 * truth.max()
+    assert np.abs(axial - truth).max() > 0.01 * truth.max()
 
 
 @pytest.mark.slow
@@ -121,7 +126,9 @@ def test_over_the_field_a_broad_light_is_the_sum_of_its_parts():
     rig = {"sample": Sphere(30.0)}
     even = SeidelOptics(*PARTS, unit=1e4, coma=0.01, spherical=0.05)
     by_shares = picture(MATERIAL, Rig(Camera(even), **rig), 0.9, 2.2, shape=(64, 66)).values
-    at_once = picture(MATERIAL, Rig(Camera(ZernikeOptics(*PARTS, spherical=0.05)), **rig), 0.9, 2.2, shape=(64, 66)).values
+    at_once = picture(
+        MATERIAL, Rig(Camera(ZernikeOptics(*PARTS, spherical=0.05)), **rig), 0.9, 2.2, shape=(64, 66)
+    ).values
     assert np.abs(by_shares - at_once).max() < 1e-5 * at_once.max()
 
 
@@ -131,7 +138,8 @@ def test_a_cylinder_is_its_lines():
     f = np.linspace(0, 2.2, 300)
     curve = MeasuredOptics(f, np.where(f < f[-1], np.exp(-2 * (np.pi * f * 0.5) ** 2), 0.0))
     exact, by_curve = (
-        picture(MATERIAL, Rig(Camera(one), Cylinder(RADIUS)), 0.9, shape=(3, 25)) for one in (GaussianOptics(0.5), curve)
+        picture(MATERIAL, Rig(Camera(one), Cylinder(RADIUS)), 0.9, shape=(3, 25))
+        for one in (GaussianOptics(0.5), curve)
     )
     assert (exact.attrs["route"], by_curve.attrs["route"]) == ("space", "frequencies")
     np.testing.assert_allclose(by_curve, exact, rtol=0, atol=1e-5 * float(exact.max()))

@@ -1,8 +1,8 @@
-"""Lenses with aberrations by brute force: the pupil's integral for the spread of a point, sums over a sphere's normals for pictures.
+"""Lenses with aberrations by brute force: the pupil's integral for the spread of a point, sums over normals for pictures.
 
-Imports nothing of the package. Zernike terms in polar coordinates (Noll 1976, table I), waves rms. The pupil by Gauss-Legendre on
-its chords: a wave exp(2 pi i p . x) is a product there, so that a whole grid of places is two matrix products. The picture of a
-pixel is the integral of a quintic spline through the spread, which ends at a frequency, over the pixel.
+Imports nothing of the package. Zernike terms in polar coordinates (Noll 1976, table I), waves rms. The pupil by Gauss-Legendre
+on its chords: a wave exp(2 pi i p . x) is a product there, so that a whole grid of places is two matrix products. The picture
+of a pixel is the integral of a quintic spline through the spread, which ends at a frequency, over the pixel.
 """
 
 from typing import NamedTuple
@@ -49,7 +49,7 @@ def _chords():
 
 
 def spread(pupil, x, y):
-    """Light per px^2 at the grid of columns x (n,) and rows y (m,), px upwards: (m, n). Light goes down the wavefront's slope."""
+    """Light per px^2 at columns x (n,) and rows y (m,), px upwards: (m, n). Light goes down the wavefront's slope."""
     px, py, share = _chords()
     half = pupil.cutoff / 2
     pupil_function = share * np.exp(2j * np.pi * waves(pupil, px, py))
@@ -70,7 +70,9 @@ def otf(pupil, fx, fy, nodes=120):
 
     def at(shift):
         along = u + shift
-        return waves(pupil, along * np.cos(turn) - v[:, None] * np.sin(turn), along * np.sin(turn) + v[:, None] * np.cos(turn))
+        return waves(
+            pupil, along * np.cos(turn) - v[:, None] * np.sin(turn), along * np.sin(turn) + v[:, None] * np.cos(turn)
+        )
 
     inner = (np.exp(2j * np.pi * (at(nu) - at(-nu))) * weight).sum(1) * reach
     return (dv * inner).sum() / np.pi
@@ -100,7 +102,9 @@ def sphere_pixels(x, y, lamp, surface, pupil, radius, fine=1):
     node, weight = np.polynomial.legendre.leggauss(240 * fine)
     theta, d_theta = np.pi / 4 * (1 + node), np.pi / 4 * weight
     phi = 2 * np.pi * np.arange(480 * fine) / (480 * fine)
-    normal = np.stack([np.sin(theta)[:, None] * np.cos(phi), np.sin(theta)[:, None] * np.sin(phi), np.cos(theta)[:, None] + 0 * phi])
+    normal = np.stack(
+        [np.sin(theta)[:, None] * np.cos(phi), np.sin(theta)[:, None] * np.sin(phi), np.cos(theta)[:, None] + 0 * phi]
+    )
     cos_i = np.tensordot(np.asarray(lamp), normal, 1)
     view = np.zeros_like(normal)
     view[2] = 1

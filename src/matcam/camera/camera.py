@@ -29,8 +29,8 @@ class Camera(eqx.Module):
     the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the second,
     as pixels record it. A `Camera` is neither optics nor pixel, so that nothing can be blurred twice.
 
-    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel looks different from every
-    angle.
+    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel looks different from
+    every angle.
 
     Args:
         optics: the lens, such as `GaussianOptics(0.5)`.

@@ -92,7 +92,8 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
     if optics.isotropic:
         return np.abs(np.asarray(optics.mtf(frequency)))
     parts = [
-        abs(float(weight)) * np.abs(np.asarray((part.focused if isinstance(part, ZernikeOptics) else part).mtf(frequency)))
+        abs(float(weight))
+        * np.abs(np.asarray((part.focused if isinstance(part, ZernikeOptics) else part).mtf(frequency)))
         for weight, part in optics.components()
     ]
     return np.sum(parts, axis=0)
@@ -202,9 +203,7 @@ def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: in
     return FineRecord(spectrum, fx, fy, (rows, columns), (height, width))
 
 
-def filtered(
-    record: FineRecord, optics: Optics, pixel: PixelResponse, limit: BandLimit, shift: jax.Array
-) -> jax.Array:
+def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: BandLimit, shift: jax.Array) -> jax.Array:
     """Return a fine record as lens and pixel show it, at the same places.
 
     Args:

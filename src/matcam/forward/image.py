@@ -31,7 +31,7 @@ from matcam.forward.integral.discs import disc_fineness, nearer, turned_cylinder
 from matcam.forward.integral.integrals import Scene, Turn, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
-from matcam.forward.picture_lens import PictureLens, picture_lens
+from matcam.forward.picture_lens import PictureLens, picture_lens, varies_over_field
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
@@ -77,8 +77,8 @@ def picture(
         shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
             none.
         error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
-            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak). By frequencies it allows half as large
-            an error of the transfer function, 1e-6 by default.
+            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak). By frequencies it allows half as
+            large an error of the transfer function, 1e-6 by default.
         exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
         seed: seed of the raw picture's noise, a whole number or a JAX key. Default: None, allowed for radiance only.
         time: exposure time of the raw picture, s, in which dark current gathers. Default: 0.
@@ -110,10 +110,8 @@ def picture(
         right, down = (float(checks.within(f"shift[{k}]", one, -1e4, 1e4, "px")) for k, one in enumerate(shift))
         view = view._replace(x=view.x - right, y=view.y + down)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
-    if error is None or view.lens is not None:
-        values = _exact_record(material, view)
-    else:
-        values = _record_within(error, material, view)
+    error = None if view.lens is not None else error
+    values = _exact_record(material, view) if error is None else _record_within(error, material, view)
     quantity, unit = "radiance", "1/sr"
     if raw is not None:
         values, quantity, unit = raw(values), "digital", "DN"
@@ -233,11 +231,11 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
         checked_isotropic(optics, "a cylinder's picture before a near camera or lamp")
         return None
     aimed = None if error is None else error / 2  # of the transfer function: half of it shows at the peak
+    if isinstance(sample, Cylinder) and varies_over_field(optics):
+        raise ArgumentError("a cylinder's picture needs a lens that is the same all over the field: use a Sphere")
     lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
     if lens is None:
         return None
-    if lens.shares is not None and isinstance(sample, Cylinder):
-        raise ArgumentError("a cylinder's picture needs a lens that is the same all over the field: use a Sphere")
     lens.channels(Scene(material, sample, jnp.zeros(())).channels())
     return lens
 

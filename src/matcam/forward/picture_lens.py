@@ -1,13 +1,12 @@
 """What a picture is filtered by: one lens, one for each colour, or several between which the kernel at a place is interpolated.
 
-A lens that differs over the field is taken at a few places (`place_shares.py`). The light is divided into as many shares by smooth
-weights of the place that sends it, each share is filtered by its own lens, and the shares are added: each piece of surface is
-spread by the kernel at its own place.
+A lens that differs over the field is taken at some places (`place_shares.py`). The light is divided into as many shares by
+smooth weights of the place that sends it, each share is filtered by its own lens, and the shares are added: each piece of
+surface is spread by the kernel at its own place.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,16 +23,19 @@ from matcam.core.jax import jax, jnp
 from matcam.forward.band_limited import EXACT, BandLimit, band_limit, concrete, sampling_of
 from matcam.forward.place_shares import PlaceShares
 
-_DEGREES = (2, 4, 6, 8, 10, 13, 16)
+_DEGREES = (3, 6, 9, 12, 16)
 """Of the weights as polynomials of the place: the first of these that is enough."""
-_ENOUGH = 6e-5
+_ENOUGH = 1e-4
 """Error of an interpolated transfer function that no higher degree is taken for."""
-_LEFT_OUT = 2e-4
-"""Length of the part of all values of a transfer function, 60 complex ones, that a sum of fewer may leave out."""
+_LEFT_OUT = 1e-3
+"""Length of the part of all values of a transfer function, 248 complex ones, that a sum of fewer may leave out."""
 _TOLERABLE = 3e-4
 """Largest error of a transfer function with which a picture is made."""
 _RINGS, _ROUND = (0.35, 0.65, 0.85, 1.0), 7
-_FREQUENCIES, _DIRECTIONS = (0.1, 0.25, 0.4, 0.6, 0.8), 12
+_FITTED = (0.05, 0.15, 0.27, 0.39, 0.51, 0.63, 0.75, 0.87), 31
+"""Frequencies, shares of the cutoff, and count of directions by which places are chosen."""
+_CHECKED = (0.1, 0.33, 0.57, 0.81), 13
+"""Others, at which the error is found."""
 
 
 class ColourLens(NamedTuple):
@@ -90,25 +92,33 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         return None if limit is None else PictureLens(camera.pixel, limit, (_colour(optics, None),), None, limit.error)
     if not concrete(camera):
         raise ArgumentError(f"a picture through {type(optics).__name__} cannot be taken inside jax.jit or vmap")
-    coloured = isinstance(optics, ColourOptics)
-    parts = optics.lenses if coloured else (optics,)
+    if isinstance(optics, ColourOptics):
+        parts: tuple[Optics, ...] = optics.lenses
+        shifts: tuple[jax.Array, ...] = optics.shifts
+    else:
+        parts, shifts = (optics,), (jnp.zeros(2),)
     shares, between = _shares_for(parts, radius)
-    colours = tuple(
-        _colour(one, shares, shift)
-        for one, shift in zip(parts, optics.shifts if coloured else (jnp.zeros(2),), strict=True)
-    )
+    colours = tuple(_colour(one, shares, shift) for one, shift in zip(parts, shifts, strict=True))
     limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
     if limit.error > _TOLERABLE:
         raise ArgumentError(
-            f"{type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than a picture is filtered for (an error "
-            f"of {limit.error:.1g}): give a larger f-number, or wider Gaussians"
+            f"{type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than a picture is filtered for (an "
+            f"error of {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
     if shares is not None:
         varying = [one for one in parts if isinstance(one, SeidelOptics)]
-        between += shares.left_over(limit.sigma, _sampled(varying, shares.places))
+        between += shares.left_over(limit.sigma, _sampled(varying, shares.places, _CHECKED))
         if between > _TOLERABLE:
-            raise ArgumentError(f"SeidelOptics varies too much within a few pixels of a sample of {radius:g} px: give a larger unit")
+            raise ArgumentError(
+                f"SeidelOptics varies too much within a few pixels of a sample of {radius:g} px: give a larger unit"
+            )
     return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
+
+
+def varies_over_field(optics: Optics) -> bool:
+    """Tell whether a lens, or that of a colour, differs over the field."""
+    parts = optics.lenses if isinstance(optics, ColourOptics) else (optics,)
+    return any(isinstance(one, SeidelOptics) for one in parts)
 
 
 def _colour(optics: Optics, shares: PlaceShares | None, shift: jax.Array | None = None) -> ColourLens:
@@ -127,11 +137,15 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares 
         return None, 0.0
     turn = 2 * np.pi * (np.arange(_ROUND) + 0.2) / _ROUND
     places = radius * np.concatenate([ring * np.stack([np.cos(turn), np.sin(turn)], -1) for ring in _RINGS])
-    true = _sampled(varying, places)
+    true = _sampled(varying, places, _CHECKED)
+
+    def fitted(places: np.ndarray) -> np.ndarray:
+        return _sampled(varying, places, _FITTED)
+
     error = np.inf
     for degree in _DEGREES:
-        shares = PlaceShares.of(degree, radius, partial(_sampled, varying), _LEFT_OUT)
-        error = float(np.abs(shares.at(places) @ _sampled(varying, shares.places) - true).max())
+        shares = PlaceShares.of(degree, radius, fitted, _LEFT_OUT)
+        error = float(np.abs(shares.at(places) @ _sampled(varying, shares.places, _CHECKED) - true).max())
         if error < _ENOUGH:
             break
     if error > _TOLERABLE:
@@ -142,10 +156,13 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares 
     return shares, error
 
 
-def _sampled(lenses: list[SeidelOptics], places: np.ndarray) -> np.ndarray:
-    """Return transfer functions at frequencies all over their discs, at places (n, 2), px: (n, lenses times frequencies)."""
-    angle = 2 * np.pi * (np.arange(_DIRECTIONS) + 0.3) / _DIRECTIONS
-    share = np.array(_FREQUENCIES)[:, None]
+def _sampled(lenses: list[SeidelOptics], places: np.ndarray, frequencies: tuple[tuple[float, ...], int]) -> np.ndarray:
+    """Return transfer functions at places (n, 2), px: (n, lenses times frequencies).
+
+    frequencies: shares of the cutoff, and count of directions.
+    """
+    angle = 2 * np.pi * (np.arange(frequencies[1]) + 0.3) / frequencies[1]
+    share = np.array(frequencies[0])[:, None]
     end, direction = (np.broadcast_to(a, (share.size, angle.size)).ravel() for a in (np.arccos(share), angle))
     parts = []
     for lens in lenses:

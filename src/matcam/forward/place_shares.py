@@ -1,8 +1,8 @@
 """Light divided into shares by the place of the surface that sends it, each of which meets a lens of its own.
 
-A kernel that is a smooth function of the place is a sum of a few, those of chosen places, with weights that are polynomials in x
-and y. Which places serve best, a pivoted QR decomposition says; the polynomials' coefficients are a least-squares fit to the
-kernels all over the disc that light comes from.
+A kernel that is a smooth function of the place is a sum of a few, those of chosen places, with weights that are polynomials in
+x and y. Which places serve best, a pivoted QR decomposition says. Kernels all over the disc that light comes from are
+polynomials of the place, whose coefficients are sums of the chosen kernels: least squares says which.
 
 The light is known as a record R through a Gaussian of standard deviation s, which has spread it already. What light weighted by
 w would have recorded follows from R, because the Gaussian turns multiplication by x into x + s^2 d/dx:
@@ -51,16 +51,17 @@ class PlaceShares(NamedTuple):
             values: of the kernels at places (n, 2), px: (n, numbers), complex.
             left_out: length of the part of a kernel's values that is left out.
         """
-        unit = _in_disc(2 * degree)
+        unit = _in_disc(degree + 3)
         every = values(side * unit)
         every = np.concatenate([every.real, every.imag], axis=1)
         _, r, order = qr(every.T, mode="economic", pivoting=True)
         chosen = order[: max(1, int(np.sum(np.abs(np.diag(r)) > left_out)))]
         low = np.add.outer(np.arange(degree + 1), np.arange(degree + 1)).ravel() <= degree
-        basis = chebvander2d(*unit.T, [degree, degree])[:, low]
-        weights = np.linalg.lstsq(every[chosen].T, every.T, rcond=None)[0].T
+        basis = chebvander2d(unit[:, 0], unit[:, 1], [degree, degree])[:, low]
+        # the kernels' own polynomials are smooth where weights, of kernels that are nearly alike, need not be
+        polynomials = np.linalg.lstsq(basis, every, rcond=None)[0]
         coefficients = np.zeros((low.size, chosen.size))
-        coefficients[low] = np.linalg.lstsq(basis, weights, rcond=None)[0]
+        coefficients[low] = np.linalg.lstsq(every[chosen].T, polynomials.T, rcond=None)[0].T
         return cls(side, side * unit[chosen], coefficients.reshape(degree + 1, degree + 1, -1))
 
     def at(self, places: np.ndarray) -> np.ndarray:
@@ -74,7 +75,7 @@ class PlaceShares(NamedTuple):
             sigma: standard deviation of the Gaussian that it was recorded through, px.
             values: of the kernels at the chosen places, (shares, numbers).
         """
-        places = _in_disc(2 * self.coefficients.shape[0])
+        places = _in_disc(self.coefficients.shape[0])
         more = [
             np.abs(_evaluated(self._derived(a, ORDER + 1 - a), places) @ values).max()
             / (factorial(a) * factorial(ORDER + 1 - a))
@@ -82,7 +83,9 @@ class PlaceShares(NamedTuple):
         ]
         return float(_STEEPEST * sigma ** (ORDER + 1) * max(more))
 
-    def divided(self, record: Callable[[int, int], jax.Array], x: np.ndarray, y: np.ndarray, sigma: float) -> list[jax.Array]:
+    def divided(
+        self, record: Callable[[int, int], jax.Array], x: np.ndarray, y: np.ndarray, sigma: float
+    ) -> list[jax.Array]:
         """Return the record of each share of the light.
 
         Args:
@@ -106,9 +109,7 @@ class PlaceShares(NamedTuple):
         """Return the weights after a Gaussian has spread them: exp(sigma^2 Laplace / 2) w, to sigma^4."""
         one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
         two = one._derived(2, 0) + one._derived(0, 2)
-        return self._replace(
-            coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two
-        )
+        return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
 
     def _derived(self, along: int, across: int) -> np.ndarray:
         """Return the coefficients of a derivative by px, in the shape of the weights' own."""
@@ -122,7 +123,7 @@ class PlaceShares(NamedTuple):
 
 def _evaluated(coefficients: np.ndarray, unit: np.ndarray) -> np.ndarray:
     degree = coefficients.shape[0] - 1
-    return chebvander2d(*unit.T, [degree, degree]) @ coefficients.reshape((degree + 1) ** 2, -1)
+    return chebvander2d(unit[:, 0], unit[:, 1], [degree, degree]) @ coefficients.reshape((degree + 1) ** 2, -1)
 
 
 def _in_disc(rings: int) -> np.ndarray:

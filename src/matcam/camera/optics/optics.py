@@ -1,8 +1,8 @@
 """The lens: its point spread function, before any pixel has integrated it (docs/model.md 2).
 
 Where a kernel has no closed form, it is the inverse Fourier transform of a transfer function that ends at a known frequency, by
-Gauss-Legendre on panels. Kernels are real, so the positive half of the frequencies is enough; where a lens is isotropic, they are
-even, and cosines are. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
+Gauss-Legendre on panels. Kernels are real, so the positive half of the frequencies is enough; where a lens is isotropic, they
+are even, and cosines are. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
 """
 
 from __future__ import annotations

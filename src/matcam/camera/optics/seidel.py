@@ -81,7 +81,9 @@ class SeidelOptics(VaryingOptics):
         values = [checks.scalar(name, checks.number(name, value)) for name, value in parts]
         self.astigmatism, self.coma, self.curvature = values
         # what holds at the unit is a lens, too: its ranges are checked
-        ZernikeOptics(f_number, wavelength, pixel_pitch, curvature, (astigmatism, 0.0), (coma, 0.0), spherical=spherical)
+        ZernikeOptics(
+            f_number, wavelength, pixel_pitch, curvature, (astigmatism, 0.0), (coma, 0.0), spherical=spherical
+        )
 
     @property
     def focused(self) -> DiffractionOptics:
@@ -118,7 +120,9 @@ class SeidelOptics(VaryingOptics):
         astigmatism = self.astigmatism * (right**2 - up**2), self.astigmatism * 2 * right * up
         coma = self.coma * right, self.coma * up
         none = jnp.zeros(())
-        return jnp.stack(jnp.broadcast_arrays(defocus, *astigmatism, *coma, none, none, self.axial.spherical + 0 * right), -1)
+        return jnp.stack(
+            jnp.broadcast_arrays(defocus, *astigmatism, *coma, none, none, self.axial.spherical + 0 * right), -1
+        )
 
     def band(self) -> float:
         """Return the cutoff, cycles/px."""

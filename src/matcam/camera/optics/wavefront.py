@@ -22,6 +22,7 @@ from matcam.numerics.approximation import POINTS, lagrange_basis
 _LEAST, _PER_PHASE = 20, 1.3
 """Gauss-Legendre nodes along an overlap: these, and as many more for each radian of phase."""
 _AT_ONCE = 128
+_NODES_AT_ONCE = 1 << 20
 _PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # rad
 LARGEST_PHASE = _PHASES[-1]
 """Error of a wavefront, rad, that the quadratures are made for."""
@@ -70,7 +71,7 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
     def at(place: tuple[jax.Array, jax.Array]) -> jax.Array:
         return jnp.exp(2j * jnp.pi * (error + place[0] * at_x + place[1] * at_y)) @ share
 
-    return jax.lax.map(at, (x, y), batch_size=_AT_ONCE)
+    return jax.lax.map(at, (x, y), batch_size=max(1, _NODES_AT_ONCE // error.size))
 
 
 def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
@@ -146,7 +147,10 @@ def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -
     """Return the transfer function at end in [0, pi/2] and any angle, rad, (n,), between the points of a table."""
     fine, round_fine = _fineness(phase)
     flat, width, steps = table.ravel(), table.shape[1], np.arange(POINTS)
-    row, column = end * (fine / (np.pi / 2)) + _BEYOND, jnp.mod(angle, 2 * jnp.pi) * (round_fine / (2 * np.pi)) + _BEYOND
+    row, column = (
+        end * (fine / (np.pi / 2)) + _BEYOND,
+        jnp.mod(angle, 2 * jnp.pi) * (round_fine / (2 * np.pi)) + _BEYOND,
+    )
 
     def at(place: tuple[jax.Array, jax.Array]) -> jax.Array:
         first = [jnp.floor(a).astype(jnp.int32) - (POINTS // 2 - 1) for a in place]

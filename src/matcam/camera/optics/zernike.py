@@ -33,6 +33,7 @@ _MOST_DIRECTLY = 4096
 _TRACED_PHASE = LARGEST_PHASE  # rad; assumed for coefficients that are not known yet
 _LEAST = 1e-5  # waves rms: below it no picture shows an aberration, and metres were meant
 _MOST = 5.0  # waves rms
+_FARTHEST = 200.0  # half periods of the cutoff
 
 
 class ZernikeOptics(Optics):
@@ -137,10 +138,23 @@ class ZernikeOptics(Optics):
         """Return the point spread function, 1/px^2; optics only.
 
         (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2: it is nowhere negative.
+
+        Args:
+            x: distance from the point's image to the right, up to 400 over the cutoff, px; broadcasts with y.
+            y: the same upwards.
+
+        Raises:
+            ArgumentError: a place is not finite, or too far away.
         """
         x, y = jnp.broadcast_arrays(checks.number("x", x), checks.number("y", y))
         scale = self.cutoff / 2
-        sizes = pupil_sizes(self._phase(), reach_of(jnp.hypot(x, y)) * self.band() / 2)
+        reach = reach_of(x, y) * self.band() / 2
+        if reach > _FARTHEST:
+            raise ArgumentError(
+                f"a point spread function is integrated up to {2 * _FARTHEST / self.band():.0f} px from the point, got "
+                f"{reach_of(x, y):g} px"
+            )
+        sizes = pupil_sizes(self._phase(), np.sqrt(2) * reach)
         wave = amplitude(self.terms, scale * x.ravel(), scale * y.ravel(), sizes)
         return (jnp.pi * scale**2 * (wave.real**2 + wave.imag**2)).reshape(x.shape)
 
@@ -235,7 +249,9 @@ def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
     largest = float(np.max(np.abs(terms)))
     if 0 < largest < _LEAST:
         waves = f": {largest:g} m are {largest / float(wavelength):.3g} waves" if is_concrete(wavelength) else ""
-        raise ArgumentError(f"coefficients must be waves rms, not metres, got {largest:g} at most{waves}; give 0 for none")
+        raise ArgumentError(
+            f"coefficients must be waves rms, not metres, got {largest:g} at most{waves}; give 0 for none"
+        )
 
 
 def check_phase(terms: AnyArray) -> None:
