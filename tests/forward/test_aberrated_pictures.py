@@ -97,7 +97,7 @@ def test_colours_have_lenses_and_shifts_of_their_own():
 @pytest.mark.parametrize(
     ("field", "angle", "azimuth"),
     [
-        pytest.param({"coma": 0.04}, 0.9, 0.7, id="little"),
+        pytest.param({"coma": 0.04}, 0.9, 0.7, marks=pytest.mark.slow, id="little"),
         pytest.param(FIELD, 1.2, 0.7, marks=pytest.mark.slow, id="much"),
         pytest.param(FIELD, 0.4, 3.6, marks=pytest.mark.slow, id="much, near the axis"),
     ],

@@ -39,7 +39,7 @@ _CHECKED = (0.1, 0.33, 0.57, 0.81), 13
 
 
 class ColourLens(NamedTuple):
-    """What one colour is filtered by.
+    """Hold what one colour is filtered by.
 
     Attributes:
         lenses: one for each share of the light.
@@ -51,7 +51,7 @@ class ColourLens(NamedTuple):
 
 
 class PictureLens(NamedTuple):
-    """What a fine record is filtered by, and how.
+    """Hold what a fine record is filtered by, and how.
 
     Attributes:
         pixel: response of a pixel.

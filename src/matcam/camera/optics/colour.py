@@ -15,7 +15,7 @@ _FARTHEST = 100.0  # px
 
 
 class ColourOptics(VaryingOptics):
-    """Blur each of three channels by a lens of its own, and shift it by its own.
+    """Blur and shift each of three channels by itself.
 
     `picture` takes it: channel k of the picture is that of lens k. A material of one channel is seen in three colours.
 
@@ -75,12 +75,12 @@ class ColourOptics(VaryingOptics):
 
     @property
     def lenses(self) -> tuple[Optics, Optics, Optics]:
-        """The lenses of the channels."""
+        """Return the lenses of the channels."""
         return self.red, self.green, self.blue
 
     @property
     def shifts(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The channels' shifts, each (right, up), px."""
+        """Return the channels' shifts, each (right, up), px."""
         return self.red_shift, self.green_shift, self.blue_shift
 
     def band(self) -> float:

@@ -86,7 +86,7 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * core.mtf(f) + self.fraction * self.halo.mtf(f)
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo in the plane; optics only."""
+        """Return the transfer function in the plane; optics only."""
         return (1 - self.fraction) * self.core.otf(fx, fy) + self.fraction * self.halo.otf(fx, fy)
 
     @property

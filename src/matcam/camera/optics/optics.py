@@ -226,11 +226,11 @@ class Optics(eqx.Module):
 
     @property
     def isotropic(self) -> bool:
-        """Tell whether it blurs alike in all directions, colours and places, and without shift."""
+        """Tell whether it blurs alike in all directions, colours and places."""
         return True
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the optical transfer function in the plane; the pixel is not in it.
+        """Return the optical transfer function in the plane; optics only.
 
         It is complex where the lens is not isotropic, and `mtf` of the frequency's length where it is.
 

@@ -87,7 +87,7 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def focused(self) -> DiffractionOptics:
-        """The lens without aberrations."""
+        """Return the lens without aberrations."""
         return self.axial.focused
 
     def at(self, x: ArrayLike, y: ArrayLike) -> ZernikeOptics:
