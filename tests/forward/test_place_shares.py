@@ -18,7 +18,7 @@ def kernels(places):
 
 @pytest.fixture(scope="module")
 def shares():
-    return PlaceShares.of(10, SIDE, kernels, 1e-5)
+    return PlaceShares.of(13, SIDE, kernels, 1e-5)
 
 
 def test_few_kernels_serve_for_all(shares):

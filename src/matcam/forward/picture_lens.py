@@ -70,7 +70,7 @@ class PictureLens(NamedTuple):
     def channels(self, material: int) -> int:
         """Return the picture's channels for a material's. ArgumentError where they do not fit."""
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
-            raise ArgumentError(f"ColourOptics has 3 colours, and the material {material} channels: give it 1 or 3")
+            raise ArgumentError(f"the lens has 3 colours, and the material {material} channels: give it 1 or 3")
         return max(material, len(self.colours))
 
 
@@ -102,7 +102,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
     limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
     if limit.error > _TOLERABLE:
         raise ArgumentError(
-            f"{type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than a picture is filtered for (an "
+            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than a picture is filtered for (an "
             f"error of {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
     if shares is not None:
@@ -110,7 +110,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         between += shares.left_over(limit.sigma, _sampled(varying, shares.places, _CHECKED))
         if between > _TOLERABLE:
             raise ArgumentError(
-                f"SeidelOptics varies too much within a few pixels of a sample of {radius:g} px: give a larger unit"
+                f"the lens varies too much within a few pixels of a sample of {radius:g} px: give a larger unit"
             )
     return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
 
@@ -150,7 +150,7 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares 
             break
     if error > _TOLERABLE:
         raise ArgumentError(
-            f"SeidelOptics varies too much over a sample of {radius:g} px: weights of degree {_DEGREES[-1]} leave an "
+            f"the lens varies too much over a sample of {radius:g} px: weights of degree {_DEGREES[-1]} leave an "
             f"error of {error:.1g} of the transfer function; give a larger unit or smaller coefficients"
         )
     return shares, error

@@ -151,8 +151,8 @@ class ZernikeOptics(Optics):
         reach = reach_of(x, y) * self.band() / 2
         if reach > _FARTHEST:
             raise ArgumentError(
-                f"a point spread function is integrated up to {2 * _FARTHEST / self.band():.0f} px from the point, got "
-                f"{reach_of(x, y):g} px"
+                f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the point, which is as far as it is "
+                f"integrated, got {reach_of(x, y):g} px"
             )
         sizes = pupil_sizes(self._phase(), np.sqrt(2) * reach)
         wave = amplitude(self.terms, scale * x.ravel(), scale * y.ravel(), sizes)
