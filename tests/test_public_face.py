@@ -39,9 +39,11 @@ from matcam import (
     NearLamp,
     Rig,
     Schlick,
+    SeidelOptics,
     Sensor,
     Sphere,
     WindowedGaussianPixel,
+    ZernikeOptics,
 )  # fmt: skip
 from matcam.camera import PixelNoise
 from matcam.core.grid import DIMS, brdf_table, merl_grid
@@ -67,6 +69,8 @@ FUNCTIONS = {
     "GaussianOptics.lsf": GaussianOptics(0.5).lsf,
     "HaloOptics.mtf": HaloOptics(GaussianOptics(0.5), 0.01, 9.0).mtf,
     "DiffractionOptics.mtf": DiffractionOptics(8.0, 550e-9, 4e-6).mtf,
+    "ZernikeOptics.mtf": ZernikeOptics(8.0, 550e-9, 4e-6, coma=(0.1, 0.0)).mtf,
+    "ZernikeOptics.psf": lambda x: ZernikeOptics(8.0, 550e-9, 4e-6, coma=(0.1, 0.0)).psf(x, 0.25),
     "DefocusOptics.mtf": DefocusOptics(8.0, 550e-9, 4e-6, 1.5).mtf,
     "MeasuredOptics.mtf": MeasuredOptics(np.linspace(0, 1, 9), np.linspace(1, 0.2, 9)).mtf,
     "BoxPixel.mtf": BoxPixel(0.4).mtf,
@@ -233,6 +237,8 @@ MADE = {
     "HaloOptics": (functools.partial(HaloOptics, GaussianOptics(0.5)), (0.01, 9.0), lambda made: made.mtf(0.2)),
     "DiffractionOptics": (DiffractionOptics, (8.0, 550e-9, 4e-6), lambda made: made.mtf(0.2)),
     "DefocusOptics": (DefocusOptics, (8.0, 550e-9, 4e-6, 1.5), None),
+    "ZernikeOptics": (ZernikeOptics, (8.0, 550e-9, 4e-6, 0.1), None),
+    "SeidelOptics": (SeidelOptics, (8.0, 550e-9, 4e-6, 500.0, 0.01, 0.1, 0.1, 0.05, 0.02), None),
     "BoxPixel": (BoxPixel, (0.5,), lambda made: made.mtf(0.2)),
     "WindowedGaussianPixel": (WindowedGaussianPixel, (0.3, 0.5), lambda made: made.mtf(0.2)),
     "Sensor": (Sensor, (4e-6, 2e4, 2.5, 0.5), lambda made: made.variance(10.0)),

@@ -4,10 +4,13 @@ from .calibration.camera.calibration import calibrate
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
 from .calibration.photograph.linear_image import LinearImage
 from .camera.camera import Camera
+from .camera.optics.colour import ColourOptics
 from .camera.optics.gaussian import GaussianOptics
 from .camera.optics.halo import HaloOptics
 from .camera.optics.measured import MeasuredOptics
 from .camera.optics.pupil import DefocusOptics, DiffractionOptics
+from .camera.optics.seidel import SeidelOptics
+from .camera.optics.zernike import ZernikeOptics
 from .camera.pixel import BoxPixel, WindowedGaussianPixel
 from .camera.sensor import Sensor
 from .core.errors import MatcamError
@@ -42,6 +45,7 @@ __all__ = [
     "Beckmann",
     "BoxPixel",
     "Camera",
+    "ColourOptics",
     "Conductor",
     "Cylinder",
     "DefocusOptics",
@@ -59,9 +63,11 @@ __all__ = [
     "NearLamp",
     "Rig",
     "Schlick",
+    "SeidelOptics",
     "Sensor",
     "Sphere",
     "WindowedGaussianPixel",
+    "ZernikeOptics",
     "batch",
     "calibrate",
     "calibration",

@@ -8,13 +8,16 @@ import pytest
 from matcam import (
     BoxPixel,
     Camera,
+    ColourOptics,
     DefocusOptics,
     DiffractionOptics,
     GaussianOptics,
     HaloOptics,
     MeasuredOptics,
+    SeidelOptics,
     Sensor,
     WindowedGaussianPixel,
+    ZernikeOptics,
 )
 from matcam.camera import Provenance, Uncertainty
 from matcam.camera import profile as profile_schema
@@ -45,6 +48,21 @@ CAMERAS = [
     Camera(
         HaloOptics(HaloOptics(MeasuredOptics([0, 0.2, 0.4, 0.8], [1, 0.7, 0.3, 0]), 0.01, 4.0), 0.002, 150.0),
         uncertainty=Uncertainty.of({"optics.radius_px": 30.0, "optics.core.core.mtf[1]": 0.01}),
+    ),
+    Camera(
+        ZernikeOptics(8, 550e-9, 4.73e-6, 0.05, (0.1, -0.02), (0.03, 0.04), (0.01, 0.0), 0.02),
+        uncertainty=Uncertainty.of({"optics.coma_waves[1]": 0.01}),
+    ),
+    Camera(SeidelOptics(8, 550e-9, 4.73e-6, 900.0, 0.01, 0.1, 0.2, -0.05, 0.03)),
+    Camera(
+        ColourOptics(
+            GaussianOptics(0.5),
+            HaloOptics(ZernikeOptics(8, 550e-9, 4.73e-6, coma=(0.1, 0.0)), 0.01, 9.0),
+            DiffractionOptics(8, 450e-9, 4.73e-6),
+            red_shift=(0.1, 0.0),
+            blue_shift=(-0.2, 0.05),
+        ),
+        uncertainty=Uncertainty.of({"optics.green.core.defocus_waves": 0.01, "optics.red.sigma_px": 0.02}),
     ),
 ]
 
@@ -87,6 +105,19 @@ def test_version_2_is_still_read_and_knows_no_field(tmp_path):
     path.write_text(json.dumps(changed(field=None)))
     with pytest.raises(FileFormatError, match="field field: extra"):
         Camera.load(path)
+
+
+def test_version_3_is_still_read_and_knows_no_aberrations(tmp_path):
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(changed(version=3)))
+    assert repr(Camera.load(path)) == repr(CAMERAS[0])
+    lens = CAMERAS[6].profile()["optics"]
+    for optics in (lens, halo(lens)):
+        path.write_text(json.dumps(changed(version=4, optics=optics)))
+        assert not Camera.load(path).optics.isotropic
+        path.write_text(json.dumps(changed(version=3, optics=optics)))
+        with pytest.raises(FileFormatError, match="field optics"):
+            Camera.load(path)
 
 
 def test_existing_profile_is_not_replaced_unasked(tmp_path):
@@ -140,6 +171,14 @@ def halo(core, fraction=0.1):
     return {"model": "halo", "core": core, "fraction": fraction, "radius_px": 9.0}
 
 
+def zernike(**changes):
+    fields = {
+        "model": "zernike", "f_number": 8.0, "wavelength_m": 5.5e-7, "pixel_pitch_m": 5e-6, "defocus_waves": 0.0,
+        "astigmatism_waves": [0.0, 0.0], "coma_waves": [0.0, 0.0], "trefoil_waves": [0.0, 0.0], "spherical_waves": 0.0,
+    }  # fmt: skip
+    return fields | changes
+
+
 def nested(depth):
     lens = {"model": "gaussian", "sigma_px": 0.5}
     for _ in range(depth):
@@ -150,7 +189,7 @@ def nested(depth):
 @pytest.mark.parametrize(
     ("document", "words"),
     [
-        (changed(version=4), "version 4 is unknown"),
+        (changed(version=5), "version 5 is unknown"),
         (changed(version=3, field=field(unit_px=0.0)), "unit_px must lie in (0, inf) px"),
         (changed(version=3, field=field(k1=[0.1])), "field field.k1"),
         (changed(version=3, field=field(k1=[-0.4, 0.1])), "fold the picture"),
@@ -165,6 +204,10 @@ def nested(depth):
         (changed(optics={"model": "gaussian", "sigma_px": "0.5"}), "field optics.sigma_px"),
         (changed(optics={"model": "gaussian", "sigma": 0.5, "sigma_px": 0.5}), "field optics.sigma: extra"),
         (changed(optics={"model": "lens"}), "field optics"),
+        (changed(version=4, optics=zernike(coma_waves=[0.1])), "field optics.coma_waves"),
+        (changed(version=4, optics=zernike(coma_waves=[1e-8, 0.0])), "must be waves rms, not metres"),
+        (changed(version=4, optics=zernike(spherical_waves=9.0)), "spherical must lie in [-5, 5] waves rms"),
+        (changed(version=4, optics=zernike(defocus_waves=[0.1])), "field optics.defocus_waves"),
         (changed(optics=halo({"model": "gaussian"})), "field optics.core.sigma_px: field required"),
         (changed(optics=halo({"model": "gaussian", "sigma_px": -1.0})), "sigma must lie in (0, inf) px, got -1"),
         (changed(optics=halo({"model": "box", "half_width_px": 0.5})), "field optics.core"),

@@ -29,7 +29,8 @@ class Camera(eqx.Module):
     the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the second,
     as pixels record it. A `Camera` is neither optics nor pixel, so that nothing can be blurred twice.
 
-    Directions are angles to the pixel grid's rows, rad: a square pixel looks different from every angle.
+    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel looks different from
+    every angle.
 
     Args:
         optics: the lens, such as `GaussianOptics(0.5)`.
@@ -98,7 +99,7 @@ class Camera(eqx.Module):
 
         Args:
             x: distance of the point from the pixel's centre along the rows, px; broadcasts with y.
-            y: distance across the rows, px.
+            y: distance across the rows, upwards, px.
 
         Raises:
             ArgumentError: a position is not finite, or a measured MTF has not reached 0.
@@ -139,7 +140,8 @@ class Camera(eqx.Module):
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Return the total transfer function: optics times pixel, signed.
 
-        The pixel's factor is negative beyond 1 / (2 half_width).
+        The pixel's factor is negative beyond 1 / (2 half_width). Of a lens that is not isotropic it is the modulus: what has
+        a phase is `transfer`.
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
@@ -148,14 +150,18 @@ class Camera(eqx.Module):
         Raises:
             ArgumentError: an argument is not finite, or f lies beyond a measured MTF.
         """
-        return effective.transfer_along(self.optics, self.pixel, checks.number("f", f), checks.number("angle", angle))
+        f, angle = checks.number("f", f), checks.number("angle", angle)
+        along = effective.transfer_along(self.optics, self.pixel, f, angle)
+        return along if self.optics.isotropic else jnp.abs(along)
 
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
         """Return the total transfer function in the plane: optics times pixel, signed.
 
+        It is complex where the lens is not isotropic.
+
         Args:
             fx: frequency along the rows, cycles/px; broadcasts with fy.
-            fy: frequency across the rows, cycles/px.
+            fy: frequency across the rows, upwards, cycles/px.
         """
         return effective.transfer(self.optics, self.pixel, fx, fy)
 

@@ -20,7 +20,6 @@ from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse, gaussian_over_interval, mean_over_interval
 from matcam.core.jax import jax, jnp
-from matcam.numerics.lengths import plane_length
 
 _SLIVER = 0.05  # short half width / std
 _THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
@@ -33,6 +32,9 @@ def point(optics: Optics, pixel: PixelResponse, x: jax.Array, y: jax.Array) -> j
     reach, band = fourier.reach_of(jnp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(fourier.panels_for(reach + 1, band))
     turns = fourier.turns_for(reach + 1, band)
+    if not optics.isotropic:  # the pixel stands where the point is not
+        along = partial(transfer_along, optics, pixel)
+        return fourier.directed_plane_kernel(rule, along, -x, -y, turns)
     return fourier.plane_kernel(rule, partial(transfer_along, optics, pixel), x, y, turns)
 
 
@@ -40,6 +42,7 @@ def line(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
     """Return a pixel's reading of a line x px away whose normal is at `angle`, 1/px."""
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
         return square_line(x, angle, pixel.half_width, optics.sigma)
+    x = x if optics.isotropic else -x  # from the line to the pixel
     return fourier.line_kernel(rule_for(optics, x), partial(transfer_along, optics, pixel), x, angle)
 
 
@@ -52,12 +55,13 @@ def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
 
 def transfer(optics: Optics, pixel: PixelResponse, fx: jax.Array, fy: jax.Array) -> jax.Array:
     """Return the total transfer function at (fx, fy) cycles/px."""
-    return optics.mtf(plane_length(fx, fy)) * pixel.mtf(fx) * pixel.mtf(fy)
+    return optics.otf(fx, fy) * pixel.mtf(fx) * pixel.mtf(fy)
 
 
 def transfer_along(optics: Optics, pixel: PixelResponse, f: jax.Array, angle: jax.Array) -> jax.Array:
     """Return the total transfer function at f cycles/px along `angle`."""
-    return optics.mtf(f) * pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
+    lens = optics.mtf(f) if optics.isotropic else optics.otf(f * jnp.cos(angle), f * jnp.sin(angle))
+    return lens * pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
 
 
 def rule_for(optics: Optics, x: jax.Array) -> fourier.Rule:

@@ -1,7 +1,7 @@
 """A camera's uncertainty and its profile: the JSON file that ships with a data set, whose format lives here and nowhere else.
 
     {
-      "format": "matcam camera profile",  "version": 3,
+      "format": "matcam camera profile",  "version": 4,
       "optics": {"model": "gaussian", "sigma_px": 0.5},
       "pixel": {"model": "box", "half_width_px": 0.5},
       "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: not stated
@@ -16,9 +16,10 @@ Parameters are named by their place: "optics.sigma_px", "optics.mtf[3]", "optics
 parameters and where they come from travel with the camera, because a kernel without its uncertainty cannot correct anything
 honestly.
 
-Version 2, which knows no field, and version 1, which knows neither "defocus" nor "halo" nor sensors, are read as well. A
-published version never changes: what is new goes into the next one. The published schemas are
-docs/camera-profile-v1.schema.json to -v3. pydantic validates JSON; the parameters live in the camera's objects.
+Version 3, which knows no "zernike", "colour" and "seidel", version 2, which knows no field, and version 1, which knows neither
+"defocus" nor "halo" nor sensors, are read as well. A published version never changes: what is new goes into the next one. The
+published schemas are docs/camera-profile-v1.schema.json to -v4 (`profile_schemas.py`). pydantic validates JSON; the parameters
+live in the camera's objects.
 """
 
 from __future__ import annotations
@@ -30,22 +31,22 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, create_model
+from pydantic import ValidationError
 
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PixelResponse
+from matcam.camera.profile_schemas import FIELD_SCHEMA, MODELS, SENSOR_FIELDS, VERSION, VERSIONS, Part, json_schema
 from matcam.camera.sensor import Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import checked_version, first_problem, read_json
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.core.registry import LENSES, PIXELS
 
 
 class Uncertainty(eqx.Module):
@@ -145,15 +146,25 @@ class Provenance:
     notes: str = ""
 
 
-FORMAT = "matcam camera profile"
-VERSION = 3
-"""The version that is written."""
+__all__ = [
+    "FIELD_SCHEMA",
+    "VERSION",
+    "VERSIONS",
+    "Provenance",
+    "Uncertainty",
+    "as_document",
+    "field_document",
+    "field_from",
+    "from_document",
+    "json_schema",
+    "model_name",
+    "parameters_of",
+    "read_profile",
+    "replace_parameters",
+]
 
+FORMAT = "matcam camera profile"
 _WHAT = "a camera profile"
-_MODELS = {**LENSES, **PIXELS}
-_VERSION_1_LENSES = ("gaussian", "diffraction", "measured")
-_CURVES = ("frequency_cycles_per_px", "mtf")
-_INNER_LENS = "core"
 _NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
 
 # ---------------------------------------------------------------------------------------------------- parameters by name
@@ -161,7 +172,7 @@ _NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
 
 def model_name(module: eqx.Module) -> str:
     """Return the name of the model that a lens or a pixel is."""
-    return next(name for name, cls in _MODELS.items() if type(module) is cls)
+    return next(name for name, cls in MODELS.items() if type(module) is cls)
 
 
 def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
@@ -206,129 +217,6 @@ def _path(module: Any, inner: list[str], field: str) -> Callable[[Any], Any]:
     return operator.attrgetter(".".join(steps))
 
 
-# -------------------------------------------------------------------------------------------------------------- schemas
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class _Part(_Strict):
-    model: str
-
-
-def _part_schema(name: str) -> type[_Part]:
-    """Build the schema of one model of a lens or a pixel from the fields that its class names."""
-    title = "_" + "".join(word.capitalize() for word in name.split())
-    fields: dict[str, Any] = {"model": (Literal[name], ...)}
-    for field in _MODELS[name].profile_fields:
-        kind: Any = list[FiniteFloat] if field in _CURVES else "_Optics" if field == _INNER_LENS else FiniteFloat
-        fields[field] = (kind, ...)
-    return create_model(title, __base__=_Part, __module__=__name__, **fields)
-
-
-_SCHEMAS = {name: _part_schema(name) for name in _MODELS}
-
-
-def _one_of(names: Iterable[str]) -> Any:
-    """Return the type of a part that is any of these models."""
-    return Annotated[Union[tuple(_SCHEMAS[name] for name in names)], Field(discriminator="model")]  # noqa: UP007
-
-
-_Optics: Any = _one_of(LENSES)
-_Pixel: Any = _one_of(PIXELS)
-_Optics1: Any = _one_of(_VERSION_1_LENSES)
-for _schema in _SCHEMAS.values():
-    _schema.model_rebuild(_types_namespace={"_Optics": _Optics})
-
-
-class _Sensor(_Strict):
-    pitch_m: FiniteFloat
-    full_well_electrons: FiniteFloat
-    read_noise_electrons: FiniteFloat
-    gain_dn_per_electron: FiniteFloat
-    bits: int | None
-    cfa: str | None
-    prnu: FiniteFloat
-    dark_current_electrons_per_s: FiniteFloat
-    dark_nonuniformity: FiniteFloat
-    black_level_dn: FiniteFloat
-    pattern_seed: int
-
-
-_SENSOR_FIELDS = {
-    field: re.sub(r"_(m|electrons|dn|dn_per_electron|electrons_per_s)$", "", field) for field in _Sensor.model_fields
-}
-"""Attribute of `Sensor` by its name with the unit."""
-
-
-_Stated = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
-
-
-class _LensField(_Strict):
-    centre_px: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
-    unit_px: FiniteFloat
-    k1: _Stated
-    k2: _Stated
-    growth: _Stated
-    holds_at_px: FiniteFloat
-
-
-FIELD_SCHEMA: Any = _LensField
-"""Schema of a lens's field, for other documents that hold one."""
-
-
-class _Uncertainty(_Strict):
-    parameters: list[str]
-    covariance: list[list[FiniteFloat]]
-
-
-class _Provenance(_Strict):
-    source: str = ""
-    created: str = ""
-    software: str = ""
-    notes: str = ""
-
-
-class _Profile1(_Strict):
-    model_config = ConfigDict(title="_Profile")
-    format: Literal["matcam camera profile"]
-    version: Literal[1]
-    optics: _Optics1
-    pixel: _Pixel
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-class _Profile2(_Strict):
-    format: Literal["matcam camera profile"]
-    version: Literal[2]
-    optics: _Optics
-    pixel: _Pixel
-    sensor: _Sensor | None = None
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-class _Profile3(_Strict):
-    format: Literal["matcam camera profile"]
-    version: Literal[3]
-    optics: _Optics
-    pixel: _Pixel
-    sensor: _Sensor | None = None
-    field: _LensField | None = None
-    uncertainty: _Uncertainty | None
-    provenance: _Provenance
-
-
-VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3}
-
-
-def json_schema(version: int = VERSION) -> dict[str, Any]:
-    """Return the JSON Schema of a version of the profile."""
-    return VERSIONS[version].model_json_schema()
-
-
 # ------------------------------------------------------------------------------------------------- writing and reading
 
 
@@ -347,7 +235,7 @@ def as_document(
         "optics": _as_json(optics),
         "pixel": _as_json(pixel),
         "sensor": sensor
-        and {field: np.asarray(getattr(sensor, attribute)).tolist() for field, attribute in _SENSOR_FIELDS.items()},
+        and {field: np.asarray(getattr(sensor, attribute)).tolist() for field, attribute in SENSOR_FIELDS.items()},
         "field": None if field is None else field_document(field),
         "uncertainty": None
         if uncertainty is None
@@ -376,13 +264,13 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
     try:
         profile: Any = VERSIONS[version].model_validate(document)
     except ValidationError as error:
-        raise FileFormatError(f"{where}: {first_problem(error, _MODELS)}") from None
+        raise FileFormatError(f"{where}: {first_problem(error, MODELS)}") from None
     try:
         return {
             "optics": _from_json(profile.optics),
             "pixel": _from_json(profile.pixel),
             "sensor": getattr(profile, "sensor", None)  # version 1 has none
-            and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in _SENSOR_FIELDS.items()}),
+            and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in SENSOR_FIELDS.items()}),
             "field": None if getattr(profile, "field", None) is None else field_from(profile.field),
             "uncertainty": profile.uncertainty
             and Uncertainty(profile.uncertainty.parameters, np.array(profile.uncertainty.covariance)),
@@ -419,6 +307,6 @@ def _as_json(module: Any) -> dict[str, Any]:
 
 
 def _from_json(part: Any) -> Any:
-    cls = _MODELS[part.model]
+    cls = MODELS[part.model]
     values = (getattr(part, field) for field in cls.profile_fields)
-    return cls(*(_from_json(value) if isinstance(value, _Part) else value for value in values))
+    return cls(*(_from_json(value) if isinstance(value, Part) else value for value in values))

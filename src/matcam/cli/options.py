@@ -19,7 +19,7 @@ from matcam.cli import help_page
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.io import all_or_nothing
 from matcam.core.memory import check_address_space
-from matcam.core.registry import CFAS, FAMILIES, FRESNEL_MODELS, LENSES, MASKING_MODELS, PARAMETRIC_LENSES
+from matcam.core.registry import CFAS, FAMILIES, FITTED_LENSES, FRESNEL_MODELS, MASKING_MODELS, PARAMETRIC_LENSES
 from matcam.files import formats
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ else:  # Literal types, as typer wants them, of the registries' names
         _one_of([*MASKING_MODELS, None]), typer.Option("--masking", help="Masking function G of the material.")
     ]
     FresnelModel = Annotated[_one_of(FRESNEL_MODELS), typer.Option("--fresnel", help=_FRESNEL)]
-    Lens = Annotated[_one_of(LENSES), typer.Option("--model", help="Model of the lens.")]
+    Lens = Annotated[_one_of(FITTED_LENSES), typer.Option("--model", help="Model of the lens.")]
     EdgeLens = Annotated[_one_of(PARAMETRIC_LENSES), typer.Option("--model", help="Lens of the parametric estimate.")]
     Mosaic = Annotated[
         _one_of(CFAS) | None,

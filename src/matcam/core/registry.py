@@ -55,11 +55,17 @@ LENSES: Registry[Any] = Registry(
         "defocus": f"{_OPTICS}.pupil:DefocusOptics",
         "measured": f"{_OPTICS}.measured:MeasuredOptics",
         "halo": f"{_OPTICS}.halo:HaloOptics",
+        "zernike": f"{_OPTICS}.zernike:ZernikeOptics",
+        "colour": f"{_OPTICS}.colour:ColourOptics",
+        "seidel": f"{_OPTICS}.seidel:SeidelOptics",
     }
 )
-"""Every lens; `calibrate` and camera profiles take any of them."""
+"""Every lens; camera profiles take any of them."""
 
-PARAMETRIC_LENSES = LENSES.subset(lambda name: name != "measured")
+FITTED_LENSES = LENSES.subset(lambda name: name not in ("zernike", "colour", "seidel"))
+"""Isotropic lenses, which `calibrate` fits."""
+
+PARAMETRIC_LENSES = FITTED_LENSES.subset(lambda name: name != "measured")
 """Lenses of a few parameters, which can be fitted to a single edge."""
 
 PIXELS: Registry[Any] = Registry(

@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.camera.camera import Camera
+from matcam.camera.optics.varying import VaryingOptics
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
@@ -314,7 +315,8 @@ def inspect_camera(path: str | Path) -> dict[str, Any]:
     """
     camera = Camera.load(path)
     frequency = np.linspace(0, 2, 4001)
-    below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)
+    several = isinstance(camera.optics, VaryingOptics)  # and so has no MTF of its own
+    below = np.flatnonzero([] if several else np.asarray(camera.mtf(frequency)) < 0.5)
     return {
         "parameters": {name: float(value) for name, value in camera.parameters().items()},
         "std": camera.uncertainty.std() if camera.uncertainty else {},

@@ -1,17 +1,18 @@
 """Pictures through a lens that passes no frequency above a limit, without a detour over sums of Gaussians.
 
-A diffraction-limited lens, in focus or not, and a measured curve that has reached 0 end at a frequency B. Their picture is one
-through a narrow Gaussian lens, filtered:
+A diffraction-limited lens, in focus or not, with aberrations or not, and a measured curve that has reached 0 end at a frequency
+B. Their picture is one through a narrow Gaussian and no pixel, filtered:
 
-    picture = F^-1 [ lens(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
+    picture = F^-1 [ lens(f) pixel(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
 
 picture_g is recorded at `per_px` places a pixel, by the operator for Gaussians. What it holds above per_px - B comes back as
-another frequency below B; pixel and Gaussian have left nothing of it. s is so narrow that the filter amplifies little. The
-filter is exact at every frequency that there is, so the lens is the stated one to `error`.
+another frequency below B; the Gaussian has left nothing of it. s is so narrow that the filter amplifies little. The filter is
+exact at every frequency that there is, so lens and pixel are the stated ones to `error`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -22,18 +23,21 @@ from scipy.fft import next_fast_len
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.zernike import ZernikeOptics
 from matcam.camera.pixel import PixelResponse
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.numerics.lengths import plane_length
 
+POINT = 1e-3
+"""Half width, px, of the pixel through which a fine record is made: none, to the operator."""
 _MOST_PER_PX = 8
-_AMPLIFIED = 1.6
+_AMPLIFIED = 3.0
 """Largest factor by which a filter may amplify a frequency: the record's own errors grow by it."""
-_ENOUGH = 1e-6
+EXACT = 1e-6
 """Error of a transfer function that no more places a pixel are taken for."""
 _SIGMAS = np.arange(0.1, 2.0, 0.025)
-_FREQUENCIES = 300
-_REPLICAS = 2
+_FREQUENCIES = 120
+_ANGLES = np.linspace(0, np.pi / 4, 5)
+_REPLICAS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _APART = 160
 """px between the scene and its periodic neighbour: an Airy pattern of f/8 has fallen to 1e-7 of its peak."""
 
@@ -52,51 +56,72 @@ class BandLimit(NamedTuple):
     error: float
 
 
-def band_limit(camera: Camera) -> BandLimit | None:
-    """Return how pictures of a camera are filtered; None where its lens is a sum of Gaussians, or nearer to one."""
-    optics, pixel = (jax.tree.map(_stopped, part) for part in (camera.optics, camera.pixel))
-    if not all(is_concrete(leaf) for leaf in jax.tree.leaves((optics, pixel))):
+def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
+    """Return how pictures of a camera are filtered; None where its lens is a sum of Gaussians, or nearer to one.
+
+    enough: error of a transfer function that no more places a pixel are taken for.
+    """
+    if not concrete(camera):
         return None
+    optics = jax.tree.map(_stopped, camera.optics)
     by_gaussians = float(gaussian_sum(optics).total_error)
     if by_gaussians == 0:
         return None
-    frequency = np.linspace(0, optics.band(), _FREQUENCIES)
-    lens = np.asarray(optics.mtf(frequency))
-    best = _chosen(tuple(frequency.tolist()), tuple(lens.tolist()), _pixel_transfer(pixel, frequency))
+    best = sampling_of([optics], camera.pixel, enough)
     return best if best.error < by_gaussians else None
+
+
+def concrete(camera: Camera) -> bool:
+    """Tell whether the numbers of lens and pixel are known, but for their derivatives."""
+    stopped = jax.tree.map(_stopped, (camera.optics, camera.pixel))
+    return all(is_concrete(leaf) for leaf in jax.tree.leaves(stopped))
+
+
+def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = EXACT) -> BandLimit:
+    """Return how a picture is recorded that each of these lenses filters; their numbers must be known."""
+    stopped: list[Optics] = jax.tree.map(_stopped, list(lenses))
+    pixel = jax.tree.map(_stopped, pixel)
+    frequency = np.linspace(0, max(lens.band() for lens in stopped), _FREQUENCIES)
+    passed = np.max([_at_most(lens, frequency) for lens in stopped], axis=0)
+    along, across = (np.abs(np.asarray(pixel.mtf(frequency * part(_ANGLES[:, None])))) for part in (np.cos, np.sin))
+    return _chosen(tuple(frequency.tolist()), tuple(map(tuple, (passed * along * across).tolist())), enough)
+
+
+def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
+    """Return what a lens lets pass in any direction, at most: aberrations only take away."""
+    if optics.isotropic:
+        return np.abs(np.asarray(optics.mtf(frequency)))
+    parts = [
+        abs(float(weight))
+        * np.abs(np.asarray((part.focused if isinstance(part, ZernikeOptics) else part).mtf(frequency)))
+        for weight, part in optics.components()
+    ]
+    return np.sum(parts, axis=0)
 
 
 def _stopped(leaf: object) -> object:
     return jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf
 
 
-def _pixel_transfer(pixel: PixelResponse, frequency: np.ndarray) -> tuple[tuple[float, ...], ...]:
-    """Return the pixel's transfer at all replicas of the frequencies, for each count of places a pixel."""
-    rows = []
-    for per_px in range(2, _MOST_PER_PX + 1):
-        at = np.concatenate([per_px * k + side * frequency for k in range(1, _REPLICAS + 1) for side in (-1, 1)])
-        rows.append(tuple(np.abs(np.asarray(pixel.mtf(at))).tolist()))
-    return tuple(rows)
-
-
 @lru_cache(maxsize=32)
-def _chosen(
-    frequencies: tuple[float, ...], lens: tuple[float, ...], pixels: tuple[tuple[float, ...], ...]
-) -> BandLimit:
-    """Return the fewest places a pixel whose error is small enough, with the best Gaussian; else the least error."""
-    f, mtf = np.array(frequencies), np.array(lens)
+def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...], enough: float) -> BandLimit:
+    """Return the fewest places a pixel whose error is small enough, with the best Gaussian; else the least error.
+
+    passed: what lens and pixel let pass at these frequencies, along `_ANGLES`.
+    """
+    f, total = np.array(frequencies), np.array(passed)
+    fx, fy = (f * part(_ANGLES[:, None]) for part in (np.cos, np.sin))
     best = BandLimit(_MOST_PER_PX, 0.1, np.inf)
-    for per_px, pixel in zip(range(2, _MOST_PER_PX + 1), pixels, strict=True):
-        at = np.concatenate([per_px * k + side * f for k in range(1, _REPLICAS + 1) for side in (-1, 1)])
+    for per_px in range(2, _MOST_PER_PX + 1):
+        folded = np.array([(per_px * i - fx) ** 2 + (per_px * j - fy) ** 2 for i, j in _REPLICAS])
         for sigma in _SIGMAS:
-            raised = np.abs(mtf) * np.exp(2 * (np.pi * sigma * f) ** 2)
+            raised = total * np.exp(2 * (np.pi * sigma * f) ** 2)
             if raised.max() > _AMPLIFIED:
                 break
-            folded = (np.array(pixel) * np.exp(-2 * (np.pi * sigma * at) ** 2)).reshape(-1, f.size).sum(axis=0)
-            error = float((folded * raised).max())
+            error = float((np.exp(-2 * (np.pi * sigma) ** 2 * folded).sum(axis=0) * raised).max())
             if error < best.error:
                 best = BandLimit(per_px, float(sigma), error)
-        if best.error < _ENOUGH:
+        if best.error < enough:
             break
     return best
 
@@ -107,10 +132,12 @@ class FineLine(NamedTuple):
     Attributes:
         at: px, in steps of a share of a pixel, in the direction of the picture's own.
         first: index of the picture's first pixel.
+        step: 1.0 where they run to the right or upwards, -1.0 where they run the other way.
     """
 
     at: np.ndarray
     first: int
+    step: float
 
 
 def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineLine:
@@ -120,21 +147,84 @@ def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineL
     before, after = max(0.0, step * (pixels[0] - ends[0])), max(0.0, step * (ends[1] - pixels[-1]))
     first = int(np.ceil(before * per_px))
     count = first + (pixels.size - 1) * per_px + int(np.ceil(after * per_px)) + 1
-    return FineLine(pixels[0] + step * (np.arange(count) - first) / per_px, first)
+    return FineLine(pixels[0] + step * (np.arange(count) - first) / per_px, first, step)
 
 
-def filtered(values: jax.Array, optics: Optics, limit: BandLimit) -> jax.Array:
-    """Return a fine record (rows, columns, channels) as the lens shows it, at the same places."""
-    shape = [next_fast_len(n + _APART * limit.per_px, real=True) for n in values.shape[:2]]
-    rows, columns = np.fft.fftfreq(shape[0], 1 / limit.per_px), np.fft.rfftfreq(shape[1], 1 / limit.per_px)
-    f = plane_length(jnp.asarray(rows)[:, None], jnp.asarray(columns))
-    band = optics_band(optics)
-    seen = f <= band
-    inside = jnp.where(seen, f, 0.0)
-    lens = sum((weight * part.mtf(inside) for weight, part in optics.components()), jnp.zeros(()))
-    transfer = jnp.where(seen, lens * jnp.exp(2 * (jnp.pi * limit.sigma * inside) ** 2), 0.0)
-    spectrum = jnp.fft.rfft2(values, shape, axes=(0, 1)) * transfer[..., None]
-    return jnp.fft.irfft2(spectrum, shape, axes=(0, 1))[: values.shape[0], : values.shape[1]]
+class FineRecord(NamedTuple):
+    """Hold the transform of a fine record.
+
+    Attributes:
+        spectrum: (rows, columns, channels), complex, of real values.
+        fx: frequency of its columns, to the right, cycles/px.
+        fy: frequency of its rows, upwards, cycles/px.
+        padded: rows and columns of the record with what parts it from its periodic neighbour.
+        size: rows and columns of the record.
+    """
+
+    spectrum: jax.Array
+    fx: np.ndarray
+    fy: np.ndarray
+    padded: tuple[int, int]
+    size: tuple[int, int]
+
+    def values(self) -> jax.Array:
+        """Return the record itself, (rows, columns, channels)."""
+        return jnp.fft.irfft2(self.spectrum, self.padded, axes=(0, 1))[: self.size[0], : self.size[1]]
+
+    def derivative(self, along: int, across: int) -> jax.Array:
+        """Return the values' derivative, so often by x and by y, 1/px."""
+        factor = (2j * np.pi * self.fx) ** along * (2j * np.pi * self.fy[:, None]) ** across
+        return self._replace(spectrum=self.spectrum * factor[..., None]).values()
+
+    def only(self, channels: slice | list[int]) -> FineRecord:
+        """Return the transform of some channels."""
+        return self._replace(spectrum=self.spectrum[..., channels])
+
+    def of(self, values: jax.Array) -> FineRecord:
+        """Return the transform of other values at the same places."""
+        return self._replace(spectrum=jnp.fft.rfft2(values, self.padded, axes=(0, 1)))
+
+
+def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: int, periodic: bool) -> FineRecord:
+    """Transform a fine record.
+
+    Args:
+        values: the record, (rows, columns, channels).
+        across: its columns.
+        along: its rows.
+        per_px: places along a pixel's side.
+        periodic: True where the record goes on along y for ever, as a cylinder's does.
+    """
+    height, width = values.shape[:2]
+    rows, columns = (next_fast_len(n + _APART * per_px, real=True) for n in (height, width))
+    rows = height if periodic else rows
+    fx, fy = np.fft.rfftfreq(columns, 1 / per_px) * across.step, np.fft.fftfreq(rows, 1 / per_px) * along.step
+    spectrum = jnp.fft.rfft2(values, (rows, columns), axes=(0, 1))
+    return FineRecord(spectrum, fx, fy, (rows, columns), (height, width))
+
+
+def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: BandLimit, shift: jax.Array) -> jax.Array:
+    """Return a fine record as lens and pixel show it, at the same places.
+
+    Args:
+        record: the record's transform.
+        optics: the lens.
+        pixel: the pixel.
+        limit: how the record was made.
+        shift: of the picture, (right, up), px.
+
+    Returns:
+        Transform of what is seen of the record's channels.
+    """
+    fx, fy = np.broadcast_arrays(record.fx, record.fy[:, None])
+    rows, columns = np.nonzero(np.hypot(fx, fy) <= optics_band(optics))
+    fx, fy = fx[rows, columns], fy[rows, columns]
+    lens = optics.otf(fx, fy) * jnp.exp(2 * (jnp.pi * limit.sigma) ** 2 * (fx**2 + fy**2))
+    lens = lens * (pixel.mtf(fx) / np.sinc(2 * POINT * fx)) * (pixel.mtf(fy) / np.sinc(2 * POINT * fy))
+    if np.any(np.asarray(jax.lax.stop_gradient(shift))):
+        lens = lens * jnp.exp(-2j * jnp.pi * (fx * shift[0] + fy * shift[1]))
+    passed = record.spectrum[rows, columns] * lens[:, None]
+    return jnp.zeros_like(record.spectrum).at[rows, columns].set(passed)
 
 
 def optics_band(optics: Optics) -> float:

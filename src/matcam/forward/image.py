@@ -17,13 +17,15 @@ import xarray as xr
 from jax.typing import ArrayLike
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
-from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.optics import checked_isotropic
+from matcam.camera.pixel import BoxPixel
 from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
-from matcam.forward.band_limited import BandLimit, band_limit, filtered, fine_line
+from matcam.forward.band_limited import POINT, FineLine, filtered, fine_line, transformed
 from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
 from matcam.forward.integral.cylinder_discs import cylinder_fineness, places_under, record_under_points
 from matcam.forward.integral.cylinder_record import light_at, smooth_places
@@ -31,6 +33,7 @@ from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.integrals import Scene, Turn, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
+from matcam.forward.picture_lens import PictureLens, picture_lens, varies_over_field
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
@@ -76,7 +79,8 @@ def picture(
         shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
             none.
         error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
-            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak). Of no effect by frequencies.
+            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak). By frequencies it allows half as
+            large an error of the transfer function, 1e-6 by default.
         exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
         seed: seed of the raw picture's noise, a whole number or a JAX key. Default: None, allowed for radiance only.
         time: exposure time of the raw picture, s, in which dark current gathers. Default: 0.
@@ -101,17 +105,15 @@ def picture(
         >>> image.dims, image.shape
         (('row', 'column', 'channel'), (3, 5, 1))
     """
-    view = _view(material, rig, (lamp_angle, azimuth), shape)
+    if error is not None:
+        error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
+    view = _view(material, rig, (lamp_angle, azimuth), shape, error)
     if any(shift):
         right, down = (float(checks.within(f"shift[{k}]", one, -1e4, 1e4, "px")) for k, one in enumerate(shift))
         view = view._replace(x=view.x - right, y=view.y + down)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
-    if error is None or view.lens is not None:
-        values = _exact_record(material, view)
-    else:
-        values = _record_within(
-            float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak")), material, view
-        )
+    error = None if view.lens is not None else error
+    values = _exact_record(material, view) if error is None else _record_within(error, material, view)
     quantity, unit = "radiance", "1/sr"
     if raw is not None:
         values, quantity, unit = raw(values), "digital", "DN"
@@ -129,7 +131,7 @@ def picture(
             "lamp_angle": view.lamp_angle,
             "lamp_azimuth": view.azimuth,
             "rig": repr(rig),
-            "kernel_error": kernel_error(rig) if view.lens is None else view.lens.limit.error,
+            "kernel_error": kernel_error(rig) if view.lens is None else view.lens.error,
             "route": "space" if view.lens is None else "frequencies",
         },
     )
@@ -189,18 +191,15 @@ class _View(NamedTuple):
     points: list[LampPoint]
     x: np.ndarray
     y: np.ndarray
-    lens: _Filter | None
-
-
-class _Filter(NamedTuple):
-    """A lens that a fine record is filtered by, and how."""
-
-    optics: Optics
-    limit: BandLimit
+    lens: PictureLens | None
 
 
 def _view(
-    material: Material, rig: Rig, lamp: tuple[ArrayLike, ArrayLike | None], shape: tuple[int, int] | None
+    material: Material,
+    rig: Rig,
+    lamp: tuple[ArrayLike, ArrayLike | None],
+    shape: tuple[int, int] | None,
+    error: float | None = None,
 ) -> _View:
     if not isinstance(material, Material):
         raise ArgumentError(
@@ -210,11 +209,9 @@ def _view(
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Curved):
         raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
-    # a cylinder goes on beyond any picture, and its light with it
-    limit, lens = band_limit(rig.camera) if isinstance(rig.sample, Sphere) else None, None
-    if limit is not None:
-        lens = _Filter(rig.camera.optics, limit)
-        rig = eqx.tree_at(lambda one: one.camera.optics, rig, GaussianOptics(limit.sigma))
+    lens = _lens_of(material, rig, rig.sample, error)
+    if lens is not None:
+        rig = eqx.tree_at(lambda one: one.camera, rig, Camera(GaussianOptics(lens.limit.sigma), BoxPixel(POINT)))
     angle = checked_lamp_angle(lamp[0], rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
     azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
@@ -226,6 +223,23 @@ def _view(
     points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
     return _View(imaging, angle, azimuth, points, x, y, lens)
+
+
+def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:
+    """Return what the picture is filtered by; None where the lens is a sum of Gaussians."""
+    optics = rig.camera.optics
+    # a cylinder goes on beyond any picture, and its light with it: one row is all of them, where all is distant
+    if isinstance(sample, Cylinder) and not (sample.distant and rig.lamp.nearness is None):
+        checked_isotropic(optics, "a cylinder's picture before a near camera or lamp")
+        return None
+    aimed = None if error is None else error / 2  # of the transfer function: half of it shows at the peak
+    if isinstance(sample, Cylinder) and varies_over_field(optics):
+        raise ArgumentError("a cylinder's picture needs a lens that is the same all over the field: use a Sphere")
+    lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
+    if lens is None:
+        return None
+    lens.channels(Scene(material, sample, jnp.zeros(())).channels())
+    return lens
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
@@ -248,25 +262,40 @@ def _exact_record(material: Material, view: _View) -> jax.Array:
     return _record_pixels(material, view, x, y).reshape(view.y.size, view.x.size, -1)
 
 
-def _filtered_record(material: Material, view: _View, lens: _Filter) -> jax.Array:
+def _filtered_record(material: Material, view: _View, lens: PictureLens) -> jax.Array:
     """Record all that sends light at several places a pixel, and filter it as the lens does."""
-    per_px = lens.limit.per_px
+    per_px, endless = lens.limit.per_px, isinstance(view.imaging.sample, Cylinder)
     reach = max(group.scale.reach for group in groups_of(view.imaging.blur, view.imaging.sample))
     side = float(jax.lax.stop_gradient(view.imaging.sample.radius)) + reach
-    across, along = (fine_line(one, -side, side, per_px) for one in (view.x, view.y))
+    across = fine_line(view.x, -side, side, per_px)
+    along = FineLine(view.y[:1], 0, -1.0) if endless else fine_line(view.y, -side, side, per_px)
     x, y = np.meshgrid(across.at, along.at)
-    lit = np.flatnonzero(np.hypot(x, y).ravel() < side)
+    lit = np.flatnonzero((np.abs(x) if endless else np.hypot(x, y)).ravel() < side)
     parts = [
         _record_pixels(material, view, x.ravel()[some], y.ravel()[some])
         for some in np.split(lit, range(_AT_ONCE, lit.size, _AT_ONCE))
     ]
     values = jnp.concatenate(parts)
     whole = jnp.zeros((x.size, values.shape[-1])).at[lit].set(values).reshape(*x.shape, -1)
-    picture = filtered(whole, lens.optics, lens.limit)
+    record = transformed(whole, across, along, per_px, endless)
+    shares = [record]
+    if lens.shares is not None:
+        divided = lens.shares.divided(record.derivative, across.at, along.at, lens.limit.sigma)
+        shares = [record.of(share) for share in divided]
     rows, columns = (
         first + per_px * np.arange(one.size) for first, one in ((along.first, view.y), (across.first, view.x))
     )
-    return picture[rows[:, None], columns]
+    rows = np.zeros_like(rows) if endless else rows
+    seen = []
+    for c, colour in enumerate(lens.colours):
+        # one colour is that of all channels
+        own = slice(None) if len(lens.colours) == 1 else [min(c, values.shape[-1] - 1)]
+        passed = (
+            filtered(share.only(own), one, lens.pixel, lens.limit, colour.shift)
+            for share, one in zip(shares, colour.lenses, strict=True)
+        )
+        seen.append(record._replace(spectrum=sum(passed, jnp.zeros(()))).values()[rows[:, None], columns])
+    return jnp.concatenate(seen, axis=-1)
 
 
 def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray) -> jax.Array:

@@ -17,6 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from matcam.camera.camera import Camera
+from matcam.camera.optics.optics import checked_isotropic
 from matcam.camera.sensor import Sensor
 from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.io import replacing, write_json
@@ -114,6 +115,7 @@ def simulate_capture(
     sphere = rig.sample
     if not isinstance(sphere, Sphere):
         raise ArgumentError(f"a capture can be simulated of a Sphere, not of a {type(sphere).__name__}")
+    checked_isotropic(rig.camera.optics, "a capture, whose outline is an edge by any direction,")
     if not 1 <= plan.exposures <= 12 or not plan.step > 1 or not len(plan.theta_d):
         got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
         raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")

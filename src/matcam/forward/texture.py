@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
+from matcam.camera.optics.optics import checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -185,4 +186,5 @@ def _check_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 def _flat_sample(rig: Rig) -> Flat:
     if not isinstance(rig.sample, Flat):
         raise ArgumentError(f"a texture needs a rig with a Flat sample, got {type(rig.sample).__name__}")
+    checked_isotropic(rig.camera.optics, "a texture")
     return rig.sample

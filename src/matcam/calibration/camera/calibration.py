@@ -26,7 +26,7 @@ from matcam.camera.profile import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.io import plain
-from matcam.core.registry import LENSES
+from matcam.core.registry import FITTED_LENSES
 from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph, open_photograph
 
@@ -184,7 +184,7 @@ def calibrate(
         >>> round(float(found.camera.optics.sigma), 3)
         0.6
     """
-    checks.choice("model", model, tuple(LENSES))
+    checks.choice("model", model, tuple(FITTED_LENSES))
     if half_width is not None:
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     elif model != "gaussian":

@@ -16,7 +16,7 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.optics import Optics, Rule, piecewise_rule
+from matcam.camera.optics.optics import Optics, Rule, checked_isotropic, piecewise_rule
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -122,8 +122,9 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
         terms: Gaussians per component, 8 to 64. Default: 24.
 
     Raises:
-        ArgumentError: `terms` is out of range, or a measured MTF has not reached 0.
+        ArgumentError: `terms` is out of range, a measured MTF has not reached 0, or the lens is not isotropic.
     """
+    checked_isotropic(optics, "a sum of Gaussians, by which tables, fits and predictions see a lens,")
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
     parts = [(weight, _of_one_piece(part, terms)) for weight, part in optics.components()]

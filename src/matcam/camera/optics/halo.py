@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.camera.optics.gaussian import GaussianOptics
-from matcam.camera.optics.optics import Optics, Rule
+from matcam.camera.optics.optics import Optics, Rule, checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -66,15 +66,33 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * self.core.psf(x, y) + self.fraction * self.halo.psf(x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo, 1/px; optics only."""
-        return (1 - self.fraction) * self.core.lsf(x) + self.fraction * self.halo.lsf(x)
+        """Return (1 - fraction) core + fraction halo, 1/px; optics only.
+
+        Raises:
+            ArgumentError: the core is not isotropic; `Camera.lsf` takes an angle.
+        """
+        core = checked_isotropic(self.core, "lsf without an angle")
+        return (1 - self.fraction) * core.lsf(x) + self.fraction * self.halo.lsf(x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return (1 - fraction) core + fraction halo; optics only.
 
         The halo is a spike of standard deviation 1 / (2 pi radius) at frequency 0.
+
+        Raises:
+            ArgumentError: the core is not isotropic; ask `otf`.
         """
-        return (1 - self.fraction) * self.core.mtf(f) + self.fraction * self.halo.mtf(f)
+        core = checked_isotropic(self.core, "mtf without an angle")
+        return (1 - self.fraction) * core.mtf(f) + self.fraction * self.halo.mtf(f)
+
+    def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
+        """Return the transfer function in the plane; optics only."""
+        return (1 - self.fraction) * self.core.otf(fx, fy) + self.fraction * self.halo.otf(fx, fy)
+
+    @property
+    def isotropic(self) -> bool:
+        """Tell whether the core blurs alike in all directions, colours and places."""
+        return self.core.isotropic
 
     def band(self) -> float:
         """Return the core's band, or the halo's where that is wider, cycles/px."""

@@ -1,8 +1,8 @@
 """The lens: its point spread function, before any pixel has integrated it (docs/model.md 2).
 
 Where a kernel has no closed form, it is the inverse Fourier transform of a transfer function that ends at a known frequency, by
-Gauss-Legendre on panels. All transforms are of even functions (zero phase), so cosines and the positive half of the frequencies
-are enough. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
+Gauss-Legendre on panels. Kernels are real, so the positive half of the frequencies is enough; where a lens is isotropic, they
+are even, and cosines are. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.numerics.approximation import nodes_between, nodes_in_panels
+from matcam.numerics.lengths import plane_length
 
 ORDER = 16
 """Nodes to a panel."""
@@ -28,7 +30,13 @@ _POINTS_AT_ONCE = 64
 
 
 Transfer = Callable[[jax.Array, jax.Array], jax.Array]
-Wave = Callable[[jax.Array, jax.Array], jax.Array]
+
+
+class Wave(NamedTuple):
+    """Hold what the real and the imaginary part of a transfer function at f add to a kernel at x."""
+
+    even: Callable[[jax.Array, jax.Array], jax.Array]
+    odd: Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Rule(NamedTuple):
@@ -67,12 +75,12 @@ def reach_of(*positions: jax.Array) -> float:
 
 def line_kernel(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Integrate transfer(f, angle) exp(2 pi i f x) df: the kernel on a line. x px and angle rad broadcast."""
-    return _over_frequencies(_line_wave, rule, transfer, x, angle)
+    return _over_frequencies(_LINE, rule, transfer, x, angle)
 
 
 def step_response(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
     """Integrate the line kernel from -infinity to x."""
-    return 0.5 + _over_frequencies(_step_wave, rule, transfer, x, angle)
+    return 0.5 + _over_frequencies(_STEP, rule, transfer, x, angle)
 
 
 def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
@@ -89,6 +97,15 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
     return _plane_sum(frequency * jnp.cos(angle), frequency * jnp.sin(angle), amplitude, *jnp.broadcast_arrays(x, y))
 
 
+def directed_plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
+    """Integrate a transfer(f, angle) of any real kernel: the kernel in the plane, as `plane_kernel` for even ones."""
+    angle = jnp.arange(2 * turns) * (jnp.pi / 2 / turns)  # half a turn: the other half is its conjugate
+    frequency = jnp.asarray(rule.frequency)[:, None]
+    amplitude = rule.weight[:, None] * frequency * (jnp.pi / turns) * transfer(frequency, angle)
+    waves = frequency * jnp.cos(angle), frequency * jnp.sin(angle)
+    return _directed_plane_sum(*waves, amplitude, *jnp.broadcast_arrays(x, y))
+
+
 def turns_for(reach: float, band: float) -> int:
     """Return the number of angles to a quarter turn that resolve positions out to `reach` px.
 
@@ -97,13 +114,13 @@ def turns_for(reach: float, band: float) -> int:
     return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
 
 
-def _line_wave(f: jax.Array, x: jax.Array) -> jax.Array:
-    return 2 * jnp.cos(2 * jnp.pi * f * x)
-
-
-def _step_wave(f: jax.Array, x: jax.Array) -> jax.Array:
+def _step_even(f: jax.Array, x: jax.Array) -> jax.Array:
     # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
     return 2 * x * jnp.sinc(2 * f * x)
+
+
+_LINE = Wave(lambda f, x: 2 * jnp.cos(2 * jnp.pi * f * x), lambda f, x: -2 * jnp.sin(2 * jnp.pi * f * x))
+_STEP = Wave(_step_even, lambda f, x: jnp.cos(2 * jnp.pi * f * x) / (jnp.pi * f))  # no node lies at f = 0
 
 
 def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
@@ -112,9 +129,14 @@ def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, 
         return _line_sum(wave, frequency, weight * transfer(frequency, angle), x)
 
     def at(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return wave(frequency, pair[0]) @ (weight * transfer(frequency, pair[1]))
+        return _summed(wave, frequency, weight * transfer(frequency, pair[1]), pair[0])
 
     return _at_each(at, *jnp.broadcast_arrays(x, angle))
+
+
+def _summed(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
+    total = wave.even(frequency, x) @ amplitude.real
+    return total + wave.odd(frequency, x) @ amplitude.imag if jnp.iscomplexobj(amplitude) else total
 
 
 # The sums are functions of arrays alone, so that what was compiled for one lens serves the next.
@@ -122,7 +144,7 @@ def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, 
 
 @partial(jax.jit, static_argnums=0)
 def _line_sum(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
-    return _at_each(lambda point: wave(frequency, point[0]) @ amplitude, x)
+    return _at_each(lambda point: _summed(wave, frequency, amplitude, point[0]), x)
 
 
 @jax.jit
@@ -133,13 +155,26 @@ def _plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: jax.Array,
     return _at_each(at, x, y)
 
 
+@jax.jit
+def _directed_plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+    def at(point: tuple[jax.Array, jax.Array]) -> jax.Array:
+        turn = 2 * jnp.pi * (fx * point[0] + fy * point[1])
+        return jnp.sum(jnp.cos(turn) * amplitude.real - jnp.sin(turn) * amplitude.imag)
+
+    return _at_each(at, x, y)
+
+
 def _at_each(function: Callable[[Any], jax.Array], *positions: jax.Array) -> jax.Array:
     flat = tuple(p.ravel() for p in positions)
     return jax.lax.map(function, flat, batch_size=_POINTS_AT_ONCE).reshape(positions[0].shape)
 
 
 class Optics(eqx.Module):
-    """Describe a lens that blurs isotropically and without shift; the pixel is not in it.
+    """Describe a lens; the pixel is not in it.
+
+    Most lenses blur isotropically and without shift: one MTF of one frequency is all of them. Those that do not say so
+    (`isotropic`), and their transfer function `otf` is complex. Places count from the point's image, x to the right and y
+    upwards, as in pictures.
 
     Three kernels are called PSF: the *optical* one (this type), the *pixel response* (`PixelResponse`) and their
     combination, the *effective* one (`Camera`). They are different types so that none can be applied twice.
@@ -189,6 +224,25 @@ class Optics(eqx.Module):
             ArgumentError: f is not finite.
         """
 
+    @property
+    def isotropic(self) -> bool:
+        """Tell whether it blurs alike in all directions, colours and places."""
+        return True
+
+    def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
+        """Return the optical transfer function in the plane; optics only.
+
+        It is complex where the lens is not isotropic, and `mtf` of the frequency's length where it is.
+
+        Args:
+            fx: frequency along the rows, cycles/px; broadcasts with fy.
+            fy: frequency across the rows, upwards, cycles/px.
+
+        Raises:
+            ArgumentError: a frequency is not finite.
+        """
+        return self.mtf(plane_length(checks.number("fx", fx), checks.number("fy", fy)))
+
     @abstractmethod
     def band(self) -> float:
         """Return the frequency above which the MTF is 0 to rounding, cycles/px."""
@@ -216,6 +270,24 @@ class Optics(eqx.Module):
             grade: power by which they crowd towards 0. Default: 1, all of one width.
         """
         return self.rule_on(np.linspace(0, 1, panels + 1) ** grade)
+
+
+def checked_isotropic(optics: Optics, what: str) -> Optics:
+    """Return a lens that is one function of one frequency.
+
+    Args:
+        optics: the lens.
+        what: what needs that, for the message.
+
+    Raises:
+        ArgumentError: it blurs differently by direction, colour or place.
+    """
+    if optics.isotropic:
+        return optics
+    raise ArgumentError(
+        f"{what} needs a lens that blurs alike in all directions, colours and places, not {type(optics).__name__}: "
+        "`picture` takes it; elsewhere give the nearest such lens, as DefocusOptics or a mean MTF in MeasuredOptics"
+    )
 
 
 def lsf_by_quadrature(optics: Optics, x: ArrayLike) -> jax.Array:

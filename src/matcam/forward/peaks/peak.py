@@ -20,7 +20,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.camera.optics.gaussian import GaussianOptics
-from matcam.camera.optics.optics import Rule
+from matcam.camera.optics.optics import Rule, checked_isotropic
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
@@ -69,6 +69,7 @@ def lobe_record(rig: Rig, ndf: MixtureNDF, theta_o: AnyArray, x: AnyArray, y: An
     Returns:
         Relative record, (slices, points), no unit. At offset (0, 0) it is the response at the peak.
     """
+    checked_isotropic(rig.camera.optics, "a prediction")
     theta_o, x, y = (jnp.asarray(a) for a in (theta_o, x, y))
     if not has_discs(rig):
         return _lobe_in_focus(rig, ndf, theta_o, x, y)
@@ -88,6 +89,7 @@ def response_across(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, one_plane: bo
     It is the paper's, towards the limb. one_plane: whether only normals of that plane are there, as on a cylinder. A lamp's
     disc then turns the half vector away from all of them.
     """
+    checked_isotropic(rig.camera.optics, "a prediction")
     if not has_discs(rig):
         return _line_in_focus(rig, ndf, theta_o, np.zeros((theta_o.size, 1)), None)[:, 0]
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.camera import Camera
+from matcam.camera.optics.optics import checked_isotropic
 from matcam.core.errors import FitError
 from matcam.core.jax import jnp
 
@@ -99,6 +100,7 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
     Raises:
         FitError: the pictures are too small for borders of 24 texels.
     """
+    checked_isotropic(camera.optics, "a reconstruction")
     height, width = pictures[0].picture.values.shape
     if min(height, width) < 4 * MARGIN:
         raise FitError(f"pictures of {height} x {width} px are too small: a flat sample needs {4 * MARGIN} px each way")

@@ -1,0 +1,107 @@
+"""A lens for each colour: what glass does to red, green and blue is not the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.varying import VaryingOptics
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax
+
+_FARTHEST = 100.0  # px
+
+
+class ColourOptics(VaryingOptics):
+    """Blur and shift each of three channels by itself.
+
+    `picture` takes it: channel k of the picture is that of lens k. A material of one channel is seen in three colours.
+
+    Args:
+        red: lens of the first channel.
+        green: lens of the second.
+        blue: lens of the third.
+        red_shift: of the first channel's image against the optical axis, (right, up), px: lateral colour, the same all over
+            the picture. Default: none.
+        green_shift: of the second channel's. Default: none.
+        blue_shift: of the third channel's. Default: none.
+
+    Raises:
+        ArgumentError: a lens is none, or has colours itself; a shift is no pair within 100 px.
+
+    Source:
+        None; lateral colour is Kingslake & Johnson, Lens Design Fundamentals, chapter 5.
+
+    Example:
+        >>> lens = matcam.ColourOptics(*(matcam.DiffractionOptics(8.0, 1e-9 * nm, 5e-6) for nm in (620, 540, 460)))
+        >>> float(lens.red.cutoff) < float(lens.blue.cutoff)
+        True
+    """
+
+    red: Optics
+    green: Optics
+    blue: Optics
+    red_shift: jax.Array
+    green_shift: jax.Array
+    blue_shift: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {
+        "red": "red",
+        "green": "green",
+        "blue": "blue",
+        "red_shift_px": "red_shift",
+        "green_shift_px": "green_shift",
+        "blue_shift_px": "blue_shift",
+    }
+
+    def __init__(
+        self,
+        red: Optics,
+        green: Optics,
+        blue: Optics,
+        red_shift: Any = (0.0, 0.0),
+        green_shift: Any = (0.0, 0.0),
+        blue_shift: Any = (0.0, 0.0),
+    ):
+        for name, lens in (("red", red), ("green", green), ("blue", blue)):
+            if not isinstance(lens, Optics) or isinstance(lens, ColourOptics):
+                raise ArgumentError(f"{name} must be Optics of one colour, got {type(lens).__name__}")
+        self.red, self.green, self.blue = red, green, blue
+        self.red_shift = _shift("red_shift", red_shift)
+        self.green_shift = _shift("green_shift", green_shift)
+        self.blue_shift = _shift("blue_shift", blue_shift)
+
+    @property
+    def lenses(self) -> tuple[Optics, Optics, Optics]:
+        """Return the lenses of the channels."""
+        return self.red, self.green, self.blue
+
+    @property
+    def shifts(self) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return the channels' shifts, each (right, up), px."""
+        return self.red_shift, self.green_shift, self.blue_shift
+
+    def band(self) -> float:
+        """Return the highest frequency that any colour passes, cycles/px."""
+        return max(lens.band() for lens in self.lenses)
+
+    def instead(self) -> str:
+        """Return what to ask instead, for a message."""
+        return "ask Camera(optics.red, pixel), .green or .blue"
+
+    def __repr__(self) -> str:
+        names = ("red_shift", "green_shift", "blue_shift")
+        shifts = "".join(
+            f", {name}={shift.tolist() if is_concrete(shift) else shift!s}"
+            for name, shift in zip(names, self.shifts, strict=True)
+        )
+        return f"ColourOptics({self.red!r}, {self.green!r}, {self.blue!r}{shifts})"
+
+
+def _shift(name: str, value: Any) -> jax.Array:
+    shift = checks.within(name, value, -_FARTHEST, _FARTHEST, "px")
+    if shift.shape != (2,):
+        raise ArgumentError(f"{name} must be two numbers (right, up), px, got an array of shape {shift.shape}")
+    return shift

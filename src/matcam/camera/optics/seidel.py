@@ -1,0 +1,148 @@
+"""A lens that differs over the field: Seidel's aberrations, each by a Zernike term that grows from the optical axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import equinox as eqx
+from jax.typing import ArrayLike
+
+from matcam.camera.optics.pupil import DiffractionOptics
+from matcam.camera.optics.varying import VaryingOptics
+from matcam.camera.optics.zernike import ZernikeOptics, check_phase
+from matcam.core import checks
+from matcam.core.jax import jax, jnp
+
+
+class SeidelOptics(VaryingOptics):
+    """Blur by aberrations that grow with the distance from the optical axis.
+
+    At h units from the axis coma is h times, astigmatism and field curvature are h^2 times what is stated, and both point
+    away from the axis; spherical aberration and defocus are the same all over. `at` is the lens at one place. `picture` takes
+    it: each piece of the surface is spread by the lens at its own place.
+
+    Args:
+        f_number: working f-number, no unit, positive.
+        wavelength: of the light, m, 1e-9 to 1e-3.
+        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
+        unit: distance from the optical axis at which the coefficients hold, px, positive: such as half the picture's diagonal.
+        defocus: on the axis, waves rms, as `ZernikeOptics` has it. Default: 0.
+        astigmatism: at `unit`; positive: along the line to the axis, waves rms. Default: 0.
+        coma: at `unit`; positive: the centroid is nearer to the axis than the sharpest part, waves rms. Default: 0.
+        curvature: defocus at `unit` beyond that on the axis, waves rms. Default: 0.
+        spherical: waves rms. Default: 0.
+
+    Raises:
+        ArgumentError: a parameter is out of range or not finite, or coefficients look like metres.
+
+    Source:
+        Born & Wolf, Principles of Optics, 5.3, in Zernike's terms (9.2).
+
+    Example:
+        >>> lens = matcam.SeidelOptics(8.0, 550e-9, 5e-6, unit=400.0, coma=0.2)
+        >>> lens.at(200.0, 0.0).coma.tolist()
+        [0.1, 0.0]
+    """
+
+    axial: ZernikeOptics
+    unit: jax.Array
+    astigmatism: jax.Array
+    coma: jax.Array
+    curvature: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {
+        "f_number": "axial.focused.f_number",
+        "wavelength_m": "axial.focused.wavelength",
+        "pixel_pitch_m": "axial.focused.pixel_pitch",
+        "unit_px": "unit",
+        "defocus_waves": "axial.defocus",
+        "astigmatism_waves": "astigmatism",
+        "coma_waves": "coma",
+        "curvature_waves": "curvature",
+        "spherical_waves": "axial.spherical",
+    }
+
+    def __init__(
+        self,
+        f_number: ArrayLike,
+        wavelength: ArrayLike,
+        pixel_pitch: ArrayLike,
+        unit: ArrayLike,
+        defocus: ArrayLike = 0.0,
+        astigmatism: ArrayLike = 0.0,
+        coma: ArrayLike = 0.0,
+        curvature: ArrayLike = 0.0,
+        spherical: ArrayLike = 0.0,
+    ):
+        self.axial = ZernikeOptics(f_number, wavelength, pixel_pitch, defocus=defocus, spherical=spherical)
+        self.unit = checks.scalar("unit", checks.positive("unit", unit, "px"))
+        parts = (("astigmatism", astigmatism), ("coma", coma), ("curvature", curvature))
+        values = [checks.scalar(name, checks.number(name, value)) for name, value in parts]
+        self.astigmatism, self.coma, self.curvature = values
+        # what holds at the unit is a lens, too: its ranges are checked
+        ZernikeOptics(
+            f_number, wavelength, pixel_pitch, curvature, (astigmatism, 0.0), (coma, 0.0), spherical=spherical
+        )
+
+    @property
+    def focused(self) -> DiffractionOptics:
+        """Return the lens without aberrations."""
+        return self.axial.focused
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> ZernikeOptics:
+        """Return the lens at a place.
+
+        Args:
+            x: place from the optical axis, to the right, px.
+            y: the same upwards, px.
+
+        Raises:
+            ArgumentError: the aberrations are too large there, or a place is not a finite number.
+        """
+        terms = checks.number("x", x), checks.number("y", y)
+        found = self.terms_at(*(checks.scalar(name, one) for name, one in zip("xy", terms, strict=True)))
+        check_phase(found)
+        lens: ZernikeOptics = eqx.tree_at(
+            lambda one: (one.defocus, one.astigmatism, one.coma), self.axial, (found[0], found[1:3], found[3:5])
+        )
+        return lens
+
+    def terms_at(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """Return the coefficients of `ZernikeOptics.terms` at places, (..., 8), waves rms.
+
+        Args:
+            x: places from the optical axis, to the right, px; broadcasts with y.
+            y: the same upwards, px.
+        """
+        right, up = (jnp.asarray(a) / self.unit for a in (x, y))
+        defocus = self.axial.defocus + self.curvature * (right**2 + up**2)
+        astigmatism = self.astigmatism * (right**2 - up**2), self.astigmatism * 2 * right * up
+        coma = self.coma * right, self.coma * up
+        none = jnp.zeros(())
+        return jnp.stack(
+            jnp.broadcast_arrays(defocus, *astigmatism, *coma, none, none, self.axial.spherical + 0 * right), -1
+        )
+
+    def band(self) -> float:
+        """Return the cutoff, cycles/px."""
+        return self.axial.band()
+
+    def instead(self) -> str:
+        """Return what to ask instead, for a message."""
+        return "ask Camera(optics.at(x, y), pixel)"
+
+    def __repr__(self) -> str:
+        lens = self.axial.focused
+        parts = {
+            "f_number": lens.f_number,
+            "wavelength": lens.wavelength,
+            "pixel_pitch": lens.pixel_pitch,
+            "unit": self.unit,
+            "defocus": self.axial.defocus,
+            "astigmatism": self.astigmatism,
+            "coma": self.coma,
+            "curvature": self.curvature,
+            "spherical": self.axial.spherical,
+        }
+        return f"SeidelOptics({', '.join(f'{name}={value!s}' for name, value in parts.items())})"

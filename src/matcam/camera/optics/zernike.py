@@ -1,0 +1,274 @@
+"""A lens with aberrations: defocus, astigmatism, coma, trefoil and spherical aberration, by Zernike's terms.
+
+Axes are those of pictures: x to the right, y upwards. The transfer function is complex and depends on the direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.camera.optics.optics import Optics, Rule, line_kernel, panels_for, reach_of
+from matcam.camera.optics.pupil import DiffractionOptics
+from matcam.camera.optics.wavefront import (
+    LARGEST_PHASE,
+    amplitude,
+    from_table,
+    overlap,
+    overlap_order,
+    overlap_table,
+    phase_of,
+    pupil_sizes,
+    wavefront,
+)
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+
+_MOST_DIRECTLY = 4096
+"""Frequencies up to which each has its own quadrature; more are read between those of a table."""
+_TRACED_PHASE = LARGEST_PHASE  # rad; assumed for coefficients that are not known yet
+_LEAST = 1e-5  # waves rms: below it no picture shows an aberration, and metres were meant
+_MOST = 5.0  # waves rms
+_FARTHEST = 200.0  # half periods of the cutoff
+
+
+class ZernikeOptics(Optics):
+    """Blur by diffraction and low aberrations of a circular pupil.
+
+    Coefficients are the rms of their terms over the pupil, in waves of `wavelength`: terms of Noll's order and norm, which is
+    also that of OSA and ISO 24157. Light goes down the wavefront's slope: a point's image is shifted by -2 f_number
+    wavelength times it. Piston and tilt are left out, because they do not blur. Coma holds its balancing tilt: the sharpest
+    part of a point's image stays at the point, and its centroid lies at -4 sqrt(2) coma wavelength f_number.
+
+    Args:
+        f_number: working f-number, no unit, positive.
+        wavelength: of the light, m, 1e-9 to 1e-3.
+        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
+        defocus: sqrt(3) (2 rho^2 - 1), Noll's term 4, waves rms. Default: 0. A sensor dz m behind the focus has
+            dz / (16 sqrt(3) f_number^2) m of it.
+        astigmatism: (along x, along the diagonal), sqrt(6) rho^2 (cos 2t, sin 2t), terms 6 and 5, waves rms. Default: none.
+        coma: (x, y), sqrt(8) (3 rho^3 - 2 rho) (cos t, sin t), terms 8 and 7, waves rms. Default: none.
+        trefoil: (x, y), sqrt(8) rho^3 (cos 3t, sin 3t), terms 10 and 9, waves rms. Default: none.
+        spherical: sqrt(5) (6 rho^4 - 6 rho^2 + 1), term 11, waves rms. Default: 0.
+
+    Raises:
+        ArgumentError: a parameter is out of range or not finite, coefficients look like metres, or they are so large together
+            that they bend the wavefront by more than 2.5 waves.
+
+    Source:
+        Noll (1976), J. Opt. Soc. Am. 66, 207; Goodman, Introduction to Fourier Optics, 6.4.
+
+    Example:
+        >>> lens = matcam.ZernikeOptics(8.0, 550e-9, 5e-6, coma=(0.1, 0.0))
+        >>> [round(float(lens.mtf(0.4, angle)), 3) for angle in (0.0, np.pi / 2)]
+        [0.274, 0.396]
+    """
+
+    focused: DiffractionOptics
+    defocus: jax.Array
+    astigmatism: jax.Array
+    coma: jax.Array
+    trefoil: jax.Array
+    spherical: jax.Array
+
+    profile_fields: ClassVar[Mapping[str, str]] = {
+        "f_number": "focused.f_number",
+        "wavelength_m": "focused.wavelength",
+        "pixel_pitch_m": "focused.pixel_pitch",
+        "defocus_waves": "defocus",
+        "astigmatism_waves": "astigmatism",
+        "coma_waves": "coma",
+        "trefoil_waves": "trefoil",
+        "spherical_waves": "spherical",
+    }
+
+    def __init__(
+        self,
+        f_number: ArrayLike,
+        wavelength: ArrayLike,
+        pixel_pitch: ArrayLike,
+        defocus: ArrayLike = 0.0,
+        astigmatism: Any = (0.0, 0.0),
+        coma: Any = (0.0, 0.0),
+        trefoil: Any = (0.0, 0.0),
+        spherical: ArrayLike = 0.0,
+    ):
+        self.focused = DiffractionOptics(f_number, wavelength, pixel_pitch)
+        self.defocus = checks.scalar("defocus", _waves("defocus", defocus))
+        self.astigmatism = _pair("astigmatism", astigmatism)
+        self.coma = _pair("coma", coma)
+        self.trefoil = _pair("trefoil", trefoil)
+        self.spherical = checks.scalar("spherical", _waves("spherical", spherical))
+        _refuse_metres(self.terms, self.focused.wavelength)
+        check_phase(self.terms)
+
+    @property
+    def cutoff(self) -> jax.Array:
+        """Frequency at which the transfer function reaches 0, cycles/px."""
+        return self.focused.cutoff
+
+    @property
+    def isotropic(self) -> bool:
+        """Tell that it does not blur alike in all directions."""
+        return False
+
+    @property
+    def terms(self) -> jax.Array:
+        """Coefficients in one row: defocus, astigmatism, coma, trefoil, spherical; (8,), waves rms."""
+        alone = self.defocus[None], self.spherical[None]
+        return jnp.concatenate([alone[0], self.astigmatism, self.coma, self.trefoil, alone[1]])
+
+    def wavefront(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """Return the wavefront's error at a place of the pupil, waves.
+
+        Args:
+            x: place, in radii of the pupil; broadcasts with y.
+            y: the same upwards.
+
+        Raises:
+            ArgumentError: a place is not finite.
+        """
+        return wavefront(self.terms, *jnp.broadcast_arrays(checks.number("x", x), checks.number("y", y)))
+
+    def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
+        """Return the point spread function, 1/px^2; optics only.
+
+        (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2: it is nowhere negative.
+
+        Args:
+            x: distance from the point's image to the right, up to 400 over the cutoff, px; broadcasts with y.
+            y: the same upwards.
+
+        Raises:
+            ArgumentError: a place is not finite, or too far away.
+        """
+        x, y = jnp.broadcast_arrays(checks.number("x", x), checks.number("y", y))
+        scale = self.cutoff / 2
+        reach = reach_of(x, y) * self.band() / 2
+        if reach > _FARTHEST:
+            raise ArgumentError(
+                f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the point, which is as far as it is "
+                f"integrated, got {reach_of(x, y):g} px"
+            )
+        sizes = pupil_sizes(self._phase(), np.sqrt(2) * reach)
+        wave = amplitude(self.terms, scale * x.ravel(), scale * y.ravel(), sizes)
+        return (jnp.pi * scale**2 * (wave.real**2 + wave.imag**2)).reshape(x.shape)
+
+    def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
+        """Return the line spread function, 1/px, by quadrature; optics only.
+
+        Args:
+            x: distance from the line's image, px; broadcasts with angle.
+            angle: direction of the line's normal, from +x towards +y, rad. Default: 0, a line along y.
+        """
+        x, angle = checks.number("x", x), checks.number("angle", angle)
+        rule = self.frequency_rule(panels_for(reach_of(x), self.band()))
+        return line_kernel(rule, self._along, x, angle)
+
+    def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
+        """Return the modulus of the transfer function; optics only.
+
+        Args:
+            f: frequency, cycles/px; broadcasts with angle.
+            angle: direction of the wave, from +x towards +y, rad. Default: 0.
+        """
+        return jnp.abs(self._along(checks.number("f", f), checks.number("angle", angle)))
+
+    def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
+        """Return the transfer function in the plane, complex; optics only.
+
+        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)): the autocorrelation of the pupil function, by Gauss-Legendre
+        over the overlap of two shifted discs. Its error is below 1e-8, or 1e-6 for many frequencies.
+        """
+        fx, fy = jnp.broadcast_arrays(checks.number("fx", fx), checks.number("fy", fy))
+        nu = jnp.hypot(fx, fy) / self.cutoff
+        inside = nu < 1
+        end = jnp.arccos(jnp.where(inside, nu, 0.5)).ravel()
+        angle = jnp.arctan2(jnp.where(nu > 0, fy, 0.0), jnp.where(nu > 0, fx, 1.0)).ravel()
+        phase = self._phase()
+        if end.size > _MOST_DIRECTLY:
+            values = from_table(overlap_table(self.terms, phase), phase, end, angle)
+        else:
+            values = overlap(self.terms, end, angle, overlap_order(phase))
+        return jnp.where(inside, values.reshape(nu.shape), 0.0)
+
+    def band(self) -> float:
+        """Return the cutoff, cycles/px."""
+        return self.focused.band()
+
+    def rule_on(self, borders: np.ndarray) -> Rule:
+        """Return the perfect lens's rule on finer panels.
+
+        They resolve the phase of the aberrations.
+        """
+        return self.focused.rule_on(np.union1d(borders, np.linspace(0, 1, 2 + self._phase() // 3)))
+
+    def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
+        """Return this lens, with weight 1."""
+        return ((jnp.ones(()), self),)
+
+    def _along(self, f: jax.Array, angle: jax.Array) -> jax.Array:
+        return self.otf(f * jnp.cos(angle), f * jnp.sin(angle))
+
+    def _phase(self) -> int:
+        terms = jax.lax.stop_gradient(self.terms)
+        return phase_of(np.asarray(terms)) if is_concrete(terms) else _TRACED_PHASE
+
+    def __repr__(self) -> str:
+        lens = self.focused
+        names = ("defocus", "astigmatism", "coma", "trefoil", "spherical")
+        shown = {name: getattr(self, name) for name in names}
+        more = "".join(
+            f", {name}={value.tolist() if is_concrete(value) else value!s}"
+            for name, value in shown.items()
+            if not is_concrete(value) or np.any(value)
+        )
+        return (
+            f"ZernikeOptics(f_number={lens.f_number!s}, wavelength={lens.wavelength!s}, "
+            f"pixel_pitch={lens.pixel_pitch!s}{more})"
+        )
+
+
+def _waves(name: str, value: Any) -> jax.Array:
+    return checks.within(name, value, -_MOST, _MOST, "waves rms (50 nm at 550 nm are 0.091)")
+
+
+def _pair(name: str, value: Any) -> jax.Array:
+    if isinstance(value, tuple | list) and not all(map(is_concrete, value)):
+        value = jnp.stack([jnp.asarray(one, dtype=jnp.float64) for one in value])
+    pair = _waves(name, value)
+    if pair.shape != (2,):
+        raise ArgumentError(f"{name} must be two numbers, waves rms, got an array of shape {pair.shape}")
+    return pair
+
+
+def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
+    if not is_concrete(terms):
+        return
+    largest = float(np.max(np.abs(terms)))
+    if 0 < largest < _LEAST:
+        waves = f": {largest:g} m are {largest / float(wavelength):.3g} waves" if is_concrete(wavelength) else ""
+        raise ArgumentError(
+            f"coefficients must be waves rms, not metres, got {largest:g} at most{waves}; give 0 for none"
+        )
+
+
+def check_phase(terms: AnyArray) -> None:
+    """Refuse aberrations beyond what the quadratures are made for.
+
+    Args:
+        terms: of the wavefront, (8,), waves rms.
+
+    Raises:
+        ArgumentError: they may bend the wavefront too far.
+    """
+    phase = phase_of(np.asarray(terms)) if is_concrete(terms) else 0
+    if phase > LARGEST_PHASE:
+        raise ArgumentError(
+            f"the aberrations bend the wavefront by up to {phase / 2 / np.pi:.1f} waves, more than "
+            f"{LARGEST_PHASE / 2 / np.pi:.1f}: for defocus alone use DefocusOptics, else give smaller coefficients"
+        )

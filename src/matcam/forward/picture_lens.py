@@ -1,0 +1,174 @@
+"""What a picture is filtered by: one lens, one for each colour, or several between which the kernel at a place is interpolated.
+
+A lens that differs over the field is taken at some places (`place_shares.py`). The light is divided into as many shares by
+smooth weights of the place that sends it, each share is filtered by its own lens, and the shares are added: each piece of
+surface is spread by the kernel at its own place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.camera.camera import Camera
+from matcam.camera.optics.colour import ColourOptics
+from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.seidel import SeidelOptics
+from matcam.camera.optics.wavefront import overlap, overlap_order, phase_of
+from matcam.camera.optics.zernike import check_phase
+from matcam.camera.pixel import PixelResponse
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import jax, jnp
+from matcam.forward.band_limited import EXACT, BandLimit, band_limit, concrete, sampling_of
+from matcam.forward.place_shares import PlaceShares
+
+_DEGREES = (3, 6, 9, 12, 16)
+"""Of the weights as polynomials of the place: the first of these that is enough."""
+_ENOUGH = 1e-4
+"""Error of an interpolated transfer function that no higher degree is taken for."""
+_LEFT_OUT = 1e-3
+"""Length of the part of all values of a transfer function, 248 complex ones, that a sum of fewer may leave out."""
+_TOLERABLE = 3e-4
+"""Largest error of a transfer function with which a picture is made."""
+_RINGS, _ROUND = (0.35, 0.65, 0.85, 1.0), 7
+_FITTED = (0.05, 0.15, 0.27, 0.39, 0.51, 0.63, 0.75, 0.87), 31
+"""Frequencies, shares of the cutoff, and count of directions by which places are chosen."""
+_CHECKED = (0.1, 0.33, 0.57, 0.81), 13
+"""Others, at which the error is found."""
+
+
+class ColourLens(NamedTuple):
+    """Hold what one colour is filtered by.
+
+    Attributes:
+        lenses: one for each share of the light.
+        shift: of its image, (right, up), px.
+    """
+
+    lenses: tuple[Optics, ...]
+    shift: jax.Array
+
+
+class PictureLens(NamedTuple):
+    """Hold what a fine record is filtered by, and how.
+
+    Attributes:
+        pixel: response of a pixel.
+        limit: how the record is made.
+        colours: one for all channels, or one for each.
+        shares: how light is divided by place; None: it is not.
+        error: largest error of a transfer function.
+    """
+
+    pixel: PixelResponse
+    limit: BandLimit
+    colours: tuple[ColourLens, ...]
+    shares: PlaceShares | None
+    error: float
+
+    def channels(self, material: int) -> int:
+        """Return the picture's channels for a material's. ArgumentError where they do not fit."""
+        if len(self.colours) > 1 and material not in (1, len(self.colours)):
+            raise ArgumentError(f"the lens has 3 colours, and the material {material} channels: give it 1 or 3")
+        return max(material, len(self.colours))
+
+
+def picture_lens(camera: Camera, radius: float, error: float | None = None) -> PictureLens | None:
+    """Return what pictures of a camera are filtered by; None where its lens is a sum of Gaussians, or nearer to one.
+
+    Args:
+        camera: the camera.
+        radius: of the sample's limb, px: no light comes from further away.
+        error: largest error of a transfer function that is aimed at. Default: None, `EXACT`.
+
+    Raises:
+        ArgumentError: a lens that is not isotropic passes frequencies that are too high, varies too much over the sample, or
+            its parameters are not known yet.
+    """
+    optics = camera.optics
+    if optics.isotropic:
+        limit = band_limit(camera, error or EXACT)
+        return None if limit is None else PictureLens(camera.pixel, limit, (_colour(optics, None),), None, limit.error)
+    if not concrete(camera):
+        raise ArgumentError(f"a picture through {type(optics).__name__} cannot be taken inside jax.jit or vmap")
+    if isinstance(optics, ColourOptics):
+        parts: tuple[Optics, ...] = optics.lenses
+        shifts: tuple[jax.Array, ...] = optics.shifts
+    else:
+        parts, shifts = (optics,), (jnp.zeros(2),)
+    shares, between = _shares_for(parts, radius)
+    colours = tuple(_colour(one, shares, shift) for one, shift in zip(parts, shifts, strict=True))
+    limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
+    if limit.error > _TOLERABLE:
+        raise ArgumentError(
+            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than a picture is filtered for (an "
+            f"error of {limit.error:.1g}): give a larger f-number, or wider Gaussians"
+        )
+    if shares is not None:
+        varying = [one for one in parts if isinstance(one, SeidelOptics)]
+        between += shares.left_over(limit.sigma, _sampled(varying, shares.places, _CHECKED))
+        if between > _TOLERABLE:
+            raise ArgumentError(
+                f"the lens varies too much within a few pixels of a sample of {radius:g} px: give a larger unit"
+            )
+    return PictureLens(camera.pixel, limit, colours, shares, limit.error + between)
+
+
+def varies_over_field(optics: Optics) -> bool:
+    """Tell whether a lens, or that of a colour, differs over the field."""
+    parts = optics.lenses if isinstance(optics, ColourOptics) else (optics,)
+    return any(isinstance(one, SeidelOptics) for one in parts)
+
+
+def _colour(optics: Optics, shares: PlaceShares | None, shift: jax.Array | None = None) -> ColourLens:
+    shift = jnp.zeros(2) if shift is None else shift
+    if shares is None:
+        return ColourLens((optics,), shift)
+    if isinstance(optics, SeidelOptics):
+        return ColourLens(tuple(optics.at(*place) for place in shares.places), shift)
+    return ColourLens((optics,) * len(shares.places), shift)
+
+
+def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares | None, float]:
+    """Return the fewest shares between which the lenses are interpolated well enough, and their error."""
+    varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
+    if not varying:
+        return None, 0.0
+    turn = 2 * np.pi * (np.arange(_ROUND) + 0.2) / _ROUND
+    places = radius * np.concatenate([ring * np.stack([np.cos(turn), np.sin(turn)], -1) for ring in _RINGS])
+    true = _sampled(varying, places, _CHECKED)
+
+    def fitted(places: np.ndarray) -> np.ndarray:
+        return _sampled(varying, places, _FITTED)
+
+    error = np.inf
+    for degree in _DEGREES:
+        shares = PlaceShares.of(degree, radius, fitted, _LEFT_OUT)
+        error = float(np.abs(shares.at(places) @ _sampled(varying, shares.places, _CHECKED) - true).max())
+        if error < _ENOUGH:
+            break
+    if error > _TOLERABLE:
+        raise ArgumentError(
+            f"the lens varies too much over a sample of {radius:g} px: weights of degree {_DEGREES[-1]} leave an "
+            f"error of {error:.1g} of the transfer function; give a larger unit or smaller coefficients"
+        )
+    return shares, error
+
+
+def _sampled(lenses: list[SeidelOptics], places: np.ndarray, frequencies: tuple[tuple[float, ...], int]) -> np.ndarray:
+    """Return transfer functions at places (n, 2), px: (n, lenses times frequencies).
+
+    frequencies: shares of the cutoff, and count of directions.
+    """
+    angle = 2 * np.pi * (np.arange(frequencies[1]) + 0.3) / frequencies[1]
+    share = np.array(frequencies[0])[:, None]
+    end, direction = (np.broadcast_to(a, (share.size, angle.size)).ravel() for a in (np.arccos(share), angle))
+    parts = []
+    for lens in lenses:
+        terms = np.asarray(lens.terms_at(places[:, 0], places[:, 1]))
+        for one in terms:
+            check_phase(one)
+        order = overlap_order(max(map(phase_of, terms)))
+        parts.append(np.stack([np.asarray(overlap(one, end, direction, order)) for one in terms]))
+    return np.concatenate(parts, axis=1)

@@ -1,0 +1,133 @@
+"""Light divided into shares by the place of the surface that sends it, each of which meets a lens of its own.
+
+A kernel that is a smooth function of the place is a sum of a few, those of chosen places, with weights that are polynomials in
+x and y. Which places serve best, a pivoted QR decomposition says. Kernels all over the disc that light comes from are
+polynomials of the place, whose coefficients are sums of the chosen kernels: least squares says which.
+
+The light is known as a record R through a Gaussian of standard deviation s, which has spread it already. What light weighted by
+w would have recorded follows from R, because the Gaussian turns multiplication by x into x + s^2 d/dx:
+
+    sum over a, b of  s^(2a + 2b) / (a! b!)  d^(a+b)/dx^a dy^b [exp(s^2 Laplace / 2) w]  d^(a+b) R / dx^a dy^b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import factorial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebvander2d
+from scipy.linalg import qr
+
+from matcam.core.jax import jax, jnp
+
+ORDER = 3
+"""Highest derivative of a weight that is used."""
+_STEEPEST = 3.0
+"""Largest fourth derivative of a Gaussian over its peak, in its standard deviation."""
+
+
+class PlaceShares(NamedTuple):
+    """Weights of places on the sensor.
+
+    Attributes:
+        side: radius of the disc about the optical axis that they serve, px.
+        places: the chosen places, (shares, 2), px.
+        coefficients: of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree + 1, shares).
+    """
+
+    side: float
+    places: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def of(cls, degree: int, side: float, values: Callable[[np.ndarray], np.ndarray], left_out: float) -> PlaceShares:
+        """Choose places and weights.
+
+        Args:
+            degree: of the polynomials.
+            side: radius of the disc, px.
+            values: of the kernels at places (n, 2), px: (n, numbers), complex.
+            left_out: length of the part of a kernel's values that is left out.
+        """
+        unit = _in_disc(degree + 3)
+        every = values(side * unit)
+        every = np.concatenate([every.real, every.imag], axis=1)
+        _, r, order = qr(every.T, mode="economic", pivoting=True)
+        chosen = order[: max(1, int(np.sum(np.abs(np.diag(r)) > left_out)))]
+        low = np.add.outer(np.arange(degree + 1), np.arange(degree + 1)).ravel() <= degree
+        basis = chebvander2d(unit[:, 0], unit[:, 1], [degree, degree])[:, low]
+        # the kernels' own polynomials are smooth where weights, of kernels that are nearly alike, need not be
+        polynomials = np.linalg.lstsq(basis, every, rcond=None)[0]
+        coefficients = np.zeros((low.size, chosen.size))
+        coefficients[low] = np.linalg.lstsq(every[chosen].T, polynomials.T, rcond=None)[0].T
+        return cls(side, side * unit[chosen], coefficients.reshape(degree + 1, degree + 1, -1))
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """Return the weights of places (n, 2) on the sensor, px: (n, shares)."""
+        return _evaluated(self.coefficients, places / self.side)
+
+    def left_over(self, sigma: float, values: np.ndarray) -> float:
+        """Return a bound of what derivatives beyond `ORDER` would add to a record, as a share of its peak.
+
+        Args:
+            sigma: standard deviation of the Gaussian that it was recorded through, px.
+            values: of the kernels at the chosen places, (shares, numbers).
+        """
+        places = _in_disc(self.coefficients.shape[0])
+        more = [
+            np.abs(_evaluated(self._derived(a, ORDER + 1 - a), places) @ values).max()
+            / (factorial(a) * factorial(ORDER + 1 - a))
+            for a in range(ORDER + 2)
+        ]
+        return float(_STEEPEST * sigma ** (ORDER + 1) * max(more))
+
+    def divided(
+        self, record: Callable[[int, int], jax.Array], x: np.ndarray, y: np.ndarray, sigma: float
+    ) -> list[jax.Array]:
+        """Return the record of each share of the light.
+
+        Args:
+            record: returns the derivative of the whole record, so often by x and by y: (rows, columns, channels).
+            x: places of the columns, px.
+            y: places of the rows, px.
+            sigma: standard deviation of the Gaussian that it was recorded through, px.
+        """
+        degree = self.coefficients.shape[0] - 1
+        along, across = (np.polynomial.chebyshev.chebvander(a / self.side, degree) for a in (x, y))
+        shares: list[jax.Array] = [jnp.zeros(())] * len(self.places)
+        for a in range(ORDER + 1):
+            for b in range(ORDER + 1 - a):
+                one = record(a, b) * (sigma ** (2 * a + 2 * b) / (factorial(a) * factorial(b)))
+                weight = self._spread(sigma)._derived(a, b)
+                for k in range(len(shares)):
+                    shares[k] = shares[k] + jnp.asarray(across @ weight[..., k].T @ along.T)[..., None] * one
+        return shares
+
+    def _spread(self, sigma: float) -> PlaceShares:
+        """Return the weights after a Gaussian has spread them: exp(sigma^2 Laplace / 2) w, to sigma^4."""
+        one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
+        two = one._derived(2, 0) + one._derived(0, 2)
+        return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
+
+    def _derived(self, along: int, across: int) -> np.ndarray:
+        """Return the coefficients of a derivative by px, in the shape of the weights' own."""
+        found = self.coefficients
+        for axis, times in ((0, along), (1, across)):
+            if times:
+                found = chebder(found, times, scl=1 / self.side, axis=axis)
+        padding = [(0, n - m) for n, m in zip(self.coefficients.shape, found.shape, strict=True)]
+        return np.pad(found, padding)
+
+
+def _evaluated(coefficients: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    degree = coefficients.shape[0] - 1
+    return chebvander2d(unit[:, 0], unit[:, 1], [degree, degree]) @ coefficients.reshape((degree + 1) ** 2, -1)
+
+
+def _in_disc(rings: int) -> np.ndarray:
+    """Return places in the unit disc, (n, 2), denser towards its border."""
+    radius = np.sin(np.pi / 2 * (np.arange(rings) + 0.5) / rings)
+    turn = 2 * np.pi * (np.arange(2 * rings) + 0.5 * (np.arange(rings)[:, None] % 2)) / (2 * rings)
+    return np.stack([radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn)], axis=-1).reshape(-1, 2)
