@@ -212,7 +212,7 @@ def _cylinder_nodes(x, y, towards, q, w, surface, rig, reach, order):
     u, u_weight = _panels(np.unique(np.clip(inner, first, last)), order)
     scale = stretch / (1 - q * np.cos(u))
     ends = (y + np.array([[-1], [1]]) * reach) / scale
-    cuts = ends[0] + (ends[1] - ends[0]) * np.linspace(0, 1, 17)[:, None]
+    cuts = ends[0] + (ends[1] - ends[0]) * np.linspace(0, 1, 17 if w + q > 0 else 7)[:, None]
     if w + q > 0:  # the half vector turns along the axis, by half of what the sights do
         steps = 2 / (w + q) * surface.alpha * 3.0 ** np.arange(-1, 6)
         about = mirror + np.concatenate([-steps, [0], steps])

@@ -130,12 +130,17 @@ def _line_in_focus(rig: Rig, ndf: MixtureNDF, theta_o: jax.Array, x: AnyArray, a
     std = rig.px_per_rad(theta_o)[0][:, None] * widths
     camera = rig.camera
     if isinstance(camera.optics, GaussianOptics):
-        return jnp.sum(_gaussian_record(rig, jnp.asarray(x)[..., None], std[:, None]) * weights, -1)
+        return _mixed(_gaussian_record(rig, jnp.asarray(x)[..., None], std[:, None]), weights)
     rule = camera.optics.frequency_rule(_FREQUENCY_PANELS, _GRADE)
     uniform = jnp.isinf(std)
     spectra = _gaussian_spectrum(rule, jnp.where(uniform, 1.0, std)[..., None], rig.jitter)
     lines = jnp.einsum("skf,f,spf->spk", spectra, camera.mtf(rule.frequency), _waves(rule, jnp.asarray(x)))
-    return jnp.sum(jnp.where(uniform[:, None], 1.0, lines) * weights, -1)
+    return _mixed(jnp.where(uniform[:, None], 1.0, lines), weights)
+
+
+def _mixed(records: jax.Array, weights: jax.Array) -> jax.Array:
+    """Return the mixture of records, whose weights are the same everywhere, or of each point."""
+    return records @ weights if weights.ndim == 1 else jnp.sum(records * weights, -1)
 
 
 class _SensorLobe(NamedTuple):
