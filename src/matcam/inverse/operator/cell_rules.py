@@ -24,6 +24,7 @@ from matcam.inverse.operator.polar_rule import (
     PIECE,
     Pixels,
     PolarWindow,
+    disc_rule,
     kernel_reach,
     masking_samples,
     padded,
@@ -172,7 +173,8 @@ def _far_rules(radius: float, pixels: Pixels, through: _Blurs) -> _Found:
     blurs, spreads, reaches, terms, discs = through
 
     def rule(n: int, window: PolarWindow):  # type: ignore[no-untyped-def]
-        return polar_rule(jnp.asarray(radius), blurs[n], tuple(spreads[n]), terms, pixels, window, discs[n])
+        program = polar_rule if discs[n] is None else disc_rule
+        return program(jnp.asarray(radius), blurs[n], tuple(spreads[n]), terms, pixels, window, discs[n])
 
     rules = [rule(n, polar_window(radius, pixels, *reach)) for n, reach in enumerate(reaches)]
     shown, weights = rules[0], [rules[0].weight]
