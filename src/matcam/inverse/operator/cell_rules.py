@@ -25,6 +25,7 @@ from matcam.inverse.operator.polar_rule import (
     PIECE,
     Pixels,
     PolarWindow,
+    disc_rule,
     kernel_reach,
     masking_samples,
     on_highlight,
@@ -212,10 +213,9 @@ def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: floa
     """Return a rule on one set of nodes for terms of several widths. finest: as of a `PolarWindow`."""
 
     def rule(n: int, window: PolarWindow, through: _Blurs):  # type: ignore[no-untyped-def]
-        return polar_rule(
-            jnp.asarray(radius), through.blurs[n], tuple(through.spreads[n]), through.terms, pixels, window,
-            through.discs[n],
-        )  # fmt: skip
+        disc, spread = through.discs[n], tuple(through.spreads[n])
+        program = polar_rule if disc is None else disc_rule
+        return program(jnp.asarray(radius), through.blurs[n], spread, through.terms, pixels, window, disc)
 
     count, wide = len(widths[0].blurs), np.min(widths[0].reaches[0]) > _SURROUNDINGS[0]
     own = finest if wide else np.inf
@@ -233,7 +233,8 @@ def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: floa
         widest = widest._replace(finest=finest)
         weights = [sum(np.asarray(transfer(of_width[n], widest)) for of_width in rules) for n in range(count)]  # type: ignore[misc]
         seen = widths[-1].reaches[0]
-        shown = rule(0, widest._replace(reach=seen[0], rows=seen[1]), _standing_for(widths))
+        by = widths[0] if len(widths) == 1 else _standing_for(widths)
+        shown = rule(0, widest._replace(reach=seen[0], rows=seen[1]), by)
     samples = dict(zip(("sample_theta", "sample_cos_psi", "sample_share"), masking_samples(shown), strict=True))
     return _Found(np.asarray(shown.theta), weights, samples)
 

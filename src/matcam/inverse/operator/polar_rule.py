@@ -12,6 +12,7 @@ Nodes in theta are even in asinh(theta / scale). So they meet a lobe a thousandt
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -145,6 +146,7 @@ def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
     return half_width + _REACH * stds
 
 
+@partial(jit_plainly, static=("terms",))
 def polar_rule(
     radius: jax.Array,
     blur: Blur,
@@ -159,19 +161,7 @@ def polar_rule(
     variances: px^2, (pixels,), that the blur's spread adds along x and y. pixels: a multiple of the block, see `padded`.
     disc: of a lamp whose disc is not in the variances.
     """
-    program = _plain_rule if disc is None else _disc_rule
-    return program(radius, blur, variances, terms, pixels, window, disc)
 
-
-def _rule(
-    radius: jax.Array,
-    blur: Blur,
-    variances: tuple,
-    terms: tuple[int, ...],
-    pixels: Pixels,
-    window: PolarWindow,
-    disc: LampDisc | None,
-) -> PolarRule:
     def block(arguments):  # type: ignore[no-untyped-def]
         arguments, disc = arguments
         x, y, theta_d, factor, low, high, reach, rows, finest, var_x, var_y = (a[:, None, None] for a in arguments)
@@ -216,9 +206,8 @@ def _rule(
     return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), jax.lax.map(block, blocks))
 
 
-_plain_rule = jit_plainly(_rule, static=("terms",))
-_disc_rule = jax.jit(_rule, static_argnames=("terms",))
-"""Compiled with all passes: Gaussians of a disc take a third of the time."""
+disc_rule = jax.jit(polar_rule.__wrapped__, static_argnames=("terms",))  # type: ignore[attr-defined]
+"""The same for discs, compiled with all passes: Gaussians of a disc take a third of the time."""
 
 
 def skewed_pair(lean: jax.Array) -> tuple[jax.Array, jax.Array]:
