@@ -1,8 +1,8 @@
 """Lenses with aberrations by brute force: the pupil's integral for the spread of a point, sums over normals for pictures.
 
 Imports nothing of the package. Zernike terms in polar coordinates (Noll 1976, table I), waves rms. The pupil by Gauss-Legendre
-on its chords: a wave exp(2 pi i p . x) is a product there, so that a whole grid of places is two matrix products. The picture
-of a pixel is the integral of a quintic spline through the spread, which ends at a frequency, over the pixel.
+on its chords: a wave exp(2 pi i p . x) is a product there, so that a whole grid of places is sums along chords and over them.
+The picture of a pixel is the integral of a quintic spline through the spread, which ends at a frequency, over the pixel.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,6 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 
 from tests.oracle.sphere_record import _reflected
-
-_NODES = 64
 
 
 class Pupil(NamedTuple):
@@ -38,22 +36,18 @@ def waves(pupil, x, y):
     )
 
 
-def _chords():
-    """Nodes x, y and weights over the unit disc; their sum is 1."""
-    node, weight = np.polynomial.legendre.leggauss(_NODES)
-    t = np.pi / 2 * node
-    x = np.sin(t)[:, None] + 0 * node
-    y = np.cos(t)[:, None] * node
-    share = np.pi / 2 * weight[:, None] * np.cos(t)[:, None] ** 2 * weight / np.pi
-    return x.ravel(), y.ravel(), share.ravel()
-
-
 def spread(pupil, x, y):
     """Light per px^2 at columns x (n,) and rows y (m,), px upwards: (m, n). Light goes down the wavefront's slope."""
-    px, py, share = _chords()
     half = pupil.cutoff / 2
-    pupil_function = share * np.exp(2j * np.pi * waves(pupil, px, py))
-    wave = (np.exp(2j * np.pi * half * np.outer(y, py)) * pupil_function) @ np.exp(2j * np.pi * half * np.outer(px, x))
+    nodes = 40 + int(4 * np.pi * half * max(np.abs(x).max(), np.abs(y).max()) / np.pi)  # two to a period
+    node, weight = np.polynomial.legendre.leggauss(nodes)
+    at_x, share_x = np.sin(np.pi / 2 * node), np.pi / 2 * weight * np.cos(np.pi / 2 * node) ** 2
+    by_chord = np.empty((len(y), nodes), complex)
+    for k, one in enumerate(at_x):
+        at_y = np.sqrt(1 - one**2) * node
+        chord = weight / np.pi * np.exp(2j * np.pi * waves(pupil, one, at_y))
+        by_chord[:, k] = np.exp(2j * np.pi * half * np.outer(y, at_y)) @ chord
+    wave = (by_chord * share_x) @ np.exp(2j * np.pi * half * np.outer(at_x, x))
     return np.pi * half**2 * np.abs(wave) ** 2
 
 
