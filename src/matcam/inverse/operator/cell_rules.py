@@ -248,8 +248,8 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
     frequency = np.geomspace(0.01 / stds.max(), 2 / stds.min(), 2000)
-    transfer_ = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
-    half = frequency[np.argmax(transfer_ < 0.5)]
+    passed = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
+    half = frequency[np.argmax(passed < 0.5)]
     std = max(np.sqrt(np.log(2) / 2) / (np.pi * half), np.max(widths[-1].reaches[0]) / _RESOLVED)
     stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]))
     return widths[0]._replace(blurs=[stand_in])

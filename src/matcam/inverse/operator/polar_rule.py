@@ -109,7 +109,7 @@ class PolarWindow(NamedTuple):
         high: largest angle, rad.
         reach: half side of what the kernel reaches along x, px.
         rows: the same along y.
-        finest: angle above which nodes need not be even, rad; infinite: the window's own.
+        finest: largest angle at which nodes about a highlight become even, rad; infinite: the window's own.
     """
 
     low: np.ndarray
@@ -227,7 +227,7 @@ def stretched(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last.
 
-    finest: angle above which no more than a narrow lobe's tail is seen, rad; infinite: what is seen is narrow.
+    finest: as of a `PolarWindow`; further from the highlight than that, the distance from it.
     """
     # the highlight itself is inside only where the window begins at 0
     scale = jnp.where(low > 0, jnp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
