@@ -15,8 +15,12 @@ _PIXEL = np.polynomial.legendre.leggauss(10)
 _AZIMUTHS = 480
 
 
-def recorded_way(theta_h, theta_d, phi_d, alpha, cutoff, radius=256.0):
-    """Radiance over the light's cosine at the cell's centre, 1/sr at F = 1. cutoff: of the lens, cycles/px."""
+def recorded_way(theta_h, theta_d, phi_d, alpha, cutoff, radius=256.0, kernel=None):
+    """Radiance over the light's cosine at the cell's centre, 1/sr at F = 1.
+
+    cutoff: of the lens, cycles/px. kernel: of another lens, a function of the pixel's offsets from the point, px, that has the
+    pixel in it already (tests/oracle/aberrated.py).
+    """
     edges = np.concatenate([[0], np.geomspace(1e-3, 2, 60), np.arange(2.2, AROUND / np.cos(theta_d), 0.2)]) / radius
     unit, weight = np.polynomial.legendre.leggauss(2)
     size = np.diff(edges)[:, None] / 2
@@ -30,6 +34,10 @@ def recorded_way(theta_h, theta_d, phi_d, alpha, cutoff, radius=256.0):
     tails = sum((np.sqrt(1 + alpha**2 * (1 / np.maximum(c, 1e-9) ** 2 - 1)) - 1) / 2 for c in (cos_i, cos_o))
     light = np.where(lit, d / (1 + tails) / 4 * np.sin(theta) * ring * radius**2, 0.0)
     x, y, cos_here, _ = _seen(theta_h, np.pi - phi_d, theta_d)
+    if kernel is not None:
+        near = np.hypot(n_x - x, n_y - y) * radius < AROUND
+        seen = kernel(radius * (x - n_x[near]), radius * (y - n_y[near]))
+        return float(light[near] @ seen) / cos_here
     total = 0.0
     for at_x, w_x in zip(*_PIXEL, strict=True):
         for at_y, w_y in zip(*_PIXEL, strict=True):

@@ -38,6 +38,7 @@ class CellChoice(NamedTuple):
         azimuth: of the lamp in all pictures, rad.
         elongation: of the material's lobe, no unit.
         pixel_phase: of the real pixels that are looked up, px; None: every cell has pixels of its own.
+        even: whether the lens's kernel is the same mirrored up and down.
     """
 
     cell_value: CellValue
@@ -45,11 +46,12 @@ class CellChoice(NamedTuple):
     azimuth: float = 0.0
     elongation: float = 1.0
     pixel_phase: PixelPhase | None = None
+    even: bool = True
 
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
         """Return the cells of a table of this sample."""
         if self.pixel_phase is None and self.cell_value not in ON_REAL_PIXELS:
-            return table_cells(sample, self.cell_value, self.crop, self.azimuth, lamp_nearness)
+            return table_cells(sample, self.cell_value, self.crop, self.azimuth, lamp_nearness, self.even)
         if not sample.distant or lamp_nearness is not None:
             raise ArgumentError(
                 "a real pixel grid needs a distant camera and lamp: before near ones each cell has a picture of its own"
@@ -66,7 +68,7 @@ class TableCells(NamedTuple):
     """The cells of a table as seen one way: arrays over (theta_d, theta_h, phi_d, point, point).
 
     With the lamp in the sensor's x direction, phi_d + pi is seen where pi - phi_d is, mirrored. So reversing phi_d, and the
-    points along it, gives the other way. With any other lamp phi_d runs all round.
+    points along it, gives the other way. With any other lamp, and through a lens that is not even, phi_d runs all round.
 
     Attributes:
         places: places of those that are seen.
@@ -91,13 +93,14 @@ def table_cells(
     crop: tuple[int, int] | None,
     azimuth: float = 0.0,
     lamp_nearness: jax.Array | None = None,
+    even: bool = True,
 ) -> TableCells:
     """Find the cells of a table in the pictures of a sphere.
 
     The sensor shows `crop`, (height, width), px; None stands for all.
     """
     n_h, n_d, n_p = GRID_SHAPE
-    mirrored = azimuth == 0
+    mirrored = azimuth == 0 and even
     points = np.array(_POINTS[cell_value])
     share = (np.arange(n_h)[:, None] + points) / n_h
     theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
@@ -109,7 +112,7 @@ def table_cells(
     cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
     place = jax.jit(lambda sample, *angles: sample.place(*angles))(sample, theta_h, theta_d, phi_d, lamp_nearness)
     x, y, lamp_angle = (np.asarray(a) for a in place)
-    if not mirrored:
+    if azimuth:
         x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
     seen = (cos_i > 0) & (cos_o > 0)
     if crop is not None:
@@ -118,7 +121,7 @@ def table_cells(
     index = np.flatnonzero(seen)
     picture = np.broadcast_to(np.arange(n_d, dtype=np.int32)[:, None, None, None, None], seen.shape)
     places = RecordPlaces(*(a.ravel()[index] for a in (x, y, lamp_angle, picture)))
-    if not mirrored:
+    if azimuth:
         places = places._replace(azimuth=np.full(index.size, azimuth))
 
     # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
@@ -142,7 +145,6 @@ class RealCells(NamedTuple):
         pixel: (entries,), position of a pixel behind it.
         share: (entries,), share of the cell's value that it makes.
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
-        mirrored: whether the lamp stands in the sensor's x direction.
     """
 
     places: RecordPlaces
@@ -151,7 +153,6 @@ class RealCells(NamedTuple):
     pixel: np.ndarray
     share: np.ndarray
     pixels: np.ndarray
-    mirrored: bool
 
 
 def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCells:
@@ -171,11 +172,10 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
         columns.append((x, y, picture, one.cos_i, cell, before + one.share.indices, one.share.data))
         before += x.size
     x, y, picture, cos_i, cell, pixel, share = (np.concatenate(c) for c in zip(*columns, strict=True))
-    mirrored = chosen.azimuth == 0
-    turns = None if mirrored else np.full(x.size, chosen.azimuth)
+    turns = np.full(x.size, chosen.azimuth) if chosen.azimuth else None
     places = RecordPlaces(x, y, 2 * theta_d[picture], picture, turns)
     pixels = counts.reshape(n_d, n_h, n_p).transpose(1, 0, 2)
-    return RealCells(places, cos_i, cell, pixel, share, pixels, mirrored)
+    return RealCells(places, cos_i, cell, pixel, share, pixels)
 
 
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> jax.Array:

@@ -26,7 +26,8 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.band_limited import POINT, FineLine, filtered, fine_line, transformed
-from matcam.forward.integral.blur import Imaging, groups_of, imaging_of, kernel_error
+from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
+from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import cylinder_fineness, places_under, record_under_points
 from matcam.forward.integral.cylinder_record import light_at, smooth_places
 from matcam.forward.integral.discs import disc_fineness, nearer

@@ -151,7 +151,8 @@ def table_values(
         check_cylinder(rig, _azimuth(rig, azimuth))
         return cylinder_table(material, rig, workspace or default_workspace())
     imaging = imaging_of(rig)
-    chosen = CellChoice(rig.cell_value, rig.crop, _azimuth(rig, azimuth), material.elongation, rig.pixel_phase)
+    even, turn = imaging.blur.even, _azimuth(rig, azimuth)
+    chosen = CellChoice(rig.cell_value, rig.crop, turn, material.elongation, rig.pixel_phase, even)
     if disc_of(rig.lamp) == 0:
         cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())
         return cell_means(record(material, imaging, plan), cells), cells.pixels
@@ -201,7 +202,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> T
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
         lamps = _slice_lamps(imaging, chosen)
-        turned = None if cells.mirrored else np.full(lamps.size, chosen.azimuth)
+        turned = np.full(lamps.size, chosen.azimuth) if chosen.azimuth else None
         return TablePlan(cells, integration_plan(imaging, lamps, cells.places, turned, chosen.elongation))
 
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen

@@ -31,6 +31,7 @@ _NARROWEST, _WIDEST, _RIDGE = 0.3, 100.0, 8e-4
 # Where the MTF is sampled, in units of the band; rows count as the square root of the frequency, because a plane has
 # more high frequencies than low ones
 _GRID = np.concatenate([np.geomspace(3e-4, 0.03, 30), np.linspace(0.04, 1.5, 147), np.linspace(1.55, 8, 80)])
+_DIRECTIONS = 32
 _CHECKED = np.concatenate([np.geomspace(1e-5, 0.01, 200), np.linspace(0.01, 8, 1600)[1:]])
 
 
@@ -124,7 +125,12 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
     Raises:
         ArgumentError: `terms` is out of range, a measured MTF has not reached 0, or the lens is not isotropic.
     """
-    checked_isotropic(optics, "a sum of Gaussians, by which tables, fits and predictions see a lens,")
+    checked_isotropic(optics, "a sum of Gaussians, by which predictions and reconstructions see a lens,")
+    return round_gaussians(optics, terms)
+
+
+def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
+    """Approximate by Gaussians the mean of a lens over all directions; of an isotropic one see `gaussian_sum`."""
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
     parts = [(weight, _of_one_piece(part, terms)) for weight, part in optics.components()]
@@ -151,14 +157,22 @@ def _of_one_piece(optics: Optics, terms: int) -> GaussianSum:
     importance = np.sqrt(_GRID) * _through_full_pixel(frequency)
     spectra = _spectra(frequency, sigmas)
     rows = jnp.concatenate([importance[:, None] * (spectra @ basis), _RIDGE * basis])
-    right = jnp.concatenate([importance * (optics.mtf(frequency) - spectra @ mean), -_RIDGE * mean])
+    right = jnp.concatenate([importance * (_mean_transfer(optics, frequency) - spectra @ mean), -_RIDGE * mean])
     q, r = jnp.linalg.qr(rows)
     weights = mean + basis @ jax.scipy.linalg.solve_triangular(r, q.T @ right)
 
     checked = jnp.asarray(_CHECKED) * band
-    difference = jnp.abs(_spectra(checked, sigmas) @ weights - optics.mtf(checked))
+    difference = jnp.abs(_spectra(checked, sigmas) @ weights - _mean_transfer(optics, checked))
     total = difference * _through_full_pixel(checked)
     return GaussianSum(weights, sigmas, jnp.max(difference), jnp.max(total))
+
+
+def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
+    """Return the mean of a transfer function over all directions, which is real."""
+    if optics.isotropic:
+        return optics.mtf(frequency)
+    f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS  # the other half is its conjugate
+    return jnp.mean(jnp.real(optics.otf(f * np.cos(angle), f * np.sin(angle))), axis=1)
 
 
 def _spectra(f: jax.Array, sigmas: jax.Array) -> jax.Array:

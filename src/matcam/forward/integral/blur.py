@@ -1,11 +1,11 @@
-"""The blur of a rig: a sum of Gaussians, seen through the pixel in closed form, and the lengths that it sets.
+"""The blur of a rig: a sum of Gaussians, seen through the pixel in closed form.
 
-- The lens is a sum of Gaussians (`camera/optics/gaussian_sum.py`). Registration jitter adds its variance to each.
+- The lens is a sum of Gaussians (`camera/optics/gaussian.py`), and what they leave of it (`kernel_rest.py`). Registration
+  jitter adds its variance to each.
 - A lens out of focus spreads light over a disc. A lamp's disc spreads the half vector over an ellipse (docs/model.md 3). Both
   vary over the picture. Records of pixels and cells take the first as a disc, by chords, each a product in x and y. They take
   a lamp's disc as one, too: a record is the mean over its points, and a fit's operator has `lamp_lines`. Elsewhere both are
   Gaussians with the disc's own standard deviation, a quarter of its diameter.
-- Terms of about one width share the lengths of their integral: a `BlurGroup`.
 """
 
 from __future__ import annotations
@@ -18,27 +18,23 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.gaussian import GaussianSum, gaussian_sum
+from matcam.camera.optics.gaussian import GaussianSum, gaussian_sum, round_gaussians
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.forward.integral.kernel_rest import KernelRest, kernel_rest
 from matcam.lamp.lamps import closeness
 from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of, half_of
 from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 STEEPEST = 0.1
 """Least cosine of theta_d by which a lamp's ellipse is stretched: there it is as long as the sample."""
-_ONE_WIDTH = 1.4
-"""Largest ratio of the standard deviations in a group."""
-_SHARP = 0.7
-"""Standard deviation, in half widths of the pixel, below which the pixel's borders show as steps."""
 PIXELS_SHARE = 0.3
 """Share of the pixel's half width that counts as blur of a disc: its borders are steps before a sharp lens."""
 _LEAST_DISC = 1e-4
 """Least radius of a disc in standard deviations of its blur: the difference that a chord is keeps 12 digits."""
-_FOLLOWED = 5.2
-"""How far a Gaussian is followed, in standard deviations."""
 
 
 Line = Callable[[jax.Array], jax.Array]
@@ -64,13 +60,14 @@ class Blur(eqx.Module):
 
     Attributes:
         pixel: response of a pixel, through which the terms are seen.
-        weights: shares of the terms, (terms,), no unit.
-        stds: standard deviations of the terms, (terms,), px.
+        weights: shares of the Gaussians, (Gaussians,), no unit.
+        stds: standard deviations of the Gaussians, (Gaussians,), px.
         lamp_radius: angular radius of the lamp's disc, rad.
         aperture: diameter of the entrance pupil over its distance, no unit.
         focus: angle of the normals in focus from the optical axis, rad.
         varies: True where lamp or focus add to the terms; the kernel then depends on the place.
         chords: of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
+        rest: what the Gaussians leave of the lens, the last term; None: nothing.
     """
 
     pixel: PixelResponse
@@ -81,6 +78,31 @@ class Blur(eqx.Module):
     focus: jax.Array
     varies: bool = eqx.field(static=True)
     chords: int = eqx.field(static=True, default=0)
+    rest: KernelRest | None = None
+
+    @property
+    def terms(self) -> tuple[int, ...]:
+        """Return the indices of all terms."""
+        return tuple(range(self.stds.size + (self.rest is not None)))
+
+    @property
+    def even(self) -> bool:
+        """Tell whether the kernel is the same mirrored up and down."""
+        return self.rest is None or self.rest.even
+
+    def is_rest(self, term: int) -> bool:
+        """Tell whether a term is what the Gaussians leave."""
+        return term == self.stds.size
+
+    def share(self, term: int) -> jax.Array:
+        """Return the factor of a term in the blur, no unit."""
+        return jnp.ones(()) if self.is_rest(term) else self.weights[term]
+
+    def only(self, terms: tuple[int, ...]) -> Blur:
+        """Return a blur of some of the terms: one program serves as many Gaussians of any width."""
+        index = np.array([term for term in terms if not self.is_rest(term)], dtype=int)
+        rest = self.rest if any(map(self.is_rest, terms)) else None
+        return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], rest=rest)
 
     def spread(
         self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
@@ -106,6 +128,12 @@ class Blur(eqx.Module):
         """
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
+    def at(self, term: int, spread: Spread, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Return one term, 1/px^2, at offsets of the pixel from a piece of surface's image along x and y, px."""
+        if self.rest is not None and self.is_rest(term):
+            return self.rest.at(x, y, self._rest_variances(spread))
+        return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
+
     def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
         """Return the sum of what is made of each product that one term of the kernel consists of.
 
@@ -114,6 +142,8 @@ class Blur(eqx.Module):
             spread: what is added to it.
             of: takes the kernel along x and along y.
         """
+        if self.is_rest(term):
+            return self._through_rest(spread, of)
         if not self.chords:
             return of(lambda x: self.kernel(x, term, spread.along), lambda y: self.kernel(y, term, spread.across))
         disc = jnp.maximum(spread.disc, _LEAST_DISC * self.stds[term])
@@ -136,6 +166,22 @@ class Blur(eqx.Module):
         first = of_chord(jax.tree.map(lambda a: a[0], chords))
         rest = jax.tree.map(lambda a: a[1:], chords)
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
+
+    def _through_rest(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
+        """Return the sum of what is made of the rest's products. Discs spread it as Gaussians do: it is small itself."""
+        rest, (along, across) = self.rest, self._rest_variances(spread) or (None, None)
+        assert rest is not None
+
+        def of_product(lines: jax.Array) -> jax.Array:
+            return of(lambda x: rest.line(lines[0], x, along), lambda y: rest.line(lines[1], y, across))
+
+        first = of_product(rest.lines[0])
+        return jax.lax.scan(lambda total, lines: (total + of_product(lines), None), first, rest.lines[1:])[0]
+
+    def _rest_variances(self, spread: Spread) -> tuple[jax.Array, jax.Array] | None:
+        if not self.varies:
+            return None
+        return spread.along + spread.disc**2 / 4, spread.across + spread.disc**2 / 4
 
     def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
         """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
@@ -169,10 +215,13 @@ class Blur(eqx.Module):
         """
         cosine, sine = turn
         x, y = x * cosine - y * sine, x * sine + y * cosine
+        along, across = spread.along, spread.across
+        var_x, var_y = along * cosine**2 + across * sine**2, along * sine**2 + across * cosine**2
+        if self.is_rest(term):
+            return self.at(term, Spread(var_x, var_y, spread.disc), x, y)
         if self.chords or not self.varies:
-            return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
-        along, across, own = spread.along, spread.across, self.stds[term] ** 2
-        var_x, var_y = own + along * cosine**2 + across * sine**2, own + along * sine**2 + across * cosine**2
+            return self.at(term, spread, x, y)
+        var_x, var_y = var_x + self.stds[term] ** 2, var_y + self.stds[term] ** 2
         wider = var_x >= var_y
         first, second = jnp.where(wider, x, y), jnp.where(wider, y, x)
         variance = jnp.where(wider, var_x, var_y)
@@ -186,6 +235,15 @@ class Blur(eqx.Module):
             density = jnp.exp(-0.5 * (off / std) ** 2) / (np.sqrt(2 * np.pi) * std)
             total += share * density * self.pixel.of_gaussian(second - slope * off, rest)
         return jnp.asarray(total)
+
+    def plane_rule(self, term: int, spread: Spread) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return offsets along x and y (px) and weights by which a term integrates smooth light, each (..., nodes)."""
+        if self.rest is not None and self.is_rest(term):
+            return self.rest.nodes()
+        (dx, x_weight), (dy, y_weight) = (self.rule(term, added) for added in (spread.along, spread.across))
+        shape = (*jnp.broadcast_shapes(dx.shape[:-1], dy.shape[:-1]), -1)
+        dx, dy = (a.reshape(shape) for a in jnp.broadcast_arrays(dx[..., None, :], dy[..., :, None]))
+        return dx, dy, (y_weight[..., :, None] * x_weight[..., None, :]).reshape(shape)
 
     def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the five-node Gauss rule of a term along one axis.
@@ -245,12 +303,24 @@ class BlurTerms(eqx.Module):
     @property
     def weight(self) -> jax.Array:
         """Return the share of these terms in the blur."""
-        return sum((self.blur.weights[term] for term in self.terms), jnp.zeros(()))
+        return sum((self.blur.share(term) for term in self.terms), jnp.zeros(()))
+
+    @property
+    def of_rest(self) -> bool:
+        """Tell whether they are what the Gaussians leave, which passes no even light."""
+        return all(map(self.blur.is_rest, self.terms))
 
 
-def blur_of(rig: Rig, *, in_discs: bool = False) -> Blur:
-    """Return the blur of a rig. in_discs: whether a lens out of focus makes discs, not Gaussians."""
-    lens = gaussian_sum(rig.camera.optics)
+def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False) -> Blur:
+    """Return the blur of a rig.
+
+    Args:
+        rig: the rig.
+        in_discs: whether a lens out of focus makes discs, not Gaussians.
+        whole: whether what Gaussians leave of the lens is a term, too. Then it need not be isotropic.
+    """
+    optics = rig.camera.optics
+    lens = round_gaussians(optics) if whole else gaussian_sum(optics)
     uniform = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
     return Blur(
         pixel=rig.camera.pixel,
@@ -261,6 +331,7 @@ def blur_of(rig: Rig, *, in_discs: bool = False) -> Blur:
         focus=rig.focus,
         varies=not uniform,
         chords=_chords(rig, lens) if in_discs else 0,
+        rest=kernel_rest(optics, rig.camera.pixel, lens, rig.jitter) if whole else None,
     )
 
 
@@ -278,11 +349,11 @@ def _chords(rig: Rig, lens: GaussianSum) -> int:
 
 
 def kernel_error(rig: Rig) -> float:
-    """Return the largest error of the lens's transfer function.
-
-    Its sum of Gaussians makes it; 0 for Gaussian lenses.
-    """
-    return float(gaussian_sum(rig.camera.optics).total_error)
+    """Return the largest error of the transfer function by which a record is made; 0 for Gaussian lenses."""
+    if not isinstance(rig.sample, Sphere):
+        return float(gaussian_sum(rig.camera.optics).total_error)
+    rest = blur_of(rig, whole=True).rest
+    return 0.0 if rest is None else rest.error
 
 
 class Imaging(NamedTuple):
@@ -309,100 +380,7 @@ def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
         raise ArgumentError(
             f"a record needs a curved sample, a Sphere or a Cylinder, not a {type(rig.sample).__name__}"
         )
-    blur = blur_of(rig, in_discs=not gaussian_disc)
+    blur = blur_of(rig, in_discs=not gaussian_disc, whole=not gaussian_disc and isinstance(rig.sample, Sphere))
     if not gaussian_disc:
         blur = blur.of_point()
     return Imaging(rig.sample, blur, rig.lamp.nearness)
-
-
-class BlurScale(NamedTuple):
-    """Lengths on the sensor, px, that terms of about one width set.
-
-    Attributes:
-        near: half the side of the square around the highlight in which the nodes go about the half vector.
-        margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
-        reach: distance to which the kernel is followed.
-        reach_in_focus: the same without discs.
-        disc: radius of the largest disc out of focus; 0 where it is a Gaussian.
-        finest: standard deviation of the narrowest term, without the pixel.
-        spacing: step of the grid that holds a record: it has nothing finer.
-        cuts: offsets inside the reach at which the kernel must be cut to be smooth in between; () where it is smooth.
-    """
-
-    near: float
-    margin: float
-    reach: float
-    reach_in_focus: float
-    disc: float
-    finest: float
-    spacing: float
-    cuts: tuple[float, ...]
-
-
-class BlurGroup(NamedTuple):
-    """Terms of a blur of about one width, by index, and their lengths."""
-
-    terms: tuple[int, ...]
-    scale: BlurScale
-
-
-def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGroup, ...]:
-    """Group the terms of a blur by width. Needs concrete values: ArgumentError inside jit.
-
-    Where the pixel is turned against the plane of camera and lamp, lengths hold its corners.
-    """
-    lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
-    if not all(is_concrete(a) for a in lengths):
-        raise ArgumentError(
-            "the rig's numbers set how its picture is integrated: call this outside of jax.jit and vmap"
-        )
-    stds, half = np.asarray(lengths[0]), float(lengths[1])
-    disc, added = _widest_spread(blur, sample)
-    widened = np.maximum(np.sqrt(stds**2 + added), np.sqrt(stds**2 + added - disc**2 / 4) + disc / _FOLLOWED)
-    radius = float(lengths[2])
-    if np.min(stds) >= radius:
-        raise ArgumentError(
-            f"the sample's radius must exceed the camera's blur, of standard deviation {np.min(stds):g} px, got {radius:g} px"
-        )
-    groups, left = [], list(np.argsort(stds))
-    while left:
-        together = [j for j in left if stds[j] <= _ONE_WIDTH * stds[left[0]]]
-        scale = _scale(half, stds[together], widened[together], turned)
-        if blur.chords:
-            in_focus = float(np.sqrt(np.max(stds[together]) ** 2 + added - disc**2 / 4))
-            scale = scale._replace(
-                disc=disc, reach_in_focus=scale.reach + _FOLLOWED * (in_focus - widened[together].max())
-            )
-        groups.append(BlurGroup(tuple(int(j) for j in together), scale))
-        left = left[len(together) :]
-    return tuple(groups)
-
-
-def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> BlurScale:
-    widest, narrowest = float(np.max(widened)), float(np.min(stds))
-    std, finest = (float(np.hypot(s, half / np.sqrt(3))) for s in (widest, narrowest))
-    corner = half * (np.sqrt(2) - 1) if turned else 0.0
-    reach = half + _FOLLOWED * widest + corner
-    inner = max(half - _FOLLOWED * widest, half / 4)
-    return BlurScale(
-        near=10 * std,
-        margin=4.8 * std + corner,
-        reach=reach,
-        reach_in_focus=reach,
-        disc=0.0,
-        finest=narrowest,
-        spacing=min(0.4 * narrowest, 0.36 * finest),
-        cuts=(-half, -inner, inner, half) if narrowest < _SHARP * half else (),
-    )
-
-
-def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:
-    """Return the radius of the largest disc out of focus, px, and the variance that it and the lamp add at most, px^2."""
-    if not blur.varies:
-        return 0.0, 0.0
-    aperture, focus, lamp, radius = (
-        float(jax.lax.stop_gradient(a)) for a in (blur.aperture, blur.focus, blur.lamp_radius, sample.radius)
-    )
-    depth = max(np.cos(focus), 1 - np.cos(focus))
-    disc = radius * aperture * depth / 2
-    return disc, disc**2 / 4 + (radius * lamp / 4 / STEEPEST) ** 2

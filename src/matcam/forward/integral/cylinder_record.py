@@ -22,7 +22,8 @@ from jax.typing import ArrayLike
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.shading import Vector, shading
-from matcam.forward.integral.blur import Blur, BlurTerms, Line, Spread, groups_of
+from matcam.forward.integral.blur import Blur, BlurTerms, Line, Spread
+from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.plan import pad_indices
 from matcam.forward.integral.recording import in_batches
 from matcam.material.material import Material

@@ -219,7 +219,7 @@ def record_around(
 
     total = jnp.zeros((y.size, x.size, light.shape[-1]))
     for term in blur.terms:
-        total += blur.blur.weights[term] * shares.through.through_disc(term, spread, recorded)
+        total += blur.blur.share(term) * shares.through.through_disc(term, spread, recorded)
     return shares.together(total, x[1] - x[0], panels.margin)
 
 
@@ -261,7 +261,7 @@ def record_around_turned(
 
         for term in blur.terms:
             seen = shares.through.through_disc(term, spread, recorded)
-            total += (blur.blur.weights[term] * seen).reshape(total.shape)
+            total += (blur.blur.share(term) * seen).reshape(total.shape)
         return total, None
 
     both = jnp.concatenate([u, u]), jnp.concatenate([v, -v]), jnp.concatenate([weight, weight])
@@ -314,12 +314,10 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     spread = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
     scene = scene.beside_nodes(1)
     for term in blur.terms:
-        (dx, x_weight), (dy, y_weight) = (blur.blur.rule(term, added) for added in (spread.along, spread.across))
-        shape = (*jnp.broadcast_shapes(dx.shape[:-1], dy.shape[:-1]), -1)
-        dx, dy = (a.reshape(shape) for a in jnp.broadcast_arrays(dx[..., None, :], dy[..., :, None]))
-        share = (y_weight[..., :, None] * x_weight[..., None, :]).reshape(shape)
-        light = _arriving(scene, blur.blur, x[:, None] + dx, y[:, None] + dy)
-        total += blur.blur.weights[term] * jnp.sum(light * share[..., None], axis=1)
+        dx, dy, share = blur.blur.plane_rule(term, spread)
+        # offsets are the pixel's from the light's place: those of Gaussians have either sign
+        light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
+        total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
     return jnp.asarray(total)
 
 
@@ -432,10 +430,10 @@ def _through_kernel(
     total: jax.Array | float = 0.0
     at_x, at_y = lit.on_sensor(element.x, element.y)
     for term in blur.terms:
-        kernel = blur.blur.through_disc(term, spread, lambda along, across: along(x - at_x) * across(y - at_y))
+        kernel = blur.blur.at(term, spread, x - at_x, y - at_y)
         through = kernel * nodes.weight
         seen = jnp.sum(light * through[..., None], axis=(1, 2)), jnp.sum(flat * through, axis=(1, 2))[:, None]
-        total += blur.blur.weights[term] * jnp.concatenate(seen, axis=-1)
+        total += blur.blur.share(term) * jnp.concatenate(seen, axis=-1)
     return jnp.asarray(total)
 
 

@@ -13,7 +13,8 @@ import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.blur import BlurGroup, BlurScale, Imaging, groups_of
+from matcam.forward.integral.blur import Imaging
+from matcam.forward.integral.blur_groups import BlurGroup, BlurScale, groups_of
 from matcam.forward.integral.disc_stamps import margin_for, shares_for
 from matcam.forward.integral.integrals import Turn, highlight_x
 from matcam.numerics.approximation import POINTS

@@ -151,8 +151,9 @@ def _read_highlights(
 ) -> jax.Array:
     angles, azimuths = lamps
     columns, more = np.arange(-grid.steps, grid.steps + 1), grid.panels.margin
-    # both sides of the plane of camera and lamp are the same, unless the pixel is turned against it
-    rows = columns if azimuths is not None else np.arange(-POINTS // 2, grid.steps + 1)
+    # both sides of the plane of camera and lamp are the same, unless the pixel is turned against it, or the lens not even
+    alike = azimuths is None and subject.imaging.blur.even
+    rows = np.arange(-POINTS // 2, grid.steps + 1) if alike else columns
     beyond, above = (np.arange(points[0] - more, points[-1] + more + 1) for points in (columns, rows))
     sample, blur, nearness = subject.imaging.sample, subject.through(grid.terms), subject.imaging.lamp_nearness
 
@@ -173,7 +174,7 @@ def _read_highlights(
     def read(at: _Pixels, picture: jax.Array, whole: jax.Array) -> jax.Array:
         peak = highlight_x(sample, jnp.asarray(at.lamp_angle), nearness)
         if at.turn is None:
-            row, column = jnp.abs(at.y), at.x - peak
+            row, column = jnp.abs(at.y) if alike else jnp.asarray(at.y), at.x - peak
         else:
             row, column = at.y - peak * at.turn.sine, at.x - peak * at.turn.cosine
         row, column = row / grid.spacing - rows[0], column / grid.spacing - columns[0]
@@ -195,7 +196,7 @@ def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> ja
     That is done where the kernel is whole; the last channel is dropped.
     """
     values, flat = values[:, :-1], values[:, -1]
-    if blur.blur.varies:
+    if blur.blur.varies or blur.of_rest:
         return values  # each piece of surface is spread by its own kernel: a flat field need not read its radiance
     return values * jnp.where(whole, blur.weight / jnp.where(whole, flat, 1.0), 1.0)[:, None]
 

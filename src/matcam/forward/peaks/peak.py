@@ -25,7 +25,8 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.programs import kept_program
-from matcam.forward.integral.blur import BlurTerms, Imaging, groups_of, imaging_of
+from matcam.forward.integral.blur import BlurTerms, Imaging, imaging_of
+from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import LinePlaces, line_record, places_under
 from matcam.forward.integral.cylinder_record import light_at
 from matcam.forward.integral.discs import LOBE, disc_fineness

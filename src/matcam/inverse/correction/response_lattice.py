@@ -93,7 +93,7 @@ def response_lattice(
 ) -> ResponseLattice:
     """Return the lattice of a rig. workspace: keeps it for the rig's next material."""
     view = sample_view(rig)
-    if view.azimuth:
+    if view.azimuth or not rig.camera.optics.isotropic:
         spacing = spacing.all_round()
     elif view.line:
         spacing = spacing.of_line()

@@ -9,7 +9,8 @@ import numpy as np
 
 from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
-from matcam.forward.integral.blur import Blur, blur_of, groups_of
+from matcam.forward.integral.blur import Blur, blur_of
+from matcam.forward.integral.blur_groups import groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
@@ -24,6 +25,7 @@ from matcam.inverse.operator.near_rule import (
 from matcam.inverse.operator.polar_rule import (
     PIECE,
     Pixels,
+    PolarRule,
     PolarWindow,
     disc_rule,
     kernel_reach,
@@ -32,6 +34,7 @@ from matcam.inverse.operator.polar_rule import (
     padded,
     polar_rule,
     polar_window,
+    ring_windows,
     transfer,
 )
 from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
@@ -59,7 +62,7 @@ class _Blurs(NamedTuple):
     @property
     def terms(self) -> tuple[int, ...]:
         """Return the indices of the blurs' terms."""
-        return tuple(range(self.blurs[0].stds.size))
+        return self.blurs[0].terms
 
     def of(self, piece: slice) -> _Blurs:
         """Return what is held of some pixels."""
@@ -90,11 +93,11 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = 2 * theta_d
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
-    own = blur_of(rig, in_discs=True)
+    own = blur_of(rig, in_discs=True, whole=view.plain)
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
-    depth, nearness = view.normals(x, y)[2], rig.lamp.nearness
-
+    depth = view.normals(x, y)[2]
     lamps = [float(blur.lamp_radius) for blur in blurs]
+    under_discs = [_variances(blur, rig, x.shape, depth, lamp_angle) for blur in blurs]
     if view.line:
         blurs = [blur.of_point() for blur in blurs]
     discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
@@ -105,10 +108,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
     if any(blur.varies for blur in blurs):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
-    spreads = [
-        tuple(np.broadcast_to(v, x.shape) for v in blur.spread(rig.sample, depth, lamp_angle, nearness)[:2])  # type: ignore[arg-type]
-        for blur in blurs
-    ]
+    spreads = [_variances(blur, rig, x.shape, depth, lamp_angle) for blur in blurs]
 
     def full(part: np.ndarray) -> np.ndarray:
         result = np.zeros((cells.x.size, *part.shape[1:]))
@@ -122,13 +122,17 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     if view.line and any(lamps) and not view.distant:  # rows by the rule of one term
         groups = [(term,) for terms in groups for term in terms]
     for terms in groups:
-        parts = [_only(blur, terms) for blur in blurs]
+        parts = [blur.only(terms) for blur in blurs]
+        if parts[0].rest is not None:
+            widths.append(_rest_blurs(parts, under_discs))
+            continue
         widest = [np.asarray(blur.stds).max() for blur in parts]
         reaches = [
             kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
             for s, v, m, blur in zip(widest, spreads, moved, parts, strict=True)
         ]
         widths.append(_Blurs(parts, spreads, reaches, discs, lamps))
+    widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
             weight, *others = rules.weights
@@ -140,6 +144,25 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for n, axis in enumerate(axes):
         arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
     return arrays
+
+
+def _variances(
+    blur: Blur, rig: Rig, shape: tuple[int, ...], depth: np.ndarray, lamp_angle: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return the variances that lamp and focus add along x and y, px^2, in pixels of this shape."""
+    spread = blur.spread(rig.sample, depth, lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
+    return tuple(np.broadcast_to(v, shape) for v in spread[:2])
+
+
+def _rest_blurs(blurs: list[Blur], variances: list[tuple[np.ndarray, ...]]) -> _Blurs:
+    """Return what Gaussians leave of the blurs. It is small itself: what discs add to it are Gaussians."""
+    reaches = [
+        np.broadcast_to(float(blur.rest.reach), np.shape(pair)) + np.sqrt(3 * np.stack(pair))  # type: ignore[union-attr]
+        for blur, pair in zip(blurs, variances, strict=True)
+    ]
+    varies = any(np.any(pair) for pair in variances)
+    blurs = [dataclasses.replace(blur, varies=varies) for blur in blurs]
+    return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs))
 
 
 def _finest(view: SampleView, widths: list[_Blurs]) -> float:
@@ -196,12 +219,6 @@ def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std
     return np.maximum(disc(off - reach), disc(off + reach))
 
 
-def _only(blur: Blur, terms: tuple[int, ...]) -> Blur:
-    """Return a blur of some of its terms: one program serves as many terms of any width."""
-    index = np.array(terms)
-    return dataclasses.replace(blur, weights=blur.weights[index], stds=blur.stds[index])
-
-
 def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
     """Divide the terms of a blur, from the narrowest: a lens's core, what surrounds it, and wide tails."""
     reach = np.array([np.max(through.reaches[0]) for through in widths])
@@ -212,26 +229,26 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
 def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: float) -> _Found:
     """Return a rule on one set of nodes for terms of several widths. finest: as of a `PolarWindow`."""
 
-    def rule(n: int, window: PolarWindow, through: _Blurs):  # type: ignore[no-untyped-def]
+    def rule(n: int, window: PolarWindow, through: _Blurs) -> PolarRule:
         disc, spread = through.discs[n], tuple(through.spreads[n])
         program = polar_rule if disc is None else disc_rule
         return program(jnp.asarray(radius), through.blurs[n], spread, through.terms, pixels, window, disc)
 
+    def parts(n: int, through: _Blurs) -> list[PolarRule]:
+        window = polar_window(radius, pixels, *through.reaches[n])
+        if through.blurs[n].rest is not None:
+            return [rule(n, part, through) for part in ring_windows(window)]
+        return [rule(n, window._replace(finest=own), through)]
+
     count, wide = len(widths[0].blurs), np.min(widths[0].reaches[0]) > _SURROUNDINGS[0]
     own = finest if wide else np.inf
-    rules = [
-        [
-            rule(n, polar_window(radius, pixels, *reach)._replace(finest=own), through)
-            for n, reach in enumerate(through.reaches)
-        ]
-        for through in widths
-    ]
+    rules = [[part for through in widths for part in parts(n, through)] for n in range(count)]
     if count == len(widths) == 1 and np.isinf(finest):
         shown, weights = rules[0][0], [np.asarray(rules[0][0].weight)]
     else:  # all on the nodes of the widest
         widest = polar_window(radius, pixels, *np.max([through.reaches for through in widths], axis=(0, 1)))
         widest = widest._replace(finest=finest)
-        weights = [sum(np.asarray(transfer(of_width[n], widest)) for of_width in rules) for n in range(count)]  # type: ignore[misc]
+        weights = [sum(np.asarray(transfer(part, widest)) for part in own_parts) for own_parts in rules]  # type: ignore[misc]
         seen = widths[-1].reaches[0]
         by = widths[0] if len(widths) == 1 else _standing_for(widths)
         shown = rule(0, widest._replace(reach=seen[0], rows=seen[1]), by)
@@ -251,7 +268,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     passed = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
     half = frequency[np.argmax(passed < 0.5)]
     std = max(np.sqrt(np.log(2) / 2) / (np.pi * half), np.max(widths[-1].reaches[0]) / _RESOLVED)
-    stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]))
+    stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), rest=None)
     return widths[0]._replace(blurs=[stand_in])
 
 
@@ -341,7 +358,8 @@ def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
     if axis.name == SHAPE:
         scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
         return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
-    return [blur_of(rig_with(rig, {axis.name: axis.value(point)}), in_discs=True) for point in axis.points if point]
+    moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
+    return [blur_of(one, in_discs=True, whole=own.rest is not None) for one in moved]
 
 
 def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:

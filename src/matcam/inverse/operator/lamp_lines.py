@@ -17,6 +17,7 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Line, Spread
@@ -128,16 +129,25 @@ def disc_kernel(
     return jax.lax.cond(jnp.all(disc.relative <= LARGEST), in_gaussians, in_chords)
 
 
-def both_sides(blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array) -> jax.Array:
+def both_sides(
+    blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array, side: ArrayLike = 1.0
+) -> jax.Array:
     """Return the kernel at places on either side of the plane of camera and lamp, added up, 1/px^2.
 
-    at: px, from the pixel along x, and from the plane. y: of the pixel, px.
+    at: px, from the pixel along x, and from the plane. y: of the pixel, px. side: -1 where all is mirrored at the plane.
     """
 
     def of(along: Line, across: Line) -> jax.Array:
-        return along(at[0]) * (across(at[1] - y) + across(at[1] + y))
+        return along(-at[0]) * (across(y - at[1]) + across(y + at[1]))
 
-    return sum((blur.weights[j] * blur.through_disc(j, spread, of) for j in terms), jnp.zeros(()))
+    total = jnp.zeros(())
+    for term in terms:
+        if blur.is_rest(term):
+            seen = [blur.at(term, spread, -at[0], side * (y - up * at[1])) for up in (1, -1)]
+            total += seen[0] + seen[1]
+        else:
+            total += blur.share(term) * blur.through_disc(term, spread, of)
+    return total
 
 
 def lamp_kernel(

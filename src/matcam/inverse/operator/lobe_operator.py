@@ -17,11 +17,14 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
+from matcam.camera.optics.optics import checked_isotropic
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cylinder_cells import check_cylinder
+from matcam.forward.integral.blur import kernel_error
+from matcam.forward.integral.kernel_rest import REST_RULE
 from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
@@ -251,6 +254,10 @@ def check_rig(rig: Rig) -> None:
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
+    if not sample_view(rig).plain:
+        checked_isotropic(
+            rig.camera.optics, "a fit of a cylinder, or before a near camera or lamp, or one at an azimuth,"
+        )
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
@@ -266,6 +273,8 @@ def operator_in(
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
         description = f"{description}, discs out of focus by {CHORD_RULE}"
+    if sample_view(rig).plain and kernel_error(rig) > 0:
+        description = f"{description}, rings by {REST_RULE}"
     description = f"{description}, masking at {SAMPLED.size} nodes, {NODE_RULE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along = tuple(stored.pop(f"along{n}") for n in range(len(axes)))

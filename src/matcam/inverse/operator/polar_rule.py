@@ -13,6 +13,7 @@ Nodes in theta are even in asinh(theta / scale). So they meet a lobe a thousandt
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,9 @@ _LOCAL = 10
 NODE_RULE = f"weights on {_LOCAL} nodes"
 """How weights come to the nodes of several widths; rules that are kept say so."""
 AZIMUTHS = np.polynomial.legendre.leggauss(22)
+_AZIMUTHS_OF_RINGS = np.polynomial.legendre.leggauss(48)
+"""Where a lens's rings are seen."""
+_RING_WINDOWS = 4
 _FINEST = 25.0
 """Outer end of the nodes over the angle at which they become even."""
 _REACH = 6.2
@@ -136,6 +140,12 @@ def polar_window(radius: float, pixels: Pixels, reach: np.ndarray, rows: np.ndar
     )
 
 
+def ring_windows(window: PolarWindow) -> list[PolarWindow]:
+    """Divide a window, so that the nodes of each part resolve a lens's rings."""
+    at = [window.low + (window.high - window.low) * n / _RING_WINDOWS for n in range(_RING_WINDOWS + 1)]
+    return [window._replace(low=low, high=high) for low, high in pairwise(at)]
+
+
 def on_highlight(radius: float, reach: float) -> float:
     """Return the angle at which nodes about a highlight become even, rad. reach: half side of what a pixel there sees, px."""
     return float(np.sqrt(2) * reach / radius / _FINEST)
@@ -161,6 +171,7 @@ def polar_rule(
     variances: px^2, (pixels,), that the blur's spread adds along x and y. pixels: a multiple of the block, see `padded`.
     disc: of a lamp whose disc is not in the variances.
     """
+    around = AZIMUTHS if blur.rest is None else _AZIMUTHS_OF_RINGS
 
     def block(arguments):  # type: ignore[no-untyped-def]
         arguments, disc = arguments
@@ -172,7 +183,8 @@ def polar_rule(
         sin, cos, sin_d, cos_d = jnp.sin(theta), jnp.cos(theta), jnp.sin(theta_d), jnp.cos(theta_d)
         # visible: cos psi < cot theta cot theta_d; lit: > the negative; seen by the kernel: x, then y
         horizon = cos * cos_d / jnp.maximum(sin * sin_d, 1e-300)
-        y = jnp.abs(y)  # the mirror's other half sees the same
+        side = jnp.where(y < 0, -1.0, 1.0)
+        y = jnp.abs(y)  # the mirror's other half sees the same, mirrored
         along = [((x + side * reach) / radius - cos * sin_d) / (sin * cos_d) for side in (-1, 1)]
         from_ = jnp.arccos(jnp.clip(jnp.minimum(along[1], horizon), -1, 1))
         to = jnp.arccos(jnp.clip(jnp.maximum(along[0], -horizon), -1, 1))
@@ -181,15 +193,15 @@ def polar_rule(
         for begin, end in ((rise[0], rise[1]), (jnp.pi - rise[1], jnp.pi - rise[0])):
             begin, end = jnp.maximum(begin, from_), jnp.minimum(end, to)
             half = jnp.maximum(end - begin, 0.0) / 2
-            psi = begin + half * (AZIMUTHS[0] + 1)
+            psi = begin + half * (around[0] + 1)
             sin_psi, cos_psi = sine_and_cosine(psi)
             normal = cos * sin_d + sin * cos_psi * cos_d, sin * sin_psi, cos * cos_d - sin * cos_psi * sin_d
             if disc is None:
                 spread = Spread(var_x, var_y, jnp.abs(blur.defocus(radius, normal[2])))
-                kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y)
+                kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y, side)
             else:
                 kernel = disc_kernel(radius, blur, terms, disc, normal, (x, y), (var_x, var_y))
-            share = kernel * half * AZIMUTHS[1]
+            share = kernel * half * around[1]
             total += jnp.sum(share, -1)
             moments += jnp.stack([jnp.sum(share * cos_psi**n, -1) for n in (1, 2, 3)])
         safe = jnp.where(total == 0, 1.0, total)
