@@ -11,14 +11,17 @@ from matcam import (
     BoxPixel,
     Camera,
     Cylinder,
+    DistantLamp,
     GaussianOptics,
     HaloOptics,
     Microfacet,
+    NearLamp,
     Rig,
     Schlick,
     Sphere,
     picture,
 )
+from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
@@ -243,6 +246,35 @@ def test_gradients(k):
     assert float(value) == pytest.approx(under_plan(NUMBERS), rel=1e-12)
     there, back, far, farther = (under_plan(NUMBERS + s * step * np.eye(4)[k]) for s in (1, -1, 2, -2))
     assert float(slope) == pytest.approx((8 * (there - back) - (far - farther)) / (12 * step), rel=1e-5)
+
+
+def of_rig(numbers, azimuth):
+    angle, distance, lamp, radius = numbers
+    rig = Rig(Camera(GaussianOptics(0.5)), Sphere(radius, distance=distance), lamp=NearLamp(lamp))
+    return picture_values(Microfacet(GGX(0.05), 1.0, diffuse=0.2), rig, angle, (25, 27), azimuth=azimuth)[..., 0]
+
+
+@pytest.mark.parametrize(
+    ("k", "azimuth"), [(0, 0.0), *(pytest.param(k, 0.7, marks=pytest.mark.slow) for k in range(4))]
+)
+def test_gradients_to_the_rig(k, azimuth):
+    """To the lamp's angle, the distances of camera and lamp, and the radius, against differences: 3e-6 of the largest."""
+    numbers = np.array([1.1, 8.0, 5.0, 12.0])
+    weights, unit = np.random.default_rng(2).normal(size=(25, 27)), np.eye(4)[k]
+
+    def total(numbers):
+        return jnp.sum(weights * of_rig(numbers, azimuth))
+
+    _, slope = jax.jvp(total, (jnp.asarray(numbers),), (unit,))
+    step = 2e-4 * numbers[k] * unit
+    there, back, far, farther = (float(total(list(numbers + s * step))) for s in (1, -1, 2, -2))
+    assert float(slope) == pytest.approx((8 * (there - back) - (far - farther)) / (12 * step.sum()), rel=3e-6)
+
+
+def test_the_lamp_s_angle_has_a_derivative_under_a_point_alone():
+    rig = Rig(Camera(GaussianOptics(0.5)), Sphere(12.0), lamp=DistantLamp(0.02))
+    with pytest.raises(ArgumentError, match="without a disc"):
+        jax.grad(lambda angle: jnp.sum(picture_values(Microfacet(GGX(0.1), 1.0), rig, angle)))(1.0)
 
 
 @pytest.mark.slow

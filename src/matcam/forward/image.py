@@ -24,7 +24,7 @@ from matcam.camera.pixel import BoxPixel
 from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.band_limited import POINT, FineLine, filtered, fine_line, transformed
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.blur_groups import groups_of
@@ -152,7 +152,7 @@ def picture_values(
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
-        lamp_angle: angle between lamp and optical axis, see `picture`, rad; it cannot be traced.
+        lamp_angle: angle between lamp and optical axis, see `picture`, rad. Its derivatives are those of a sphere and a point.
         shape: (height, width), px. Default: see `picture`.
         azimuth: of the lamp about the optical axis, rad; it cannot be traced. Default: None, see `picture`.
 
@@ -179,6 +179,7 @@ class _View(NamedTuple):
     Attributes:
         imaging: sample, blur and the lamp's nearness.
         lamp_angle: angle between lamp and optical axis, rad.
+        turning: 0, with the derivative of the lamp's angle, rad; None: nobody asks for it.
         azimuth: of the lamp, rad.
         points: the lamp's points, each of one angle and azimuth.
         x: places of the columns, px.
@@ -188,6 +189,7 @@ class _View(NamedTuple):
 
     imaging: Imaging
     lamp_angle: float
+    turning: jax.Array | None
     azimuth: float
     points: list[LampPoint]
     x: np.ndarray
@@ -213,7 +215,8 @@ def _view(
     lens = _lens_of(material, rig, rig.sample, error)
     if lens is not None:
         rig = eqx.tree_at(lambda one: one.camera, rig, Camera(GaussianOptics(lens.limit.sigma), BoxPixel(POINT)))
-    angle = checked_lamp_angle(lamp[0], rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
+    angle = checked_lamp_angle(_known(lamp[0]), rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
+    turning = None if is_concrete(lamp[0]) else jnp.asarray(lamp[0]) - _known(lamp[0])
     azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
@@ -222,8 +225,15 @@ def _view(
     else:
         fineness = disc_fineness(rig, imaging, np.array(angle), material)
     points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
+    if turning is not None and (len(points) > 1 or not isinstance(rig.sample, Sphere)):
+        raise ArgumentError("derivatives by lamp_angle are those of a sphere under a lamp without a disc")
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
-    return _View(imaging, angle, azimuth, points, x, y, lens)
+    return _View(imaging, angle, turning, azimuth, points, x, y, lens)
+
+
+def _known(value: ArrayLike) -> ArrayLike:
+    """Return a number without its derivative."""
+    return value if is_concrete(value) else jax.lax.stop_gradient(value)
 
 
 def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:
@@ -320,7 +330,8 @@ def _record_pixels(material: Material, view: _View, x: np.ndarray, y: np.ndarray
             None if turned is None else turned[which],
         )
         imaging = nearer(view.imaging, points[0].distance)
-        values = record(material, imaging, integration_plan(imaging, angles, places, turned, material.elongation))
+        plan = integration_plan(imaging, angles, places, turned, material.elongation)
+        values = record(material, imaging, plan if view.turning is None else plan.turned(view.turning))
         weights = np.array([point.weight for point in points])
         total += jnp.tensordot(weights, values.reshape(len(points), x.size, -1), axes=1)
     return jnp.asarray(total)

@@ -115,6 +115,12 @@ class IntegrationPlan(NamedTuple):
     places: RecordPlaces
     parts: tuple[PlanPart, ...]
 
+    def turned(self, by: jax.Array) -> IntegrationPlan:
+        """Return the plan under lamps that are turned away from the optical axis by so little that it serves them, rad."""
+        places = self.places._replace(lamp_angle=self.places.lamp_angle + by)  # type: ignore[arg-type]
+        parts = (eqx.tree_at(lambda one: one.lamps, part, part.lamps + by) for part in self.parts)
+        return IntegrationPlan(places, tuple(parts))
+
 
 def integration_plan(
     imaging: Imaging,
