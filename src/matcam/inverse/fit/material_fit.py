@@ -194,7 +194,7 @@ class MaterialFit:
         return strengths_with_covariance(self._solution)
 
     def log_slope(self, theta_d: np.ndarray) -> np.ndarray:
-        """Return the slope of ln F that a near rig's record was made with.
+        """Return the slope of ln F that near rigs record.
 
         Args:
             theta_d: difference angles, rad (n,).
