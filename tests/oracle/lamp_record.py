@@ -1,6 +1,6 @@
 """What one pixel records under a lamp anywhere, by fixed Gauss-Legendre panels in the camera's own polar coordinates: truth for
 near lamps, azimuths and discs (docs/model.md 10). GGX (Walter et al. 2007, (33), (34)) and Lambert, a Gaussian lens, a box
-pixel, a sphere or a cylinder.
+pixel, a sphere or a cylinder. F is each point's own, at its own angle between light and half vector.
 
 Imports nothing of the package. Vectors stand in the sensor's axes: x right, y up, z to the camera. A sphere's normals are given
 by their angle t from the optical axis and their azimuth phi about it: the limb is one t, and the terminator at every t two phi
@@ -9,6 +9,7 @@ highlight, the limb and the terminator. A disc is the mean over its points, by a
 rules of different orders, which must agree.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,11 @@ from scipy.special import erfc
 
 
 class Surface(NamedTuple):
-    """F = 1, height-correlated Smith."""
+    """Height-correlated Smith; fresnel: F of theta_d, rad; None: 1."""
 
     alpha: float
     diffuse: float = 0.0
+    fresnel: Callable | None = None
 
 
 class Rig(NamedTuple):
@@ -302,11 +304,14 @@ def _kernel(x, rig):
 
 
 def _reflected(surface, normal, light, view, cos_i, cos_o):
-    """D G / 4 + diffuse cos_i cos_o / pi."""
+    """F D G / 4 + diffuse cos_i cos_o / pi."""
     half = view + light
+    f = 1.0
+    if surface.fresnel is not None:
+        f = surface.fresnel(np.arctan2(np.sqrt(((light - view) ** 2).sum(0)), np.sqrt((half**2).sum(0))))
     cross = np.cross(half, normal, axis=0)
     tan2 = (cross**2).sum(0) / (half * normal).sum(0) ** 2
     a = surface.alpha
     d = (a * (1 + tan2) / (a**2 + tan2)) ** 2 / np.pi
     lambdas = [np.sqrt(1 + a**2 * (1 / np.maximum(c, 1e-150) ** 2 - 1)) / 2 - 0.5 for c in (cos_i, cos_o)]
-    return d / (1 + sum(lambdas)) / 4 + surface.diffuse * cos_i * cos_o / np.pi
+    return f * d / (1 + sum(lambdas)) / 4 + surface.diffuse * cos_i * cos_o / np.pi

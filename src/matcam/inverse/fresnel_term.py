@@ -144,7 +144,9 @@ def fresnel(
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
     hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
-    peaks = _peak_responses(_fitted_rig(explained.located.rig, found), lobe, np.append(theta_d, 0.0), masking)
+    angles = np.append(theta_d, 0.0)
+    fitted, log_slope = _fitted_rig(explained.located.rig, found), found.log_slope(angles)
+    peaks = _peak_responses(fitted, lobe, angles, masking, log_slope)
     *response, centre = np.ones(theta_d.size + 1) if held_back else peaks
     per_peak = 4 * np.cos(theta_d) ** 2 / (highest * hidden)
     raw = recorded_peak(brdf, theta_d) * per_peak
@@ -350,14 +352,21 @@ def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
     return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
 
 
-def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking) -> np.ndarray:
-    """Return recorded over true peak, (n,). Where the lamp's azimuth turns the pixels, the fit's own operator knows it."""
-    if not sample_view(rig).azimuth:
-        return np.asarray(peak_response(rig, lobe, theta_d, exact=True, masking=masking))
-    cells = peak_cells(sample_view(rig), theta_d)
-    operators = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace()), point_operator(cells)
-    recorded, true = (np.asarray(one.record(lobe, masking, jnp.zeros(0)))[:, 0] for one in operators)
-    return recorded / true
+def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, log_slope: np.ndarray) -> np.ndarray:
+    """Return recorded over true peak, (n,). log_slope: of ln F, 1/rad, (n,), which shows in the pictures of near rigs.
+
+    Where the lamp's azimuth turns the pixels, the fit's own operator knows the response.
+    """
+    view = sample_view(rig)
+    if not view.azimuth:
+        response = np.asarray(peak_response(rig, lobe, theta_d, exact=True, masking=masking))
+        if view.distant:
+            return response
+    cells = peak_cells(view, theta_d)
+    own = operator_in(rig, cells, (), repr((rig_key(rig), theta_d.tobytes())), Workspace())
+    operators = own.leaning(log_slope), own, point_operator(cells)
+    recorded, even, true = (np.asarray(one.record(lobe, masking, jnp.zeros(0)))[:, 0] for one in operators)
+    return (even / true if view.azimuth else response) * (recorded / even)
 
 
 @kept_program

@@ -50,8 +50,8 @@ def limits(
 ) -> xr.Dataset:
     """Bound which roughness and which angle a rig can recover at all.
 
-    The bounds (Cramer-Rao) also tell what mimics the lens, and what to change. F is free in every slice. Masking is Smith's, as
-    there are no data to choose another by.
+    The bounds (Cramer-Rao) also tell what mimics the lens, and what to change. F is free in every slice, and does not change
+    within one. Masking is Smith's, as there are no data to choose another by.
 
     Args:
         rig: the rig: a camera with a Gaussian lens, a sphere, and a lamp; distant or near.

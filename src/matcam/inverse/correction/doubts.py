@@ -266,8 +266,9 @@ def no_correction(found: MaterialFit, scale: float) -> ShapeCorrection:
 def _columns(linear: LinearisedFit) -> np.ndarray:
     """Return the derivatives of the model by lobe, rig, b and the units' parameters."""
     at, solution = linear.coordinates, linear.solution
-    _, added = shape_records(solution.problem.operator, at.kind, placed(at.lobe), placed(at.rig))
-    by_shape = np.nan_to_num(solution.model.strength)[None, :, :, None] * np.asarray(added)[:, None]
+    q, shifts = placed(at.lobe), placed(at.rig)
+    added = solution.problem.read(solution.model, lambda one: np.asarray(shape_records(one, at.kind, q, shifts)[1]))
+    by_shape = np.nan_to_num(solution.model.strength)[None, :, :, None] * np.moveaxis(added, 0, 1)
     return np.concatenate([linear.by_coordinates, by_shape, linear.by_units])
 
 

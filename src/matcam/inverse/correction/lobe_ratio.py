@@ -64,7 +64,8 @@ def lobe_ratio(
     fitted parameters of the rig change of the ratio, its derivatives, and what doubts, other lobes and maskings would make.
     """
     at = fits.fit.coordinates
-    fine = response_lattice(rig, sampling, FINE, (), workspace)
+    log_slope = fits.fit.log_slope  # a near rig's: the ratio is one for all channels, so that it is their mean
+    fine = response_lattice(rig, sampling, FINE, (), workspace).of_fresnel(log_slope)
     base = fits.base.coordinates
     alternatives = [
         *((base, doubt.fit.coordinates, doubt.counted) for doubt in fits.doubts if doubt.counted),
@@ -72,7 +73,7 @@ def lobe_ratio(
         *((at, other.coordinates, other.weight) for other in fits.maskings),
     ]
     axes = tuple(dict.fromkeys(axis for one in (at, *(there for _, there, _ in alternatives)) for axis in one.axes))
-    coarse = response_lattice(rig, sampling, COARSE, axes, workspace)
+    coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
     fitted = at.rig @ axis_selection(at.axes, axes)
 
     log = on_table(_shaped(fine, at, fits.shape), fine)

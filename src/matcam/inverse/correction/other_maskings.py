@@ -49,7 +49,8 @@ def other_maskings(found: MaterialFit) -> tuple[OtherMasking, ...]:
     kinds = [at.kind._replace(masking=masking) for masking in MASKINGS if masking != at.kind.masking]
     moved, gains = [], [0.0]
     for kind in kinds:
-        record = np.asarray(lobe_record(problem.operator, kind, placed(np.concatenate([at.lobe, at.rig]))))
+        q = placed(np.concatenate([at.lobe, at.rig]))
+        record = problem.read(model, lambda one, kind=kind, q=q: np.asarray(lobe_record(one, kind, q)))  # type: ignore[misc]
         added = white(np.nan_to_num(model.strength)[..., None] * (record - model.lobe)).ravel()
         change = -inverse @ (flat @ added)
         gains.append(float(added @ rest) - 0.5 * float(added @ (added + change @ flat)))

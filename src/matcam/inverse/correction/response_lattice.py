@@ -8,6 +8,7 @@ interpolated by monotone cubics. Where the sphere's last pixels show a cell, not
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,10 @@ class ResponseLattice(NamedTuple):
     true: LobeOperator
     spacing: Spacing
     sampling: Sampling
+
+    def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
+        """Return the same for an F that rises with theta_d, which a near rig records. log_slope: of ln F, 1/rad, at angles."""
+        return self._replace(recorded=self.recorded.leaning(log_slope(self.cells.theta_d)))
 
 
 def response_lattice(

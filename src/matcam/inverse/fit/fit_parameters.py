@@ -42,6 +42,16 @@ _FRESNEL_NAMES: dict[str, tuple[str, ...]] = {
     name: () if name == "free" else tuple(field.name for field in dataclasses.fields(term))
     for name, term in FRESNEL_MODELS.items()
 }
+FRESNEL_LATTICE: dict[str, list[tuple[float, ...]]] = {
+    "conductor": [
+        (float(np.log(n)), float(np.log(k)))
+        for n in (0.15, 0.3, 0.6, 1.0, 1.6, 2.5, 4.0)
+        for k in (0.05, 0.5, 1.5, 2.5, 3.5, 5.0, 7.0)
+    ],
+    "schlick": [(f0,) for f0 in np.linspace(0.01, 0.99, 40)],
+    "dielectric": [(float(np.log(eta - 1)),) for eta in np.linspace(1.02, 3.5, 40)],
+}
+"""Coordinates of each model that are told apart before a fit."""
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 
 
@@ -209,16 +219,7 @@ def readable_value(name: str, coordinate: float) -> tuple[float, float]:
 
 def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return coordinates near a curve F(theta): the best of a lattice. f, weight: (slices,)."""
-    lattice: dict[str, list[tuple[float, ...]]] = {
-        "conductor": [
-            (float(np.log(n)), float(np.log(k)))
-            for n in (0.15, 0.3, 0.6, 1.0, 1.6, 2.5, 4.0)
-            for k in (0.05, 0.5, 1.5, 2.5, 3.5, 5.0, 7.0)
-        ],
-        "schlick": [(f0,) for f0 in np.linspace(0.01, 0.99, 40)],
-        "dielectric": [(float(np.log(eta - 1)),) for eta in np.linspace(1.02, 3.5, 40)],
-    }
-    points = lattice[model]
+    points = FRESNEL_LATTICE[model]
     curves = [np.asarray(reflectance_at(model, jnp.asarray(p)).at(jnp.asarray(theta))) for p in points]
     misfit = [(weight * (f - curve) ** 2).sum() for curve in curves]
     return np.array(points[int(np.argmin(misfit))])

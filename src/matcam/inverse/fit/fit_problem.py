@@ -3,20 +3,27 @@
 The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d) A(cell; lobe, rig) + diffuse_u / pi.  A
 strength F that is free in every slice is solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman
 1975).
+
+Of a near rig A is the record of D G at F = 1 plus the slope of ln F times the record's moment (`lobe_operator.py`). The slope
+is the Fresnel model's own, or that of a smooth curve through free strengths (`strength_slopes.py`). The latter counts as fixed
+in derivatives: how it follows the parameters is a small part of a small part.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.jax import jax, placed
+from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
 from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_record, record_and_slopes
+from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
@@ -84,6 +91,7 @@ class FitModel(NamedTuple):
         lobe: (u, s, n), A of each unit.
         strength: (u, s), F.
         strength_std: (u, s), of free strengths, all else exact; 0 otherwise.
+        log_slope: (u, s), slope of ln F, 1/rad, by which A is each node's own F; 0 where the rig is distant.
     """
 
     value: np.ndarray
@@ -91,14 +99,18 @@ class FitModel(NamedTuple):
     lobe: np.ndarray
     strength: np.ndarray
     strength_std: np.ndarray
+    log_slope: np.ndarray
 
 
 @kept_program
-def _reflectance(model: FresnelModel, coordinates: jax.Array, theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return F and its derivatives for each row of coordinates."""
+def _reflectance(
+    model: FresnelModel, coordinates: jax.Array, theta: jax.Array, rise: bool
+) -> tuple[jax.Array, jax.Array]:
+    """Return F and its derivatives for each row of coordinates. rise: of the slope of F with theta instead."""
 
     def curve(c: jax.Array) -> jax.Array:
-        return reflectance_at(model, c).at(theta)
+        at = reflectance_at(model, c).at
+        return jax.jvp(at, (theta,), (jnp.ones_like(theta),))[1] if rise else at(theta)
 
     return jax.vmap(curve)(coordinates), jax.vmap(jax.jacfwd(curve))(coordinates)
 
@@ -128,7 +140,7 @@ class FitProblem:
     ):
         self.data, self.cells, self.operator = data, cells, operator
         self.layout, self.prior, self.radius, self.batch = layout, prior, radius, batch
-        self._last: dict[int, tuple[bytes, RecordAndSlopes]] = {}
+        self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
         """Return the same problem with other parameters."""
@@ -156,52 +168,96 @@ class FitProblem:
         layout = self.layout
         return np.array([p[layout.unit(u)][-1] if layout.diffuse else 0.0 for u in range(layout.units)])
 
-    def model(self, p: np.ndarray, weight: np.ndarray, *, slopes: bool = True) -> FitModel:
+    def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
         """Return the model at parameters. weight: (u, s, n), 1 / V, with which free strengths are solved."""
-        layout, data = self.layout, self.data
-        units, slices, cells = data.values.shape
-        lobes, by_lobe = [], []
-        for index in range(layout.lobes):
-            q = np.concatenate([p[layout.lobe(index)], p[layout.rig]])
-            if slopes:
-                both = self._record_and_slopes(index, q)
-                lobes.append(both.record)
-                by_lobe.append(both.slopes)
-            else:
-                lobes.append(np.asarray(lobe_record(self.operator, layout.kind, placed(q))))
-        lobe = np.stack([lobes[index] for index in layout.lobe_of])
-        body = self.diffuse(p)[:, None, None] / np.pi
-        std = np.zeros((units, slices))
-        by_fresnel = np.zeros((units, slices, 0))
-        if layout.fresnel == "free":
-            wa = np.where(data.used, weight, 0.0) * lobe
-            power = (wa * lobe).sum(-1)
-            safe = np.where(power > 0, power, 1.0)
-            strength = np.where(power > 0, (wa * (data.values - body)).sum(-1) / safe, 0.0)
-            std = np.where(power > 0, 1 / np.sqrt(safe), np.inf)
-        else:
-            rows = np.stack([p[layout.unit(u)][: layout.fresnel_size] for u in range(units)])
-            pair = _reflectance(layout.fresnel, placed(rows), placed(self.theta_d))
-            strength, by_fresnel = (np.asarray(a) for a in pair)
-        value = strength[..., None] * lobe + body
-        derivative = np.zeros((layout.size if slopes else 0, units, slices, cells))
-        if slopes:
-            for u, index in enumerate(layout.lobe_of):
-                slope = strength[u][None, :, None] * by_lobe[index]
-                derivative[layout.lobe(index), u] = slope[: layout.kind.size]
-                derivative[layout.rig, u] = slope[layout.kind.size :]
-                place = layout.unit(u)
-                for n in range(by_fresnel.shape[-1]):
-                    derivative[place.start + n, u] = by_fresnel[u, :, n, None] * lobe[u]
-                if layout.diffuse:
-                    derivative[place.stop - 1, u] = 1 / np.pi
-        return FitModel(value, derivative, lobe, strength, std)
+        layout = self.layout
+        orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
+        records = [np.stack([orders[index][n].record for index in layout.lobe_of]) for n in range(len(orders[0]))]
+        model, by_fresnel = self._strengths(p, weight, records)
+        derivative = np.zeros((layout.size, *model.value.shape))
+        for u, index in enumerate(layout.lobe_of):
+            by_lobe = _combined([one.slopes for one in orders[index]], model.log_slope[u])
+            slope = model.strength[u][None, :, None] * by_lobe
+            derivative[layout.lobe(index), u] = slope[: layout.kind.size]
+            derivative[layout.rig, u] = slope[layout.kind.size :]
+            place = layout.unit(u)
+            derivative[place.start : place.start + layout.fresnel_size, u] = by_fresnel[u]
+            if layout.diffuse:
+                derivative[place.stop - 1, u] = 1 / np.pi
+        return model._replace(derivative=derivative)
 
-    def _record_and_slopes(self, index: int, q: np.ndarray) -> RecordAndSlopes:
-        """Return the record of a lobe, kept for the next call: weights change more often than lobes."""
+    def start_model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
+        """Return the model of free strengths without derivatives, to begin a search with.
+
+        F is the cell's own, in a near rig too: lobes of a lattice differ by more.
+        """
+        layout = self.layout
+        q = [placed(np.concatenate([p[layout.lobe(index)], p[layout.rig]])) for index in range(layout.lobes)]
+        lobes = [np.asarray(lobe_record(self.operator, layout.kind, one)) for one in q]
+        return self._strengths(p, weight, [np.stack([lobes[index] for index in layout.lobe_of])])[0]
+
+    def _strengths(self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray]) -> tuple[FitModel, np.ndarray]:
+        """Return the model without derivatives, and those by each unit's own Fresnel term, (u, parameters, s, n).
+
+        records: of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments.
+        """
+        layout, (units, slices, cells) = self.layout, records[0].shape
+        body = self.diffuse(p)[:, None, None] / np.pi
+        log_slope = np.zeros((units, slices))
+        if layout.fresnel == "free":
+            lobe = records[0]
+            strength, std = self._free_strengths(weight, lobe, body)
+            if len(records) > 1:
+                log_slope = self._slopes.log_slopes(strength, std)
+                lobe = _combined(records, log_slope)
+                strength, std = self._free_strengths(weight, lobe, body)
+            by_fresnel = np.zeros((units, 0, slices, cells))
+        else:
+            rows = placed(np.stack([p[layout.unit(u)][: layout.fresnel_size] for u in range(units)]))
+            curves = [
+                [np.asarray(a) for a in _reflectance(layout.fresnel, rows, placed(self.theta_d), bool(order))]
+                for order in range(len(records))
+            ]
+            strength, std = curves[0][0], np.zeros((units, slices))
+            if len(records) > 1:
+                log_slope = curves[1][0] / strength
+            lobe = _combined(records, log_slope)
+            by_curves = [np.moveaxis(by, -1, 1)[..., None] for _, by in curves]
+            by_fresnel = sum(by * record[:, None] for by, record in zip(by_curves, records, strict=True))
+        value = strength[..., None] * lobe + body
+        return FitModel(value, np.zeros((0, *value.shape)), lobe, strength, std, log_slope), by_fresnel
+
+    def _free_strengths(self, weight: np.ndarray, lobe: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the likeliest strength of every unit and slice, and its standard deviation, all else exact."""
+        data = self.data
+        wa = np.where(data.used, weight, 0.0) * lobe
+        power = (wa * lobe).sum(-1)
+        safe = np.where(power > 0, power, 1.0)
+        strength = np.where(power > 0, (wa * (data.values - body)).sum(-1) / safe, 0.0)
+        return strength, np.where(power > 0, 1 / np.sqrt(safe), np.inf)
+
+    @cached_property
+    def _slopes(self) -> StrengthSlopes:
+        return StrengthSlopes(self.theta_d)
+
+    def read(self, model: FitModel, of: Callable[[LobeOperator], np.ndarray]) -> np.ndarray:
+        """Return what is linear in the operator as it stands beside each unit's F, (u, ..., s, n).
+
+        of: returns it for an operator, (..., s, n). model: whose F is meant.
+        """
+        parts = [of(operator) for operator in self.operator.orders]
+        return np.stack([_combined(parts, slope) for slope in model.log_slope])
+
+    def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
+        """Return the record of a lobe, and in a near rig its moment, kept for the next call.
+
+        Weights change more often than lobes.
+        """
+        q = np.concatenate([p[self.layout.lobe(index)], p[self.layout.rig]])
         key = q.tobytes()
         if index not in self._last or self._last[index][0] != key:
-            self._last[index] = key, record_and_slopes(self.operator, self.layout.kind, q, self.batch)
+            kind, batch = self.layout.kind, self.batch
+            self._last[index] = key, [record_and_slopes(one, kind, q, batch) for one in self.operator.orders]
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
@@ -216,3 +272,11 @@ class FitProblem:
         if self.layout.fresnel == "free":
             return whitening(self.data, weight, model.lobe, np.inf)
         return whitening(self.data, weight, model.value, gain)
+
+
+def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
+    """Return a record and its moment, where it has one, as they stand beside F, (..., s, n). log_slope: of F, (..., s)."""
+    if len(orders) == 1:
+        return orders[0]
+    record, moment = orders
+    return record + log_slope[..., None] * moment

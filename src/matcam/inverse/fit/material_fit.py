@@ -193,6 +193,17 @@ class MaterialFit:
         """
         return strengths_with_covariance(self._solution)
 
+    def log_slope(self, theta_d: np.ndarray) -> np.ndarray:
+        """Return the slope of ln F that near rigs record.
+
+        Args:
+            theta_d: difference angles, rad (n,).
+
+        Returns:
+            The mean of all channels, 1/rad (n,), interpolated between the fit's slices; 0 where the rig is distant.
+        """
+        return np.interp(theta_d, self.theta_d, self._solution.model.log_slope.mean(axis=0))
+
     def squared_width(self, name: str) -> tuple[float, float]:
         """Return the square of a fitted width of the rig.
 

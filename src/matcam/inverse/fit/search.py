@@ -114,7 +114,7 @@ class Search:
             p = np.zeros(free.layout.size)
             for index in range(layout.lobes):
                 p[free.layout.lobe(index)] = inside
-            model = free.model(p, weight, slopes=False)
+            model = free.start_model(p, weight)
             u = free.whitening(model, weight, 0.0)(problem.data.values - model.value)
             found.append(((huber_weights(u) * u**2).sum(), inside, model))
         order = np.argsort([misfit for misfit, *_ in found])

@@ -1,8 +1,13 @@
-"""The rules of chosen cells as arrays: what they read of a lobe at each node, and how that changes along the rig's axes."""
+"""The rules of chosen cells as arrays: what they read of a lobe at each node, and how that changes along the rig's axes.
+
+Before a near camera or under a near lamp each node has a theta_d of its own. Their differences from the cell's come as a second
+set of weights, the moments.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -74,15 +79,22 @@ class _Blurs(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Hold the nodes of pixels, their weights for each blur, and where masking is taken: arrays by name."""
+    """Hold the nodes of pixels, their weights for each blur, and where masking is taken: arrays by name.
+
+    moments: as the weights, of a near rig; empty of a distant one.
+    """
 
     theta: np.ndarray
     weights: list[np.ndarray]
     samples: dict[str, np.ndarray]
+    moments: tuple[np.ndarray, ...] = ()
 
 
 def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
-    """Return the nodes, weights and masking samples of cells by name; what changes along the axes is along0, along1 ..."""
+    """Return the nodes, weights and masking samples of cells by name; what changes along the axes is along0, along1 ...
+
+    Of a near rig the same of the moments: moment, moment_along0, moment_along1 ...
+    """
     ways = cells.x.shape[-1]
     flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
     view = sample_view(rig)
@@ -135,14 +147,15 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
-            weight, *others = rules.weights
-            named = {"theta": rules.theta, "weight": weight, **{name: a[:, None] for name, a in rules.samples.items()}}
-            for n, changes in enumerate(_changes_along(axes, weight, others)):
-                named |= {f"along{n}.{point}": change for point, change in enumerate(changes)}
+            named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
+            named |= _along(axes, "weight", "along", rules.weights)
+            if rules.moments:
+                named |= _along(axes, "moment", MOMENT_ALONG, rules.moments)
             columns.append({name: full(part) for name, part in named.items()})
     arrays = {name: np.concatenate([column[name] for column in columns], axis=2) for name in columns[0]}
-    for n, axis in enumerate(axes):
-        arrays[f"along{n}"] = np.stack([arrays.pop(f"along{n}.{point}") for point in range(len(axis.points))])
+    for name in ("along", MOMENT_ALONG) if "moment" in arrays else ("along",):
+        for n, axis in enumerate(axes):
+            arrays[f"{name}{n}"] = np.stack([arrays.pop(f"{name}{n}.{point}") for point in range(len(axis.points))])
     return arrays
 
 
@@ -186,6 +199,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
         np.concatenate([part.theta for part in parts]),
         [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
         {name: np.concatenate([part.samples[name] for part in parts]) for name in parts[0].samples},
+        tuple(np.concatenate(moments) for moments in zip(*(part.moments for part in parts), strict=True)),
     )
 
 
@@ -199,10 +213,12 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
         return [_far_rules(view.radius, Pixels(x, y, theta_d, factor), widths, finest)]
     (through,) = widths
     if view.line and (any(through.lamps) or not view.distant):
-        return _cylinder_rules(view, LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor), through)
+        pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
+        return _cylinder_rules(view, pixels, through, None if view.distant else theta_d)
     if view.line:
         return _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
-    return [_near_rules(view, NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), through)]
+    near = NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor)
+    return [_near_rules(view, near, through, None if view.distant else theta_d)]
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
@@ -289,8 +305,11 @@ def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
     return arms
 
 
-def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs) -> list[_Found]:
-    """Return the rules of a cylinder's two arms where one line under one lamp does not do."""
+def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta_d: np.ndarray | None) -> list[_Found]:
+    """Return the rules of a cylinder's two arms where one line under one lamp does not do.
+
+    theta_d: from which moments count, rad; None: none do.
+    """
     blurs, spreads, reaches, _, lamps = through
     widest = np.max([along for along, _ in reaches], axis=0)
     low, high = line_window(view.cylinder, view.lamp, pixels, widest, max(lamps))
@@ -311,27 +330,33 @@ def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs) -> li
                 onto,
                 arm,
                 any(lamps),
+                theta_d,
             )
             for blur, spread, reach, disc in zip(blurs, spreads, reaches, lamps, strict=True)
         ]
-        samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
-        arms.append(_Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples))
+        arms.append(_found(rules))
     return arms
 
 
-def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs) -> _Found:
+def _found(rules: list[NearRule]) -> _Found:
+    """Return the rules of all blurs on the same nodes."""
+    samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
+    moments = tuple(np.asarray(rule.moment) for rule in rules if rule.moment is not None)
+    return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples, moments)
+
+
+def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs, theta_d: np.ndarray | None) -> _Found:
+    """Return the rules of a sphere's pixels. theta_d: from which moments count, rad; None: none do."""
     blurs, spreads, reaches, discs, _ = through
     terms = through.terms
     onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
     nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0
-    rules: list[NearRule] = [
-        near_rule(
-            view, blur, spread, terms, pixels, near_window(view, pixels, *reach), onto, pixel_nodes=nodes, disc=disc
-        )
-        for blur, spread, reach, disc in zip(blurs, spreads, reaches, discs, strict=True)
-    ]
-    samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
-    return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples)
+    return _found(
+        [
+            near_rule(view, blur, spread, terms, pixels, near_window(view, pixels, *reach), onto, nodes, disc, theta_d)
+            for blur, spread, reach, disc in zip(blurs, spreads, reaches, discs, strict=True)
+        ]
+    )
 
 
 def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
@@ -341,6 +366,8 @@ def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
     return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
+MOMENT_ALONG = "moment_along"
+"""Name of what changes of the moments along each axis, before the axis's number."""
 _MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
 """Names of what `near_masking_samples` returns."""
 _SURROUNDINGS = np.array([9.0, 45.0])
@@ -360,6 +387,15 @@ def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
         return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
     moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
     return [blur_of(one, in_discs=True, whole=own.rest is not None) for one in moved]
+
+
+def _along(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the rig's own values by name, and by how much they differ at every point of every axis."""
+    own, *others = values
+    named = {name: own}
+    for n, changes in enumerate(_changes_along(axes, own, others)):
+        named |= {f"{along}{n}.{point}": change for point, change in enumerate(changes)}
+    return named
 
 
 def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:

@@ -3,7 +3,7 @@
 One line under one lamp does not do then (`line_rule.py`): points of a disc miss the line by different angles, and so do rows
 that a near camera or lamp shows. Both are samples of one kind. Each is a line of its own, under a lamp of its own, that misses
 its half vector by an angle of its own. Polynomials in asinh(theta_h / scale) carry the weights of all over to few nodes in
-theta_h, as in `near_rule.py`.
+theta_h, as in `near_rule.py`, and with them the moments of theta_d.
 
 A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is integrated in
 closed form. Where a sample may meet the half vector itself, samples crowd.
@@ -120,6 +120,7 @@ def cylinder_rule(
     onto: tuple[jax.Array, jax.Array],
     arm: float,
     discs: bool,
+    theta_d: jax.Array | np.ndarray | None = None,
 ) -> NearRule:
     """Return one arm's rule for some terms of a blur.
 
@@ -135,9 +136,11 @@ def cylinder_rule(
         onto: least and largest theta_h between which the nodes lie, (pixels,), rad.
         arm: one of `line_rule.ARMS`.
         discs: whether the lamp has a disc.
+        theta_d: of the cells, (pixels,), rad, from which moments count; None: none do.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]
+        arguments, cell = arguments
         x, angle, azimuth, factor, variance, reach, from_theta, to_theta = (a[:, None] for a in arguments)
         sine, rows = jnp.sin(angle), not discs and (nearness is not None or not cylinder.distant)
         lamp = sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(angle)
@@ -182,14 +185,15 @@ def cylinder_rule(
             1.1,
         )
         weight = onto_nodes(place, share)
+        moment = None if cell is None else onto_nodes(place, share * (at.theta_d - cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         # nodes of all samples at about one turn are a circle
         circles = jax.tree.map(lambda a: jnp.swapaxes(jnp.broadcast_to(a, u.shape), 1, 2), (at, place, share))
-        return nodes, weight, *azimuths_seen(*circles)
+        return nodes, weight, *azimuths_seen(*circles), moment
 
-    arguments = (*pixels, variance, reach, *onto)
-    found = jax.lax.map(block, tuple(jnp.asarray(a).reshape(-1, _BLOCK) for a in arguments))
-    return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
+    arguments = (*pixels, variance, reach, *onto), theta_d
+    found = jax.lax.map(block, jax.tree.map(lambda a: jnp.asarray(a).reshape(-1, _BLOCK), arguments))
+    return NearRule(*jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found))
 
 
 def _samples(

@@ -3,7 +3,8 @@
 The half vector turns over the picture, so that a circle about the highlight's normal is none of a constant theta_h. Nodes lie
 on such circles, as in `polar_rule`: what the camera sees, the lamp lights and the kernel reaches is an arc in closed form on
 each. Every node has its own theta_h, theta_d and irradiance. A polynomial in asinh(theta_h / scale) carries their weights over
-to few nodes in theta_h, at which a lobe is asked for. The polynomials are Legendre's, and those nodes are Gauss's.
+to few nodes in theta_h, at which a lobe is asked for. The polynomials are Legendre's, and those nodes are Gauss's. In the same
+way come the weights times the difference of theta_d from the cell's, by which F is read at each node's own theta_d.
 
 A lamp at an azimuth turns the pixel against the plane of camera and lamp (docs/model.md 10). The arcs are those of the square
 about the turned pixel then, and its kernel is different on either side of that plane. Here a distant rig is one whose camera
@@ -80,6 +81,7 @@ class NearRule(NamedTuple):
         cos_psi: (pixels, circles, 2), cosine of the two azimuths at which G is taken.
         theta_d: (pixels, circles, 2), theta_d there, rad.
         share: (pixels, circles, 2), their shares.
+        moment: (pixels, nodes), weights of the difference of theta_d from the cell's, rad; None: it is not asked for.
     """
 
     theta: jax.Array
@@ -88,6 +90,7 @@ class NearRule(NamedTuple):
     cos_psi: jax.Array
     theta_d: jax.Array
     share: jax.Array
+    moment: jax.Array | None = None
 
 
 def near_window(view: SampleView, pixels: NearPixels, reach: np.ndarray, rows: np.ndarray) -> NearWindow:
@@ -153,20 +156,21 @@ def near_rule(
     onto: PolarWindow,
     pixel_nodes: int = 0,
     disc: LampDisc | None = None,
+    theta_d: jax.Array | np.ndarray | None = None,
 ) -> NearRule:
     """Return the rule for some terms of a blur; differentiable in its parameters.
 
     variances: px^2, (pixels,), that the blur's spread adds along x and y. window: what this blur sees. onto: the theta_h
     between which the rule's nodes lie; all that is seen, or more. pixels: a multiple of the block, see `padded`.
     pixel_nodes: of a pixel that is turned against the plane of camera and lamp, see `Blur.turned_kernel`; 0: it is not.
-    disc: of a lamp whose disc is not in the variances.
+    disc: of a lamp whose disc is not in the variances. theta_d: of the cells, rad, from which moments count; None: none do.
     """
     radius, stretch, q, w = view.radius, view.stretch, view.camera, view.lamp
     turn = jnp.cos(view.azimuth), jnp.sin(view.azimuth)
     around = _MORE_AZIMUTHS if pixel_nodes else AZIMUTHS
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        arguments, disc = arguments
+        arguments, disc, cell = arguments
         x, y, lamp, peak, factor, low, high, reach, high_rows, from_theta, to_theta, var_x, var_y = (
             a[:, None, None] for a in arguments
         )
@@ -227,14 +231,17 @@ def near_rule(
         place = jnp.clip(2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1, -1.1, 1.1)
         through = factor[..., 0] * stretch**2 / 4 * (s * step)[..., 0]
         weight = onto_nodes(place, through[..., None] * share)
+        moment = None
+        if cell is not None:
+            moment = onto_nodes(place, through[..., None] * share * (at.theta_d - cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
-        return nodes[:, 0], weight, *azimuths_seen(at, place, share)
+        return nodes[:, 0], weight, *azimuths_seen(at, place, share), moment
 
     circles, theta = window.circles, onto
     arguments = (*pixels, circles.low, circles.high, circles.reach, circles.rows, theta.low, theta.high, *variances)
-    blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc))
+    blocks = jax.tree.map(lambda a: a.reshape(-1, _BLOCK, *a.shape[1:]), (arguments, disc, theta_d))
     found = jax.lax.map(block, blocks)
-    return NearRule(*(a.reshape(-1, *a.shape[2:]) for a in found))
+    return NearRule(*jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found))
 
 
 def azimuths_seen(at: Directions, place: jax.Array, share: jax.Array) -> tuple[jax.Array, ...]:
