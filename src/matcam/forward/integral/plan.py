@@ -117,7 +117,7 @@ class IntegrationPlan(NamedTuple):
 
     def turned(self, by: jax.Array) -> IntegrationPlan:
         """Return the plan under lamps that are turned away from the optical axis by so little that it serves them, rad."""
-        places = self.places._replace(lamp_angle=self.places.lamp_angle + by)  # type: ignore[arg-type]
+        places = self.places._replace(lamp_angle=self.places.lamp_angle + by)
         parts = (eqx.tree_at(lambda one: one.lamps, part, part.lamps + by) for part in self.parts)
         return IntegrationPlan(places, tuple(parts))
 
