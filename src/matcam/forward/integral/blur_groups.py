@@ -20,9 +20,9 @@ _FOLLOWED = 5.2
 """How far a Gaussian is followed, in standard deviations."""
 _REST_NEAR = 1.3
 """Half side of the square around a highlight, in reaches of what Gaussians leave."""
-_REST_FINEST, _REST_SPACING = 0.6, 0.16
+_REST_FINEST, _REST_SPACING = 0.7, 0.18
 """Of what Gaussians leave: as narrow a Gaussian, and the step of a record, in periods of the cutoff."""
-_REST_PANEL = 1.5
+_REST_PANEL = 3
 """Periods between the cuts of its support."""
 _HERMITES = np.sqrt(3)
 

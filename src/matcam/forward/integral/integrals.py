@@ -174,12 +174,20 @@ class WindowPanels(NamedTuple):
         along_v: count of panels along v.
         ridge: True where a squeezed lobe runs through the window. Towards the limb the surface turns within a pixel.
             Even far from its peak a lobe is a narrow ridge there, along the half vector's u.
+        rings: whether the kernel has a lens's rings, on whose account a ridge takes no fewer nodes.
     """
+
+    @property
+    def orders(self) -> tuple[int, int]:
+        """Return the Gauss-Legendre nodes per panel along u and v."""
+        return (_ORDER_U_RIDGE, _ORDER_V_RIDGE) if self.ridge and not self.rings else (_ORDER_U, _ORDER_V)
+
 
     reach: jax.Array
     cuts: jax.Array
     along_v: int
     ridge: bool
+    rings: bool = False
 
 
 def record_around(
@@ -364,14 +372,14 @@ def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, 
             at = at_y[:, None] + lamps.from_sensor(*(a.ravel() for a in corners))[1]
         stepped, _ = sample.window(at, at, sample.across(at_x, jnp.zeros_like(x))[:, None])
         borders = jnp.sort(jnp.concatenate([borders, jnp.clip(stepped, first, last)], axis=-1), axis=-1)
-    v, v_weight = nodes_in_panels(borders, _ORDER_V_RIDGE if panels.ridge else _ORDER_V)
+    v, v_weight = nodes_in_panels(borders, panels.orders[1])
     low, high = sample.lit(v, lamps.lamp_angle, scene.lamp_nearness)
     low, high = (jnp.clip(sample.across(at_x[:, None] + side * panels.reach, v), low, high) for side in (-1, 1))
     by_kernel, *others = _cuts_along_u(scene, (at_x, at_y), v, (low, high), panels)
     first_cuts = [low, *jnp.unstack(by_kernel, axis=-1), high]
     more = [jnp.clip(cut, low, high) for cuts in others for cut in jnp.unstack(cuts, axis=-1)]
     along = ascending([*(jnp.clip(cut, low, high) for cut in first_cuts), *more], len(first_cuts))
-    u, u_weight = nodes_in_panels(along, _ORDER_U_RIDGE if panels.ridge else _ORDER_U)
+    u, u_weight = nodes_in_panels(along, panels.orders[0])
     return _through_kernel(scene, blur, (x, y), _SurfaceNodes(u, v[..., None], u_weight * v_weight[..., None]))
 
 

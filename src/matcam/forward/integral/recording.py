@@ -71,7 +71,7 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
         records.append(_record_inside(subject, part.terms, _at(places, part.inside)))
     for window in part.windows:
         kernel = jnp.asarray(part.reach), jnp.asarray(part.cuts)
-        panels = WindowPanels(*kernel, window.panels, window.ridge)
+        panels = WindowPanels(*kernel, window.panels, window.ridge, subject.through(part.terms).of_rest)
         records.append(_record_in_window(subject, part.terms, panels, _at(places, window.index), window.whole))
     if part.near.size:
         around = HighlightPanels(_GRADED, part.even, _ORDER, part.margin, part.shares)
