@@ -38,7 +38,8 @@ class CellChoice(NamedTuple):
         azimuth: of the lamp in all pictures, rad.
         elongation: of the material's lobe, no unit.
         pixel_phase: of the real pixels that are looked up, px; None: every cell has pixels of its own.
-        even: whether the lens's kernel is the same mirrored up and down.
+        even: whether the pictures through the lens are the same mirrored up and down.
+        shift: of the pictures, (right, up), px.
     """
 
     cell_value: CellValue
@@ -47,9 +48,16 @@ class CellChoice(NamedTuple):
     elongation: float = 1.0
     pixel_phase: PixelPhase | None = None
     even: bool = True
+    shift: tuple[float, float] = (0.0, 0.0)
 
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
         """Return the cells of a table of this sample."""
+        cells = self._unshifted(sample, lamp_nearness)
+        # a pixel of a shifted picture sees what one of the picture itself sees elsewhere
+        x, y = (at - by for at, by in zip(cells.places[:2], self.shift, strict=True))
+        return cells._replace(places=cells.places._replace(x=x, y=y))
+
+    def _unshifted(self, sample: Curved, lamp_nearness: jax.Array | None) -> TableCells | RealCells:
         if self.pixel_phase is None and self.cell_value not in ON_REAL_PIXELS:
             return table_cells(sample, self.cell_value, self.crop, self.azimuth, lamp_nearness, self.even)
         if not sample.distant or lamp_nearness is not None:

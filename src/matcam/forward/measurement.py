@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
 
+from matcam.camera.optics.colour import ColourOptics
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
@@ -77,10 +79,11 @@ def measure(
     Returns:
         BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where nothing is recorded. Coordinate `pixels`
         (theta_h, theta_d, phi_d) counts the pixels behind a cell, both places together. Attribute `kernel_error` is the
-        largest error of the lens's MTF, which is taken as a sum of Gaussians; 0 for Gaussian lenses.
+        largest error of the lens's transfer function, as it was taken; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: a cylinder's lamp has an azimuth, or its cells are on real pixels; or the call stands inside jax.jit.
+        ArgumentError: a cylinder's lamp has an azimuth, or its cells are on real pixels; the lens differs over the field, or
+            by direction before a cylinder; or the call stands inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
@@ -102,7 +105,12 @@ def measure(
         )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value
-    attrs = {"cell_value": written, "sample": rig.sample.kind, "rig": repr(rig), "kernel_error": kernel_error(rig)}
+    attrs = {
+        "cell_value": written,
+        "sample": rig.sample.kind,
+        "rig": repr(rig),
+        "kernel_error": max(kernel_error(one) for one, _ in _colours(rig)),
+    }
     attrs["lamp_azimuth"] = _azimuth(rig, azimuth)
     if rig.pixel_phase is not None:
         attrs["pixel_phase"] = np.ravel(rig.pixel_phase).tolist()
@@ -150,11 +158,35 @@ def table_values(
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig, _azimuth(rig, azimuth))
         return cylinder_table(material, rig, workspace or default_workspace())
+    seen = [
+        _values_through(material, one, _azimuth(rig, azimuth), shift, workspace or default_workspace())
+        for one, shift in _colours(rig)
+    ]
+    if len(seen) == 1:
+        return seen[0]
+    channels = [values[..., min(c, values.shape[-1] - 1)] for c, (values, _) in enumerate(seen)]
+    return jnp.stack(channels, axis=-1), seen[0][1]
+
+
+def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
+    """Return the rig of each colour of a lens that has several, else of all, and how far its image is shifted, px."""
+    optics = rig.camera.optics
+    if not isinstance(optics, ColourOptics):
+        return [(rig, (0.0, 0.0))]
+    rigs = (eqx.tree_at(lambda one: one.camera.optics, rig, lens) for lens in optics.lenses)
+    shifts = ((float(right), float(up)) for right, up in optics.shifts)
+    return list(zip(rigs, shifts, strict=True))
+
+
+def _values_through(
+    material: Material, rig: Rig, azimuth: float, shift: tuple[float, float], workspace: Workspace
+) -> tuple[jax.Array, np.ndarray]:
+    """Return values and pixel counts of a table through one lens. shift: of its pictures, (right, up), px."""
     imaging = imaging_of(rig)
-    even, turn = imaging.blur.even, _azimuth(rig, azimuth)
-    chosen = CellChoice(rig.cell_value, rig.crop, turn, material.elongation, rig.pixel_phase, even)
+    even = imaging.blur.even and shift[1] == 0
+    chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
     if disc_of(rig.lamp) == 0:
-        cells, plan = _table_plan(imaging, chosen, workspace or default_workspace())
+        cells, plan = _table_plan(imaging, chosen, workspace)
         return cell_means(record(material, imaging, plan), cells), cells.pixels
     return _under_disc(material, rig, imaging, chosen)
 

@@ -182,7 +182,6 @@ class WindowPanels(NamedTuple):
         """Return the Gauss-Legendre nodes per panel along u and v."""
         return (_ORDER_U_RIDGE, _ORDER_V_RIDGE) if self.ridge and not self.rings else (_ORDER_U, _ORDER_V)
 
-
     reach: jax.Array
     cuts: jax.Array
     along_v: int

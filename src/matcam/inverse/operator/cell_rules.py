@@ -107,27 +107,13 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=view.plain)
     blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
-    depth = view.normals(x, y)[2]
     lamps = [float(blur.lamp_radius) for blur in blurs]
-    under_discs = [_variances(blur, rig, x.shape, depth, lamp_angle) for blur in blurs]
-    if view.line:
-        blurs = [blur.of_point() for blur in blurs]
-    discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
-    chords = max(blur.chords for blur in blurs)
-    if any(disc is not None for disc in discs) or (view.line and any(lamps)):
-        blurs, chords = [blur.of_point() for blur in blurs], 0
-    elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
-        chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if any(blur.varies for blur in blurs):  # one program for all
-        blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
-    spreads = [_variances(blur, rig, x.shape, depth, lamp_angle) for blur in blurs]
 
     def full(part: np.ndarray) -> np.ndarray:
         result = np.zeros((cells.x.size, *part.shape[1:]))
         result[flat] = part[: flat.size]
         return result.reshape(-1, ways, *part.shape[1:])
 
-    half_width = float(rig.camera.pixel.half_width)
     columns: list[dict[str, np.ndarray]] = []
     widths: list[_Blurs] = []
     groups = [group.terms for group in groups_of(blurs[0], rig.sample)]  # type: ignore[arg-type]
@@ -135,15 +121,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         groups = [(term,) for terms in groups for term in terms]
     for terms in groups:
         parts = [blur.only(terms) for blur in blurs]
-        if parts[0].rest is not None:
-            widths.append(_rest_blurs(parts, under_discs))
-            continue
-        widest = [np.asarray(blur.stds).max() for blur in parts]
-        reaches = [
-            kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
-            for s, v, m, blur in zip(widest, spreads, moved, parts, strict=True)
-        ]
-        widths.append(_Blurs(parts, spreads, reaches, discs, lamps))
+        of_width = _rest_blurs if parts[0].rest is not None else _gaussian_blurs
+        widths.append(of_width(view, rig, parts, (x, y, lamp_angle)))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
@@ -159,23 +138,59 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     return arrays
 
 
-def _variances(
-    blur: Blur, rig: Rig, shape: tuple[int, ...], depth: np.ndarray, lamp_angle: np.ndarray
-) -> tuple[np.ndarray, ...]:
-    """Return the variances that lamp and focus add along x and y, px^2, in pixels of this shape."""
-    spread = blur.spread(rig.sample, depth, lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
-    return tuple(np.broadcast_to(v, shape) for v in spread[:2])
+def _gaussian_blurs(
+    view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> _Blurs:
+    """Return Gaussians of one width under a lamp's disc: it is one itself where they are wide enough.
 
-
-def _rest_blurs(blurs: list[Blur], variances: list[tuple[np.ndarray, ...]]) -> _Blurs:
-    """Return what Gaussians leave of the blurs. It is small itself: what discs add to it are Gaussians."""
+    pixels: x, y and the lamp's angle.
+    """
+    x, y, lamp_angle = pixels
+    lamps = [float(blur.lamp_radius) for blur in blurs]
+    if view.line:
+        blurs = [blur.of_point() for blur in blurs]
+    discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
+    chords = max(blur.chords for blur in blurs)
+    if any(disc is not None for disc in discs) or (view.line and any(lamps)):
+        blurs, chords = [blur.of_point() for blur in blurs], 0
+    elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
+        chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
+    if any(blur.varies for blur in blurs):  # one program for all
+        blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
+    spreads = [_variances(view, rig, blur, pixels) for blur in blurs]
+    half_width = float(rig.camera.pixel.half_width)
+    widest = [np.asarray(blur.stds).max() for blur in blurs]
     reaches = [
-        np.broadcast_to(float(blur.rest.reach), np.shape(pair)) + np.sqrt(3 * np.stack(pair))  # type: ignore[union-attr]
-        for blur, pair in zip(blurs, variances, strict=True)
+        kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
+        for s, v, m, blur in zip(widest, spreads, moved, blurs, strict=True)
     ]
-    varies = any(np.any(pair) for pair in variances)
-    blurs = [dataclasses.replace(blur, varies=varies) for blur in blurs]
+    return _Blurs(blurs, spreads, reaches, discs, lamps)
+
+
+def _rest_blurs(
+    view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> _Blurs:
+    """Return what Gaussians leave of the blurs. It is small itself: what lamp and focus add to it are Gaussians.
+
+    How those change along an axis is left out. pixels: x, y and the lamp's angle.
+    """
+    variances, reaches = [], []
+    for blur in blurs:
+        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels)
+        variances.append(added)
+        reaches.append(float(blur.rest.reach) + np.sqrt(3 * np.stack(added)))  # type: ignore[union-attr]
+    varies = any(np.any(added) for added in variances)
+    blurs = [dataclasses.replace(blur, varies=varies, chords=0) for blur in blurs]
     return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs))
+
+
+def _variances(
+    view: SampleView, rig: Rig, blur: Blur, pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, ...]:
+    """Return the variances that lamp and focus add along x and y, px^2."""
+    x, y, lamp_angle = pixels
+    spread = blur.spread(rig.sample, view.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
+    return tuple(np.broadcast_to(v, x.shape) for v in spread[:2])
 
 
 def _finest(view: SampleView, widths: list[_Blurs]) -> float:
@@ -252,13 +267,21 @@ def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: floa
 
     def parts(n: int, through: _Blurs) -> list[PolarRule]:
         window = polar_window(radius, pixels, *through.reaches[n])
-        if through.blurs[n].rest is not None:
-            return [rule(n, part, through) for part in ring_windows(window)]
-        return [rule(n, window._replace(finest=own), through)]
+        if through.blurs[n].rest is None:
+            return [rule(n, window._replace(finest=own), through)]
+        return [rule(n, part, through) for part in ring_windows(window)]
+
+    def each(through: _Blurs) -> list[list[PolarRule]]:
+        """Return the rules of a width's blurs; those of one rest are the same."""
+        first = parts(0, through)
+        rests = [blur.rest for blur in through.blurs]
+        alike = [rest is not None and rest is rests[0] for rest in rests]
+        return [first, *(first if alike[n] else parts(n, through) for n in range(1, count))]
 
     count, wide = len(widths[0].blurs), np.min(widths[0].reaches[0]) > _SURROUNDINGS[0]
     own = finest if wide else np.inf
-    rules = [[part for through in widths for part in parts(n, through)] for n in range(count)]
+    of_widths = [each(through) for through in widths]
+    rules = [[part for of_width in of_widths for part in of_width[n]] for n in range(count)]
     if count == len(widths) == 1 and np.isinf(finest):
         shown, weights = rules[0][0], [np.asarray(rules[0][0].weight)]
     else:  # all on the nodes of the widest

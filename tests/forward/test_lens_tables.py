@@ -1,0 +1,83 @@
+"""Tables through lenses that are no Gaussians: each cell is the pixel of a picture that is shifted until its centre shows the
+cell. Pictures through lenses are judged by sums over normals in test_aberrated_pictures.py."""
+
+import numpy as np
+import pytest
+
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    ColourOptics,
+    DiffractionOptics,
+    GaussianOptics,
+    Microfacet,
+    Rig,
+    SeidelOptics,
+    Sphere,
+    ZernikeOptics,
+    measure,
+    picture,
+)
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import merl_grid
+
+RADIUS = 30.0
+PARTS = (8.0, 550e-9, 5e-6)
+
+
+def places(theta_h, theta_d, phi_d):
+    """Both places of a cell, (2, 2), px, and the cosines of the light there."""
+    psi = np.pi - phi_d + np.array([0, np.pi])
+    x = np.cos(theta_h) * np.sin(theta_d) + np.sin(theta_h) * np.cos(psi) * np.cos(theta_d)
+    half = np.sin(theta_h) * np.sin(theta_d) * np.cos(psi)
+    cosines = np.cos(theta_h) * np.cos(theta_d) + half
+    return RADIUS * np.stack([x, np.sin(theta_h) * np.sin(psi)], -1), cosines
+
+
+def largest_error(lens, colours, material, count, least=0.0):
+    """Largest error of cells, drawn at random, over the table's peak in their slice. colours: each channel's lens and shift."""
+    table = measure(material, Rig(Camera(lens, BoxPixel(0.5)), Sphere(RADIUS)))
+    grid, rng = merl_grid("centre"), np.random.default_rng(4)
+    seen = np.argwhere(np.isfinite(table.values[..., 0]) & (table.values[..., 0] > least * np.nanmax(table.values)))
+    worst = []
+    for i, j, k in seen[rng.integers(0, len(seen), count)]:
+        at, cosines = places(grid.theta_h[i], grid.theta_d[j], grid.phi_d[k])
+        if cosines.min() < 0.15:
+            continue
+        for c, (own, shift) in enumerate(colours):
+            truth = []
+            for place, cosine in zip(at, cosines, strict=True):
+                moved = tuple(shift - place)
+                rig = Rig(Camera(ColourOptics(own, own, own, moved, moved, moved), BoxPixel(0.5)), Sphere(RADIUS))
+                pixel = picture(material, rig, 2 * grid.theta_d[j], shape=(1, 1)).values[0, 0, 0]
+                truth.append(pixel / cosine)
+            worst.append((table.values[i, j, k, c] - np.mean(truth)) / np.nanmax(table.values[:, j, :, c]))
+    print(np.round(np.abs(worst), 7))
+    return np.max(np.abs(worst))
+
+
+@pytest.mark.slow
+def test_each_colour_has_its_lens_and_its_shift():
+    lenses = [GaussianOptics(0.5), GaussianOptics(0.8), GaussianOptics(0.6)]
+    shifts = [np.zeros(2), np.array([0.4, 0.0]), np.array([-0.3, 0.7])]
+    lens = ColourOptics(*lenses, *shifts)
+    assert largest_error(lens, list(zip(lenses, shifts, strict=True)), Microfacet(GGX(0.1), 0.9), 4) < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alpha", [0.005, 0.1])
+@pytest.mark.parametrize(
+    "lens",
+    [DiffractionOptics(*PARTS), ZernikeOptics(*PARTS, astigmatism=(0.04, -0.03), coma=(0.02, 0.03), defocus=0.05)],
+    ids=["diffraction", "aberrations"],
+)
+def test_cells_through_lenses_that_end_at_a_frequency(lens, alpha):
+    error = largest_error(lens, [(lens, np.zeros(2))], Microfacet(GGX(alpha), 0.9), 40, least=1e-6)
+    assert error < 1e-4
+
+
+def test_what_differs_over_the_field_has_no_table():
+    rig = Rig(Camera(SeidelOptics(*PARTS, 1000.0, coma=0.1), BoxPixel(0.5)), Sphere(RADIUS))
+    with pytest.raises(ArgumentError, match="SeidelOptics"):
+        measure(Microfacet(GGX(0.1), 0.9), rig)
