@@ -49,6 +49,10 @@ AT = [(1e-4, 0.5), (0.008, 1.0), (0.016, 2.5)]
 """The peak, and beside it."""
 
 
+def sharpest(*blurs):
+    return [float(np.min(np.asarray(blur.stds))) for blur in blurs]
+
+
 @pytest.mark.slow
 def test_cells_under_a_disc():
     """A Gaussian of the disc's variance errs by 6e-3 here."""
@@ -95,10 +99,12 @@ def test_small_discs_stay_gaussians():
     places = np.zeros(2), np.zeros(2)
     for degrees, wanted in ((0.0, False), (0.05, False), (0.5, True)):
         rig = under(128.0, degrees)
-        (disc,), _ = lamp_discs(sample_view(rig), [blur_of(rig)], np.array([0.2, 1.0]), *places)
+        (disc,), _ = lamp_discs(sample_view(rig), [blur_of(rig)], sharpest(blur_of(rig)), np.array([0.2, 1.0]), *places)
         assert (disc is not None) is wanted
     point, wide = (blur_of(under(128.0, degrees)) for degrees in (0.0, 0.5))
-    (first, second), moved = lamp_discs(sample_view(rig), [point, wide], np.array([0.2, 1.0]), *places)
+    (first, second), moved = lamp_discs(
+        sample_view(rig), [point, wide], sharpest(point, wide), np.array([0.2, 1.0]), *places
+    )
     assert first is None  # a point beside a disc takes no chords
     assert second is not None
     assert moved[0].max() < 0.01 < moved[1].max()
@@ -110,7 +116,7 @@ def test_the_derivative_to_a_disc():
     rig, theta_d = under(128.0, 0.5), np.full(128, 0.6)
     view, blur = sample_view(rig), blur_of(rig)
     pixels = Pixels(128 * np.sin(theta_d) + np.linspace(-2, 2, 128), np.linspace(0, 2, 128), theta_d, np.ones(128))
-    (disc,), moved = lamp_discs(view, [blur], 2 * theta_d, pixels.x, pixels.y)
+    (disc,), moved = lamp_discs(view, [blur], sharpest(blur), 2 * theta_d, pixels.x, pixels.y)
     window = polar_window(128.0, pixels, *(4.0 + moved[0]))
     light = GGX(0.01)
 

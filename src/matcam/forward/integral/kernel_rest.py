@@ -22,9 +22,9 @@ from matcam.camera.pixel import PixelResponse
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.numerics.approximation import lagrange_basis
 
-_REACH, _REACH_OF_ABERRATIONS = 12, 16
-"""Half side of the rest, in periods of the cutoff: further out rings are below 1e-5 of the peak, and alike on average."""
-_TAPERED = 0.5
+_REACH, _REACH_OF_ABERRATIONS = 9, 16
+"""Half side of the rest, in periods of the cutoff: further out rings are below 1e-4 of the peak, and alike on average."""
+_TAPERED = 0.6
 """Share of the reach from which the rest is led to 0."""
 _KNOTS = 21
 """Intervals to a period of the cutoff."""
@@ -34,7 +34,7 @@ _STENCIL = np.arange(-2, 4)
 """Knots through which the polynomial of an interval goes."""
 _MARGIN = 3
 """Zeros around the grid."""
-_LEFT_OUT = 2e-6
+_LEFT_OUT = 1e-5
 """Of the kernel's peak: largest value of the products that are left out."""
 _FEWEST = 4
 """Products come in multiples of these: each count is a program."""

@@ -119,10 +119,13 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     groups = [group.terms for group in groups_of(blurs[0], rig.sample)]  # type: ignore[arg-type]
     if view.line and any(lamps) and not view.distant:  # rows by the rule of one term
         groups = [(term,) for terms in groups for term in terms]
+    sharpest = [_std_of_half(np.asarray(blur.weights), np.asarray(blur.stds)) for blur in blurs]
     for terms in groups:
         parts = [blur.only(terms) for blur in blurs]
-        of_width = _rest_blurs if parts[0].rest is not None else _gaussian_blurs
-        widths.append(of_width(view, rig, parts, (x, y, lamp_angle)))
+        if parts[0].rest is not None:
+            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle)))
+        else:
+            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
@@ -139,17 +142,23 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
 
 def _gaussian_blurs(
-    view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
+    view: SampleView,
+    rig: Rig,
+    blurs: list[Blur],
+    pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
+    lenses: list[float],
 ) -> _Blurs:
-    """Return Gaussians of one width under a lamp's disc: it is one itself where they are wide enough.
+    """Return Gaussians of one width under a lamp's disc: it is one itself where they, or the lenses, are wide enough.
 
-    pixels: x, y and the lamp's angle.
+    pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
+    narrower, and of either sign, but what they add up to is no sharper.
     """
     x, y, lamp_angle = pixels
     lamps = [float(blur.lamp_radius) for blur in blurs]
     if view.line:
         blurs = [blur.of_point() for blur in blurs]
-    discs, moved = lamp_discs(view, blurs, lamp_angle, x, y)
+    stds = [max(lens, float(np.min(np.asarray(blur.stds)))) for lens, blur in zip(lenses, blurs, strict=True)]
+    discs, moved = lamp_discs(view, blurs, stds, lamp_angle, x, y)
     chords = max(blur.chords for blur in blurs)
     if any(disc is not None for disc in discs) or (view.line and any(lamps)):
         blurs, chords = [blur.of_point() for blur in blurs], 0
@@ -303,12 +312,18 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     """
     own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
-    frequency = np.geomspace(0.01 / stds.max(), 2 / stds.min(), 2000)
-    passed = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
-    half = frequency[np.argmax(passed < 0.5)]
-    std = max(np.sqrt(np.log(2) / 2) / (np.pi * half), np.max(widths[-1].reaches[0]) / _RESOLVED)
+    std = max(_std_of_half(weights, stds), np.max(widths[-1].reaches[0]) / _RESOLVED)
     stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), rest=None)
     return widths[0]._replace(blurs=[stand_in])
+
+
+def _std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
+    """Return the standard deviation of the Gaussian whose transfer falls to a half where that of a sum of Gaussians does."""
+    if stds.size == 1:
+        return float(stds[0])
+    frequency = np.geomspace(0.01 / stds.max(), 2 / stds.min(), 2000)
+    passed = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
+    return float(np.sqrt(np.log(2) / 2) / (np.pi * frequency[np.argmax(passed < 0.5)]))
 
 
 def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:

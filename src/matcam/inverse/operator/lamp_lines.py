@@ -72,20 +72,20 @@ class LampDisc(NamedTuple):
 
 
 def lamp_discs(
-    view: SampleView, blurs: list[Blur], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
+    view: SampleView, blurs: list[Blur], stds: list[float], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
     """Return the discs of some blurs, and how far they move what pixels see, (blurs, 2, pixels), px along the pixels' axes.
 
-    All are None where Gaussians of the discs' variances do, and those of points always. lamp_angle, x, y: of the pixels.
+    All are None where Gaussians of the discs' variances do, and those of points always. stds: of Gaussians as sharp as the
+    blurs, px. lamp_angle, x, y: of the pixels.
     """
     half = float(blurs[0].pixel.half_width)
-    sharpest = [float(np.min(np.asarray(blur.stds))) for blur in blurs]
     turn = view.azimuth if view.azimuth <= np.pi / 4 else view.azimuth - np.pi / 2  # a square has four axes
     cosine, sine = np.cos(turn), np.sin(turn)
     moved = [_moved(view, blur, lamp_angle, x, y) for blur in blurs]
     if all(
         np.hypot(*at_peak).max() <= _GAUSSIAN * np.hypot(std, half / np.sqrt(3))
-        for (at_peak, _), std in zip(moved, sharpest, strict=True)
+        for (at_peak, _), std in zip(moved, stds, strict=True)
     ):
         return [None] * len(blurs), np.zeros((len(blurs), 2, *x.shape))
     along, across = _image(view, lamp_angle)
@@ -93,7 +93,7 @@ def lamp_discs(
     chord /= np.hypot(chord[:, :1], chord[:, 1:])
     turns = np.broadcast_to([cosine, sine], (x.size, 2))
     discs: list[LampDisc | None] = []
-    for blur, (at_peak, _), std in zip(blurs, moved, sharpest, strict=True):
+    for blur, (at_peak, _), std in zip(blurs, moved, stds, strict=True):
         first, second = (np.abs(a).max(0) for a in _rotated(*at_peak, cosine, sine))
         first, second = (a / np.hypot(std, PIXELS_SHARE * half) for a in (first, second))
         rule, relative = chord_rule(first, second), np.maximum(first, second)
