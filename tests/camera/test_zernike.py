@@ -143,7 +143,15 @@ METAL = Microfacet(GGX(0.1), 0.9)
         (lambda: Camera(SeidelOptics(*PARTS, unit=9.0)).mtf(0.1), "ask Camera(optics.at(x, y), pixel)"),
         (lambda: HaloOptics(LENS, 0.1, 9.0).mtf(0.1), "alike in all directions"),
         (lambda: gaussian_sum(LENS), "`picture` takes it"),
-        (lambda: matcam.measure(METAL, Rig(Camera(LENS), Sphere(60.0))), "alike in all directions"),
+        (lambda: matcam.measure(METAL, Rig(Camera(LENS), matcam.Cylinder(60.0))), "alike in all directions"),
+        (
+            lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0))),
+            "SeidelOptics is several",
+        ),
+        (
+            lambda: matcam.fit(matcam.forward.true_table(METAL), Rig(Camera(LENS), Sphere(60.0, distance=9.0))),
+            "a fit of a cylinder, or before a near camera",
+        ),
         (lambda: matcam.peak_response(Rig(Camera(LENS), Sphere(60.0)), GGX(0.1), 0.3), "alike in all directions"),
         (
             lambda: matcam.forward.highlight_stamps(Camera(LENS), 8, matcam.forward.Highlights(1.0, 0, 0, 1, 1)),

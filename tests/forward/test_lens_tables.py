@@ -13,13 +13,11 @@ from matcam import (
     GaussianOptics,
     Microfacet,
     Rig,
-    SeidelOptics,
     Sphere,
     ZernikeOptics,
     measure,
     picture,
 )
-from matcam.core.errors import ArgumentError
 from matcam.core.grid import merl_grid
 
 RADIUS = 30.0
@@ -75,9 +73,3 @@ def test_each_colour_has_its_lens_and_its_shift():
 def test_cells_through_lenses_that_end_at_a_frequency(lens, alpha):
     error = largest_error(lens, [(lens, np.zeros(2))], Microfacet(GGX(alpha), 0.9), 40, least=1e-6)
     assert error < 1e-4
-
-
-def test_what_differs_over_the_field_has_no_table():
-    rig = Rig(Camera(SeidelOptics(*PARTS, 1000.0, coma=0.1), BoxPixel(0.5)), Sphere(RADIUS))
-    with pytest.raises(ArgumentError, match="SeidelOptics"):
-        measure(Microfacet(GGX(0.1), 0.9), rig)

@@ -125,7 +125,7 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
     Raises:
         ArgumentError: `terms` is out of range, a measured MTF has not reached 0, or the lens is not isotropic.
     """
-    checked_isotropic(optics, "a sum of Gaussians, by which predictions and reconstructions see a lens,")
+    checked_isotropic(optics, "a sum of Gaussians, by which predictions, reconstructions and cylinders see a lens,")
     return round_gaussians(optics, terms)
 
 
