@@ -226,7 +226,9 @@ def _view(
         fineness = disc_fineness(rig, imaging, np.array(angle), material)
     points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
     if turning is not None and (len(points) > 1 or not isinstance(rig.sample, Sphere)):
-        raise ArgumentError("derivatives by lamp_angle are those of a sphere under a lamp without a disc")
+        raise ArgumentError(
+            "derivatives by lamp_angle need a Sphere under a lamp without a disc: give lamp_angle as a number"
+        )
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
     return _View(imaging, angle, turning, azimuth, points, x, y, lens)
 

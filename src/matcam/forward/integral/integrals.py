@@ -172,21 +172,21 @@ class WindowPanels(NamedTuple):
         reach: distance to which the kernel is followed, px.
         cuts: offsets, px, at which the kernel must be cut to be smooth in between; none where it is smooth.
         along_v: count of panels along v.
-        ridge: True where a squeezed lobe runs through the window. Towards the limb the surface turns within a pixel.
-            Even far from its peak a lobe is a narrow ridge there, along the half vector's u.
+        ridge: True where a squeezed lobe runs through the window: towards the limb, where the surface turns within a pixel,
+            a lobe is a narrow ridge even far from its peak, along the half vector's u.
         rings: whether the kernel has a lens's rings, on whose account a ridge takes no fewer nodes.
     """
-
-    @property
-    def orders(self) -> tuple[int, int]:
-        """Return the Gauss-Legendre nodes per panel along u and v."""
-        return (_ORDER_U_RIDGE, _ORDER_V_RIDGE) if self.ridge and not self.rings else (_ORDER_U, _ORDER_V)
 
     reach: jax.Array
     cuts: jax.Array
     along_v: int
     ridge: bool
     rings: bool = False
+
+    @property
+    def orders(self) -> tuple[int, int]:
+        """Return the Gauss-Legendre nodes per panel along u and v."""
+        return (_ORDER_U_RIDGE, _ORDER_V_RIDGE) if self.ridge and not self.rings else (_ORDER_U, _ORDER_V)
 
 
 def record_around(
@@ -235,18 +235,17 @@ def record_around_turned(
 ) -> jax.Array:
     """Record a rectangle of pixels that is turned against the plane of camera and lamp.
 
-    Neither kernel nor nodes are a product in x and y then, and both sides of that plane are different.
+    Neither kernel nor nodes are a product in x and y then, and both sides of that plane differ.
 
     Args:
         scene: the light; its lamp_angle and turn have shape ().
         blur: the terms to record through.
         x: columns of the rectangle on the sensor, (columns,), px.
-        y: rows of the rectangle on the sensor, (rows,), px.
+        y: rows of the rectangle, (rows,), px.
         reach: distance to which the terms are followed, px.
         panels: fineness of the integral.
 
-    Returns:
-        As of `record_around`.
+    Returns: as of `record_around`.
     """
     corners = scene.from_sensor(*(a.ravel() for a in jnp.meshgrid(jnp.stack([x[0], x[-1]]), jnp.stack([y[0], y[-1]]))))
     ends = jnp.min(corners[0]) - reach, jnp.max(corners[0]) + reach
@@ -322,7 +321,6 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     scene = scene.beside_nodes(1)
     for term in blur.terms:
         dx, dy, share = blur.blur.plane_rule(term, spread)
-        # offsets are the pixel's from the light's place: those of Gaussians have either sign
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
         total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
     return jnp.asarray(total)
