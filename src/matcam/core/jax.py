@@ -34,6 +34,7 @@ __all__ = [
     "plainly_compiled",
     "program_folder",
     "use_compilation_cache",
+    "without_derivatives",
 ]
 
 AnyArray = jax.Array | np.ndarray
@@ -51,6 +52,11 @@ _SEALED = "compiled"
 def is_concrete(value: object) -> bool:
     """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
     return not isinstance(value, jax.core.Tracer)
+
+
+def without_derivatives(tree: T) -> T:
+    """Return the same numbers as constants: under `jax.grad` they are known then, under `jax.jit` they are not."""
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
 
 
 def placed(array: npt.ArrayLike) -> jax.Array:

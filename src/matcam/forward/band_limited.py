@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from scipy.fft import next_fast_len
 
@@ -25,7 +24,7 @@ from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.zernike import ZernikeOptics
 from matcam.camera.pixel import PixelResponse
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp, without_derivatives
 
 POINT = 1e-3
 """Half width, px, of the pixel through which a fine record is made: none, to the operator."""
@@ -63,7 +62,7 @@ def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
     """
     if not concrete(camera):
         return None
-    optics = jax.tree.map(_stopped, camera.optics)
+    optics = without_derivatives(camera.optics)
     by_gaussians = float(gaussian_sum(optics).total_error)
     if by_gaussians == 0:
         return None
@@ -73,14 +72,14 @@ def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
 
 def concrete(camera: Camera) -> bool:
     """Tell whether the numbers of lens and pixel are known, but for their derivatives."""
-    stopped = jax.tree.map(_stopped, (camera.optics, camera.pixel))
+    stopped = without_derivatives((camera.optics, camera.pixel))
     return all(is_concrete(leaf) for leaf in jax.tree.leaves(stopped))
 
 
 def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = EXACT) -> BandLimit:
     """Return how a picture is recorded that each of these lenses filters; their numbers must be known."""
-    stopped: list[Optics] = jax.tree.map(_stopped, list(lenses))
-    pixel = jax.tree.map(_stopped, pixel)
+    stopped = without_derivatives(list(lenses))
+    pixel = without_derivatives(pixel)
     frequency = np.linspace(0, max(lens.band() for lens in stopped), _FREQUENCIES)
     passed = np.max([_at_most(lens, frequency) for lens in stopped], axis=0)
     along, across = (np.abs(np.asarray(pixel.mtf(frequency * part(_ANGLES[:, None])))) for part in (np.cos, np.sin))
@@ -97,10 +96,6 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
         for weight, part in optics.components()
     ]
     return np.sum(parts, axis=0)
-
-
-def _stopped(leaf: object) -> object:
-    return jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf
 
 
 @lru_cache(maxsize=32)
@@ -229,5 +224,4 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
 
 def optics_band(optics: Optics) -> float:
     """Return the frequency above which a lens passes nothing, cycles/px, where its parameters may be differentiated."""
-    stopped = jax.tree.map(_stopped, optics)
-    return float(stopped.band())
+    return float(without_derivatives(optics).band())

@@ -24,7 +24,7 @@ from matcam.camera.pixel import BoxPixel
 from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp, without_derivatives
 from matcam.forward.band_limited import POINT, FineLine, filtered, fine_line, transformed
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.blur_groups import groups_of
@@ -215,8 +215,9 @@ def _view(
     lens = _lens_of(material, rig, rig.sample, error)
     if lens is not None:
         rig = eqx.tree_at(lambda one: one.camera, rig, Camera(GaussianOptics(lens.limit.sigma), BoxPixel(POINT)))
-    angle = checked_lamp_angle(_known(lamp[0]), rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
-    turning = None if is_concrete(lamp[0]) else jnp.asarray(lamp[0]) - _known(lamp[0])
+    known = without_derivatives(lamp[0])
+    angle = checked_lamp_angle(known, rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
+    turning = None if is_concrete(lamp[0]) else jnp.asarray(lamp[0]) - known
     azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
@@ -231,11 +232,6 @@ def _view(
         )
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
     return _View(imaging, angle, turning, azimuth, points, x, y, lens)
-
-
-def _known(value: ArrayLike) -> ArrayLike:
-    """Return a number without its derivative."""
-    return value if is_concrete(value) else jax.lax.stop_gradient(value)
 
 
 def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:

@@ -215,13 +215,10 @@ class Blur(eqx.Module):
         """
         cosine, sine = turn
         x, y = x * cosine - y * sine, x * sine + y * cosine
-        along, across = spread.along, spread.across
-        var_x, var_y = along * cosine**2 + across * sine**2, along * sine**2 + across * cosine**2
-        if self.is_rest(term):
-            return self.at(term, Spread(var_x, var_y, spread.disc), x, y)
         if self.chords or not self.varies:
             return self.at(term, spread, x, y)
-        var_x, var_y = var_x + self.stds[term] ** 2, var_y + self.stds[term] ** 2
+        along, across, own = spread.along, spread.across, self.stds[term] ** 2
+        var_x, var_y = own + along * cosine**2 + across * sine**2, own + along * sine**2 + across * cosine**2
         wider = var_x >= var_y
         first, second = jnp.where(wider, x, y), jnp.where(wider, y, x)
         variance = jnp.where(wider, var_x, var_y)
@@ -353,7 +350,7 @@ def kernel_error(rig: Rig) -> float:
     if not isinstance(rig.sample, Sphere):
         return float(gaussian_sum(rig.camera.optics).total_error)
     rest = blur_of(rig, whole=True).rest
-    return 0.0 if rest is None else rest.error
+    return 0.0 if rest is None else float(rest.error)
 
 
 class Imaging(NamedTuple):

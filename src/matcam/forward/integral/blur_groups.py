@@ -24,7 +24,6 @@ _REST_FINEST, _REST_SPACING = 0.7, 0.18
 """Of what Gaussians leave: as narrow a Gaussian, and the step of a record, in periods of the cutoff."""
 _REST_PANEL = 3
 """Periods between the cuts of its support."""
-_HERMITES = np.sqrt(3)
 
 
 class BlurScale(NamedTuple):
@@ -88,14 +87,14 @@ def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGro
         groups.append(BlurGroup(tuple(int(j) for j in together), scale))
         left = left[len(together) :]
     if blur.rest is not None:
-        groups.append(BlurGroup((stds.size,), _rest_scale(blur.rest, half, np.sqrt(added), turned)))
+        groups.append(BlurGroup((stds.size,), _rest_scale(blur.rest, half, added, turned)))
     return tuple(groups)
 
 
 def _rest_scale(rest: KernelRest, half: float, added: float, turned: bool) -> BlurScale:
-    """Return the lengths of what Gaussians leave. added: standard deviation that focus and lamp add to it, px."""
+    """Return the lengths of what Gaussians leave. added: variance that focus and lamp add to it, px^2."""
     period = float(rest.period)
-    reach = float(rest.reach) + _HERMITES * added
+    reach = rest.reach_through(added)
     along = reach * (np.sqrt(2) if turned else 1.0)
     panels = int(np.ceil(2 * reach / period / _REST_PANEL))
     cuts = reach * np.linspace(-1, 1, panels + 1)[1:-1]

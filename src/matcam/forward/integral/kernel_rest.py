@@ -19,7 +19,8 @@ import numpy as np
 from matcam.camera.optics.gaussian import GaussianSum
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PixelResponse
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.jax import is_concrete, jax, jnp, without_derivatives
+from matcam.core.workspace import default_workspace
 from matcam.numerics.approximation import lagrange_basis
 
 _REACH, _REACH_OF_ABERRATIONS = 9, 16
@@ -64,7 +65,7 @@ class KernelRest(eqx.Module):
     smooth: jax.Array
     reach: jax.Array
     period: jax.Array
-    error: float = eqx.field(static=True)
+    error: jax.Array
     even: bool = eqx.field(static=True)
 
     def at(self, x: jax.Array, y: jax.Array, variances: tuple[jax.Array, jax.Array] | None) -> jax.Array:
@@ -111,6 +112,10 @@ class KernelRest(eqx.Module):
             value = value * between + own[..., n]
         return jnp.where((place >= 0) & (place <= count), value, 0.0)
 
+    def reach_through(self, variance: Any) -> Any:
+        """Return the half side of the support where a Gaussian of this variance, px^2, spreads it, px."""
+        return float(self.reach) + _HERMITE[-1][0] * np.sqrt(variance)
+
     def nodes(self) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return offsets along x and y, px, and weights of a rule for light that is smooth within the reach, (nodes,)."""
         x, y = (self.reach * a.ravel() for a in np.meshgrid(_SMOOTH[0], _SMOOTH[0], indexing="ij"))
@@ -126,24 +131,12 @@ def kernel_rest(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, ji
         gaussians: the sum.
         jitter: standard deviation that registration adds to the lens, px.
     """
-    known = jax.tree.map(_stopped, (optics, pixel, gaussians, jnp.asarray(jitter)))
+    known = without_derivatives((optics, pixel, gaussians, jnp.asarray(jitter)))
     leaves, tree = jax.tree.flatten(known)
     if not all(map(is_concrete, leaves)) or float(known[2].total_error) == 0:
         return None
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
-    if key not in _MADE:
-        while len(_MADE) >= _MOST_KEPT:
-            _MADE.pop(next(iter(_MADE)))
-        _MADE[key] = _made(*known)
-    return _MADE[key]
-
-
-_MADE: dict[tuple, KernelRest] = {}
-_MOST_KEPT = 32
-
-
-def _stopped(leaf: Any) -> Any:
-    return jax.lax.stop_gradient(leaf) if eqx.is_array(leaf) else leaf
+    return default_workspace().remember("kernel rest", key, lambda: _made(*known))
 
 
 def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: jax.Array) -> KernelRest:
@@ -179,7 +172,7 @@ def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: 
         jnp.asarray(_smooth_weights(shown, knots / reach, step)),
         jnp.asarray(reach),
         jnp.asarray(period),
-        float(np.abs(left).max()),
+        jnp.asarray(np.abs(left).max()),
         optics.isotropic,
     )
 

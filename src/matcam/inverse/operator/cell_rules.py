@@ -187,7 +187,7 @@ def _rest_blurs(
     for blur in blurs:
         added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels)
         variances.append(added)
-        reaches.append(float(blur.rest.reach) + np.sqrt(3 * np.stack(added)))  # type: ignore[union-attr]
+        reaches.append(blur.rest.reach_through(np.stack(added)))  # type: ignore[union-attr]
     varies = any(np.any(added) for added in variances)
     blurs = [dataclasses.replace(blur, varies=varies, chords=0) for blur in blurs]
     return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs))
@@ -274,29 +274,29 @@ def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: floa
         program = polar_rule if disc is None else disc_rule
         return program(jnp.asarray(radius), through.blurs[n], spread, through.terms, pixels, window, disc)
 
-    def parts(n: int, through: _Blurs) -> list[PolarRule]:
-        window = polar_window(radius, pixels, *through.reaches[n])
-        if through.blurs[n].rest is None:
-            return [rule(n, window._replace(finest=own), through)]
-        return [rule(n, part, through) for part in ring_windows(window)]
-
-    def each(through: _Blurs) -> list[list[PolarRule]]:
-        """Return the rules of a width's blurs; those of one rest are the same."""
-        first = parts(0, through)
-        rests = [blur.rest for blur in through.blurs]
-        alike = [rest is not None and rest is rests[0] for rest in rests]
-        return [first, *(first if alike[n] else parts(n, through) for n in range(1, count))]
-
-    count, wide = len(widths[0].blurs), np.min(widths[0].reaches[0]) > _SURROUNDINGS[0]
-    own = finest if wide else np.inf
-    of_widths = [each(through) for through in widths]
-    rules = [[part for of_width in of_widths for part in of_width[n]] for n in range(count)]
-    if count == len(widths) == 1 and np.isinf(finest):
-        shown, weights = rules[0][0], [np.asarray(rules[0][0].weight)]
+    if len(widths[0].blurs) == len(widths) == 1 and np.isinf(finest):
+        shown = rule(0, polar_window(radius, pixels, *widths[0].reaches[0]), widths[0])
+        weights = [np.asarray(shown.weight)]
     else:  # all on the nodes of the widest
+        own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
         widest = polar_window(radius, pixels, *np.max([through.reaches for through in widths], axis=(0, 1)))
         widest = widest._replace(finest=finest)
-        weights = [sum(np.asarray(transfer(part, widest)) for part in own_parts) for own_parts in rules]  # type: ignore[misc]
+
+        def laid(n: int, through: _Blurs) -> np.ndarray:
+            seen = polar_window(radius, pixels, *through.reaches[n])
+            parts = [seen._replace(finest=own)] if through.blurs[n].rest is None else ring_windows(seen)
+            return sum(np.asarray(transfer(rule(n, part, through), widest)) for part in parts)  # type: ignore[return-value]
+
+        def each(through: _Blurs) -> list[np.ndarray]:
+            """Return the weights of a width's blurs; those of one rest are the same."""
+            first, rest = laid(0, through), through.blurs[0].rest
+            others = enumerate(through.blurs[1:], start=1)
+            return [
+                first,
+                *(first if rest is not None and blur.rest is rest else laid(n, through) for n, blur in others),
+            ]
+
+        weights = [sum(of_blur) for of_blur in zip(*map(each, widths), strict=True)]  # type: ignore[misc]
         seen = widths[-1].reaches[0]
         by = widths[0] if len(widths) == 1 else _standing_for(widths)
         shown = rule(0, widest._replace(reach=seen[0], rows=seen[1]), by)

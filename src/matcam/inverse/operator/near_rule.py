@@ -219,7 +219,7 @@ def near_rule(
         elif pixel_nodes:
             added = Spread(var_x, var_y, out_of_focus)
             kernel = sum(
-                blur.share(j) * blur.turned_kernel(-dx, own_y - side * dy, j, added, turn, pixel_nodes)
+                blur.weights[j] * blur.turned_kernel(dx, side * dy - own_y, j, added, turn, pixel_nodes)
                 for j in terms
                 for side in (1, -1)
             )

@@ -183,7 +183,7 @@ def polar_rule(
         sin, cos, sin_d, cos_d = jnp.sin(theta), jnp.cos(theta), jnp.sin(theta_d), jnp.cos(theta_d)
         # visible: cos psi < cot theta cot theta_d; lit: > the negative; seen by the kernel: x, then y
         horizon = cos * cos_d / jnp.maximum(sin * sin_d, 1e-300)
-        side = jnp.where(y < 0, -1.0, 1.0)
+        mirror = jnp.where(y < 0, -1.0, 1.0)
         y = jnp.abs(y)  # the mirror's other half sees the same, mirrored
         along = [((x + side * reach) / radius - cos * sin_d) / (sin * cos_d) for side in (-1, 1)]
         from_ = jnp.arccos(jnp.clip(jnp.minimum(along[1], horizon), -1, 1))
@@ -198,7 +198,7 @@ def polar_rule(
             normal = cos * sin_d + sin * cos_psi * cos_d, sin * sin_psi, cos * cos_d - sin * cos_psi * sin_d
             if disc is None:
                 spread = Spread(var_x, var_y, jnp.abs(blur.defocus(radius, normal[2])))
-                kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y, side)
+                kernel = both_sides(blur, terms, spread, (radius * normal[0] - x, radius * normal[1]), y, mirror)
             else:
                 kernel = disc_kernel(radius, blur, terms, disc, normal, (x, y), (var_x, var_y))
             share = kernel * half * around[1]
