@@ -81,7 +81,8 @@ def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGro
         raise ArgumentError(
             f"the sample's radius must exceed the camera's blur, of standard deviation {np.min(stds):g} px, got {radius:g} px"
         )
-    groups, left = [], list(np.argsort(stds))
+    groups: list[BlurGroup] = []
+    left = list(np.argsort(stds))
     while left:
         ratio = _ONE_WIDTH_OF_TAILS if groups and blur.rest is not None else _ONE_WIDTH
         together = [j for j in left if stds[j] <= ratio * stds[left[0]]]
