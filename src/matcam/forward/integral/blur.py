@@ -18,7 +18,8 @@ import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
-from matcam.camera.optics.gaussian import GaussianSum, gaussian_sum, round_gaussians
+from matcam.camera.optics.gaussian import GaussianSum, few_gaussians, gaussian_sum, round_gaussians
+from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
@@ -308,16 +309,17 @@ class BlurTerms(eqx.Module):
         return all(map(self.blur.is_rest, self.terms))
 
 
-def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False) -> Blur:
+def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: KernelRest | None = None) -> Blur:
     """Return the blur of a rig.
 
     Args:
         rig: the rig.
         in_discs: whether a lens out of focus makes discs, not Gaussians.
         whole: whether what Gaussians leave of the lens is a term, too. Then it need not be isotropic.
+        rest: taken for what they leave, as of a lens that differs little. Default: None, the lens's own.
     """
     optics = rig.camera.optics
-    lens = round_gaussians(optics) if whole else gaussian_sum(optics)
+    lens = _with_rest(optics) if whole else gaussian_sum(optics)
     uniform = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
     return Blur(
         pixel=rig.camera.pixel,
@@ -328,8 +330,14 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False) -> Blur:
         focus=rig.focus,
         varies=not uniform,
         chords=_chords(rig, lens) if in_discs else 0,
-        rest=kernel_rest(optics, rig.camera.pixel, lens, rig.jitter) if whole else None,
+        rest=(rest or kernel_rest(optics, rig.camera.pixel, lens, rig.jitter)) if whole else None,
     )
+
+
+def _with_rest(optics: Optics) -> GaussianSum:
+    """Return the Gaussians that a rest is added to: more of them where a derivative goes through them alone."""
+    known = all(map(is_concrete, jax.tree.leaves(optics)))
+    return few_gaussians(optics) if known else round_gaussians(optics)
 
 
 def _chords(rig: Rig, lens: GaussianSum) -> int:

@@ -14,12 +14,16 @@ from matcam.sample.shape import Curved
 
 _ONE_WIDTH = 1.4
 """Largest ratio of the standard deviations in a group."""
+_ONE_WIDTH_OF_TAILS = 1.8
+"""The same beyond the core of a lens that is no Gaussian: the shares there are small, and so are their errors."""
 _SHARP = 0.7
 """Standard deviation, in half widths of the pixel, below which the pixel's borders show as steps."""
 _FOLLOWED = 5.2
 """How far a Gaussian is followed, in standard deviations."""
 _REST_NEAR = 1.3
 """Half side of the square around a highlight, in reaches of what Gaussians leave."""
+_REST_SQUEEZED = 0.65
+"""Half the distance, in the same reaches, from which a lobe is smooth on its scale: a polynomial about a pixel."""
 _REST_FINEST, _REST_SPACING = 0.7, 0.18
 """Of what Gaussians leave: as narrow a Gaussian, and the step of a record, in periods of the cutoff."""
 _REST_PANEL = 3
@@ -31,6 +35,7 @@ class BlurScale(NamedTuple):
 
     Attributes:
         near: half the side of the square around the highlight in which the nodes go about the half vector.
+        squeezed: reach of the kernel as a squeezed lobe meets it.
         margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
         reach: distance to which the kernel is followed.
         reach_in_focus: the same without discs.
@@ -41,6 +46,7 @@ class BlurScale(NamedTuple):
     """
 
     near: float
+    squeezed: float
     margin: float
     reach: float
     reach_in_focus: float
@@ -75,9 +81,11 @@ def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGro
         raise ArgumentError(
             f"the sample's radius must exceed the camera's blur, of standard deviation {np.min(stds):g} px, got {radius:g} px"
         )
-    groups, left = [], list(np.argsort(stds))
+    groups: list[BlurGroup] = []
+    left = list(np.argsort(stds))
     while left:
-        together = [j for j in left if stds[j] <= _ONE_WIDTH * stds[left[0]]]
+        ratio = _ONE_WIDTH_OF_TAILS if groups and blur.rest is not None else _ONE_WIDTH
+        together = [j for j in left if stds[j] <= ratio * stds[left[0]]]
         scale = _scale(half, stds[together], widened[together], turned)
         if blur.chords:
             in_focus = float(np.sqrt(np.max(stds[together]) ** 2 + added - disc**2 / 4))
@@ -100,6 +108,7 @@ def _rest_scale(rest: KernelRest, half: float, added: float, turned: bool) -> Bl
     cuts = reach * np.linspace(-1, 1, panels + 1)[1:-1]
     return BlurScale(
         near=_REST_NEAR * reach,
+        squeezed=_REST_SQUEEZED * reach,
         margin=along,
         reach=along,
         reach_in_focus=along,
@@ -118,6 +127,7 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> 
     inner = max(half - _FOLLOWED * widest, half / 4)
     return BlurScale(
         near=10 * std,
+        squeezed=reach,
         margin=4.8 * std + corner,
         reach=reach,
         reach_in_focus=reach,

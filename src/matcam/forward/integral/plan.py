@@ -185,7 +185,7 @@ def _part(
             aside < scale.near,
             _away_from_ends(sample, x, y, lamp, scale.reach),
             _away_from_ends(sample, x, y, lamp, scale.margin),
-            _crowded(sample, x, y, lamp, scale.reach),
+            _crowded(sample, x, y, lamp, scale.squeezed),
             _lit_within(sample, x, y, lamp, scale.reach),
             _turn_along_v(sample, x, y, scale.reach),
         )

@@ -424,9 +424,9 @@ def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
         scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
         return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
     moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
-    if own.rest is None or own.rest.even:  # rings that come and go with a lens's numbers are small of the small
-        return [dataclasses.replace(blur_of(one, in_discs=True), rest=own.rest) for one in moved]
-    return [blur_of(one, in_discs=True, whole=True) for one in moved]
+    # rings that come and go with a lens's numbers are small of the small
+    rest = own.rest if own.rest is not None and own.rest.even else None
+    return [blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved]
 
 
 def _along(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
