@@ -1,10 +1,12 @@
 """What all tests share: where the real data lie, and how hypothesis is run."""
 
+import gc
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from importlib import metadata
 from pathlib import Path
 
@@ -37,6 +39,48 @@ hypothesis.settings.load_profile("matcam")
 def pytest_sessionfinish():
     if _OWNER:
         shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
+
+
+_LOWERED_IN_ONE = 100
+"""Programs that are lowered in one context of MLIR. Making a context takes as long as lowering a small program."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def lowered_together():
+    """Small programs, of which tests make thousands, share contexts of MLIR; a context that is full is left behind."""
+    from jax._src.interpreters import mlir
+
+    own, made = getattr(mlir, "make_ir_context", None), {"context": None, "left": 0}
+    if own is None or not _QUICKLY:
+        yield  # private to JAX: where a version has it no more, tests take longer
+        return
+
+    def shared():
+        if threading.current_thread() is not threading.main_thread():
+            return own()
+        if made["left"] == 0:
+            made.update(context=own(), left=_LOWERED_IN_ONE)
+        made["left"] -= 1
+        return made["context"]
+
+    mlir.make_ir_context = shared
+    yield
+    mlir.make_ir_context = own
+
+
+@pytest.fixture(scope="session", autouse=True)
+def garbage_is_rare():
+    """What is imported is no garbage, and what JAX traces is little of it: looking for it takes longer than it frees."""
+    if not _QUICKLY:
+        yield
+        return
+    before = gc.get_threshold()
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+    yield
+    gc.set_threshold(*before)
+    gc.unfreeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
