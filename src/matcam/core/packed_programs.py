@@ -27,6 +27,10 @@ _NAMES = {
 """What a program's description may name: kinds, shapes and places of arrays. None of them does anything but hold them."""
 
 
+_LAPACK = b"lapack_"
+"""Beginning of the names by which a program calls LAPACK."""
+
+
 class _Unpickler(serialize_executable._JaxPjrtUnpickler):
     """JAX's own, which finds nothing but what describes arrays."""
 
@@ -60,7 +64,8 @@ def unpack_program(packed: bytes) -> Any:
     Raises:
         Exception: the bytes are something else. What a backend may find wrong has no class of its own.
     """
-    _load_lapack()
+    if _LAPACK in packed:
+        _load_lapack()
     head, _, stored = packed.partition(b"\n")
     output = jax.tree.structure(_as_tuples(json.loads(head)))
     client = jax.devices()[0].client
