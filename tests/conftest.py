@@ -50,10 +50,9 @@ def lowered_together():
     """Small programs, of which tests make thousands, share contexts of MLIR; a context that is full is left behind."""
     from jax._src.interpreters import mlir
 
-    own, made = getattr(mlir, "make_ir_context", None), {"context": None, "left": 0}
-    if own is None or not _QUICKLY:
-        yield  # private to JAX: where a version has it no more, tests take longer
-        return
+    if not _QUICKLY or not hasattr(mlir, "make_ir_context"):
+        return  # private to JAX: where a version has it no more, tests take longer
+    own, made = mlir.make_ir_context, {"context": None, "left": 0}
 
     def shared():
         if threading.current_thread() is not threading.main_thread():
@@ -64,23 +63,15 @@ def lowered_together():
         return made["context"]
 
     mlir.make_ir_context = shared
-    yield
-    mlir.make_ir_context = own
 
 
 @pytest.fixture(scope="session", autouse=True)
 def garbage_is_rare():
     """What is imported is no garbage, and what JAX traces is little of it: looking for it takes longer than it frees."""
-    if not _QUICKLY:
-        yield
-        return
-    before = gc.get_threshold()
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(50_000, 20, 50)
-    yield
-    gc.set_threshold(*before)
-    gc.unfreeze()
+    if _QUICKLY:
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(50_000, 20, 50)
 
 
 @pytest.fixture(scope="session", autouse=True)

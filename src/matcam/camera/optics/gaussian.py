@@ -32,13 +32,13 @@ _NARROWEST, _WIDEST, _RIDGE = 0.3, 100.0, 8e-4
 # more high frequencies than low ones
 _GRID = np.concatenate([np.geomspace(3e-4, 0.03, 30), np.linspace(0.04, 1.5, 147), np.linspace(1.55, 8, 80)])
 _DIRECTIONS = 32
+_CHECKED = np.concatenate([np.geomspace(1e-5, 0.01, 200), np.linspace(0.01, 8, 1600)[1:]])
 
 # A grid about the centre corrects a sum of few Gaussians, each up to 1.75 times as wide as the one before. Its tail must be
 # right: frequencies below a fifth of the band count, the others little. Found by trial on f/2.8 to f/16, out of focus by up to
 # 0.3 waves: light within 7 to 50 periods of the band differs from the lens's by 4e-5 to 3e-4
 _FEW, _FEW_NARROWEST = 13, 0.41
 _TAIL = 0.01 + 0.99 * np.exp(-((_GRID / 0.2) ** 2))
-_CHECKED = np.concatenate([np.geomspace(1e-5, 0.01, 200), np.linspace(0.01, 8, 1600)[1:]])
 
 
 class GaussianOptics(Optics):
