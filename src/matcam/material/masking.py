@@ -35,14 +35,25 @@ _NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
-    """Return Smith's Lambda of an isotropic slope density by its integral.
+    """Return Smith's Lambda of an isotropic slope density by its integral (`smith_rule`).
+
+    Args:
+        slope_density: P22 as a function of the squared slope.
+        scale: slope on which P22 falls, shape ().
+        cot: cot theta of the directions.
+    """
+    slope2, weight = smith_rule(scale, cot)
+    return jnp.sum(slope_density(slope2) * weight, axis=-1)
+
+
+def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return squared slopes and weights on a trailing axis: Lambda is the sum of weight times P22(squared slope).
 
     Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The integral
     runs over the height y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22
     falls. Its relative error is below 1e-10 (tests).
 
     Args:
-        slope_density: P22 as a function of the squared slope.
         scale: slope on which P22 falls, shape ().
         cot: cot theta of the directions.
 
@@ -58,8 +69,7 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
     excess = jnp.where(
         ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * jnp.arctan(ratio)
     )
-    inside = slope_density(mu**2 + y**2) * excess * y**2 * step
-    return 2 / mu[..., 0] * jnp.sum(inside, axis=-1)
+    return mu**2 + y**2, 2 / mu * excess * y**2 * step
 
 
 def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
@@ -86,9 +96,13 @@ def interpolated_lambda(
 
 def lambda_table(function: Callable[[jax.Array], jax.Array], scale: jax.Array, nodes: int) -> jax.Array:
     """Return the table of `function` that `lambda_from_table` reads, (nodes,)."""
-    nus = np.maximum(_KNEE * np.sinh(_spacing(nodes) * np.arange(nodes)), 1e-11)
-    # the table's places do not change the function. nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
-    return jnp.log(nus * (1 + function(jax.lax.stop_gradient(scale) * nus)))
+    # nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
+    return jnp.log(_nus(nodes) * (1 + function(table_cots(scale, nodes))))
+
+
+def table_cots(scale: jax.Array, nodes: int) -> jax.Array:
+    """Return cot theta of a table's entries. They do not change with the scale: neither does the function."""
+    return jax.lax.stop_gradient(scale) * _nus(nodes)
 
 
 def lambda_from_table(table: jax.Array, scale: jax.Array, cot: jax.Array) -> jax.Array:
@@ -96,6 +110,10 @@ def lambda_from_table(table: jax.Array, scale: jax.Array, cot: jax.Array) -> jax
     nu = jnp.minimum(cot / jax.lax.stop_gradient(scale), _REACH)
     place = jnp.arcsinh(nu / _KNEE) / _spacing(table.size)
     return jnp.maximum(jnp.exp(_cubic(table, place)) / nu - 1, 0.0)
+
+
+def _nus(nodes: int) -> np.ndarray:
+    return np.maximum(_KNEE * np.sinh(_spacing(nodes) * np.arange(nodes)), 1e-11)
 
 
 def _spacing(nodes: int) -> float:

@@ -110,9 +110,31 @@ def cubic_basis(place: jax.Array, count: int) -> jax.Array:
     """
     # one operation for all: a program that spells each out takes three times as long to compile and to load
     knots = np.arange(-1.0, count + 1).reshape(-1, *[1] * place.ndim)
-    splines = _cubic(place - knots)
+    return _mirrored(_cubic(place - knots))
+
+
+def _mirrored(splines: jax.Array) -> jax.Array:
+    """Return what splines from one before the first knot to one behind the last make, mirrored at 0 and constant at the end."""
     return jnp.concatenate(
         [splines[1:2], splines[2:3] + splines[:1], splines[3:-2], splines[-2:-1] + splines[-1:]], axis=0
+    )
+
+
+def cubic_spline(coefficients: jax.Array, place: jax.Array) -> jax.Array:
+    """Return sum_k coefficient_k B_k of the splines of `cubic_basis`, of which four count at each place."""
+    ends = coefficients[-1:]
+    beyond = jnp.concatenate([coefficients[1:2], coefficients, ends, ends])
+    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 0, coefficients.size - 2))
+    first, right = left.astype(int), place - left
+    return sum((beyond.at[first + k].get(mode="clip") * _cubic(right + 1 - k) for k in range(4)), jnp.zeros_like(place))
+
+
+def cubic_sums(place: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
+    """Return sum weights B_k(place) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
+    over = tuple(range(-axes, 0))
+    # one sum after the other: all splines at all places would be written to memory and read again
+    return _mirrored(
+        jax.lax.map(lambda knot: jnp.sum(_cubic(place - knot) * weights, over), np.arange(-1.0, count + 1))
     )
 
 

@@ -22,7 +22,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
-from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, lobe_record, record_and_slopes
+from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, record_and_slopes
 from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
@@ -186,15 +186,15 @@ class FitProblem:
                 derivative[place.stop - 1, u] = 1 / np.pi
         return model._replace(derivative=derivative)
 
-    def start_model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
+    def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:
         """Return the model of free strengths without derivatives, to begin a search with.
 
         F is the cell's own, in a near rig too: lobes of a lattice differ by more.
+
+        record: of the lobe that all units have, (s, n).
         """
-        layout = self.layout
-        q = [placed(np.concatenate([p[layout.lobe(index)], p[layout.rig]])) for index in range(layout.lobes)]
-        lobes = [np.asarray(lobe_record(self.operator, layout.kind, one)) for one in q]
-        return self._strengths(p, weight, [np.stack([lobes[index] for index in layout.lobe_of])])[0]
+        p = np.zeros(self.layout.size)
+        return self._strengths(p, weight, [np.broadcast_to(record, (self.layout.units, *record.shape))])[0]
 
     def _strengths(self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray]) -> tuple[FitModel, np.ndarray]:
         """Return the model without derivatives, and those by each unit's own Fresnel term, (u, parameters, s, n).

@@ -19,7 +19,7 @@ import xarray as xr
 from matcam.camera.profile import Uncertainty
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
-from matcam.core.errors import ArgumentError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import checked_table, sampling_of
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS
 from matcam.core.workspace import Workspace, default_workspace
@@ -55,6 +55,10 @@ AUTO = "auto"
 CANDIDATES = ("ggx", "epd")
 SEARCH_EVERY = 6
 """Spacing of the slices of theta_d in which a lobe is looked for before it is fitted to more."""
+_LOOK_EVERY = 3 * SEARCH_EVERY
+"""Spacing of the slices in which starts are compared and the better ones followed."""
+_LOOK_ROUNDS = 2
+"""Rounds of weights there: the rest is done in all slices."""
 
 
 @dataclass(frozen=True)
@@ -172,14 +176,31 @@ class FitSetup:
             ArgumentError: the rig is not one that a fit can follow, or has not the parameters that are free.
             FitError: the data hold nothing to fit.
         """
-        search = Search(self.problem, self.noise)
+        search = self._search
         if start is None:
-            return self._result(search.best())
+            found = self._in_few_slices()
+            if found is None:
+                return self._result(search.best())
+            return self._result(search.widen(found))
         before = start._solution
         weight = before.weight if weights == "start" else None
         same = before.problem.layout == self.layout and before.problem.prior.axes == self.prior.axes
         go_on = search.adjust if same else search.resume
         return self._result(go_on(self._vector(start), weight, before.noise))
+
+    @property
+    def _search(self) -> Search:
+        return Search(self.problem, self.noise, self.workspace or default_workspace())
+
+    def _in_few_slices(self) -> Solution | None:
+        """Return the best fit to a few of the slices, where a search costs little; None where these are all there are."""
+        if self.every >= _LOOK_EVERY:
+            return None
+        few = self.with_(every=_LOOK_EVERY)
+        try:
+            return few._search.best(rounds=_LOOK_ROUNDS)
+        except FitError:  # the table's values lie in other slices
+            return None
 
     def _result(self, solution: Solution) -> MaterialFit:
         camera = self.rig.camera if self.rig is not None else None

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 from scipy.optimize import least_squares
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import FitError
 from matcam.core.registry import WITH_POWER
+from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_data import (
     INITIAL_NOISE,
     cell_variance,
@@ -19,24 +21,39 @@ from matcam.inverse.fit.fit_data import (
 )
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, fresnel_start
 from matcam.inverse.fit.fit_problem import FitModel, FitProblem
+from matcam.inverse.fit.start_records import StartRecords
 from matcam.numerics.linalg import scaled_inverse
 
 _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
-_TWO_LOBES: list[tuple[float, ...]] = [
-    (width, width + wider, share, *tails)
-    for width in _WIDTHS[:-2:2]
-    for wider in np.log([3.0, 12.0, 45.0])
-    for share in (-0.8, 0.8)
-    for tails in ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
-]
-_STUDENT: list[tuple[float, ...]] = [(width, excess) for excess in np.log([0.7, 2.0, 6.0]) for width in _WIDTHS[::2]]
-_UNNAMED = {STUDENT: _STUDENT, TWO_LOBES: _TWO_LOBES}
+_EXCESSES = np.log([0.7, 2.0, 6.0])
+_WIDER, _SHARES, _TAILS = np.log([3.0, 12.0, 45.0]), (-0.8, 0.8), ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
+_FOLLOWED = 2
+"""Starts that are followed, where a lattice has more than one valley."""
 _ROUNDS = 6
+_STEPS = 12, 3
+"""Most steps of least squares, with the first weights and with later ones: these change the fit by less and less."""
+_LONGEST, _STEADY = 0.8, 0.3
+"""Largest share of a way that a round may leave, and by how much it may turn, for its end to be foretold."""
 _SETTLED = 0.02
 """Change of the parameters, in standard deviations, below which weights need no further round."""
 _STEEP = np.radians(80.0)
 """theta_d from which strengths say little of a Fresnel term to begin with."""
+
+
+def _lattice(family: str) -> np.ndarray:
+    """Return the coordinates of lobes to begin with, neighbours beside each other, (..., coordinates)."""
+    if family == TWO_LOBES:
+        lobes: list = [
+            [[[(q, q + wider, share, *tails) for tails in _TAILS] for share in _SHARES] for wider in _WIDER]
+            for q in _WIDTHS[:-2:2]
+        ]
+    elif family == STUDENT or family in WITH_POWER:
+        second = _EXCESSES if family == STUDENT else _POWERS[family]
+        lobes = [[(q, power) for q in _WIDTHS[::2]] for power in second]
+    else:
+        lobes = [(q,) for q in _WIDTHS]
+    return np.array(lobes)
 
 
 class Solution(NamedTuple):
@@ -64,27 +81,40 @@ class Solution(NamedTuple):
 
 
 class Search:
-    """Search the best fit of a problem. noise: of a pixel; None: estimated from the residuals."""
+    """Search the best fit of a problem.
 
-    def __init__(self, problem: FitProblem, noise: PixelNoise | None):
+    noise: of a pixel; None: estimated from the residuals. workspace: keeps what the starts record.
+    """
+
+    def __init__(self, problem: FitProblem, noise: PixelNoise | None, workspace: Workspace):
         self.problem, self.given_noise = problem, noise
+        self.starts = StartRecords(problem.operator, workspace)
         self.prior_rows = problem.prior.rows(problem.layout)
         self.low, self.high = problem.bounds()
 
-    def best(self) -> Solution:
-        """Try a lattice of starts and follow the best two; the better one to the end."""
+    def best(self, rounds: int = _ROUNDS) -> Solution:
+        """Try a lattice of starts, follow the best with the same weights, and the better of these to the end.
+
+        rounds: most rounds of weights; fewer are enough where the fit is a start for another.
+        """
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
         # to begin with, each value's own variance; from then on the model's
         weight = 1 / cell_variance(data, np.abs(data.values), INITIAL_NOISE._replace(picture_gain=noise.picture_gain))
-        starts = self._starts(weight)
-        tried = [self._refine(start, weight, noise, rounds=1) for start in starts[:2]]
-        first = min(tried, key=lambda solution: solution.misfit)
-        return self._refine(first.p, first.weight, first.noise, rounds=_ROUNDS)
+        tried = [self._least_squares(start, weight, noise, steps=_STEPS[0]) for start in self._starts(weight)]
+        p, _ = min(tried, key=lambda pair: pair[1])
+        _, weight, noise = self._weighed(p, weight, noise)
+        return self._refine(p, weight, noise, rounds)
 
     def resume(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
         """Go on from the parameters of a fit of another model. weight: robust weights; None: each value's own variance."""
         return self._refine(self._inside(start), self._weight(weight, noise), self.given_noise or noise, rounds=_ROUNDS)
+
+    def widen(self, few: Solution) -> Solution:
+        """Go on from the best fit of the same model to some of the slices: it says what these values' weights are, too."""
+        start, noise = self._inside(few.p), self.given_noise or few.noise
+        model = self.problem.model(start, self._weight(None, noise))
+        return self._refine(start, self._robust_weight(model, noise), noise, rounds=_ROUNDS)
 
     def adjust(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
         """Go on from a fit of the same model to fewer slices: within its errors, a few linear steps are a fit."""
@@ -94,37 +124,39 @@ class Search:
         data = self.problem.data
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
+    def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
+        """Return the model at parameters, and the weights and the noise that follow from it. weight: for free strengths."""
+        model = self.problem.model(p, weight)
+        if self.given_noise is None:
+            noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
+        weight = self._robust_weight(model, noise)
+        return self.problem.model(p, weight), weight, noise
+
+    def _robust_weight(self, model: FitModel, noise: PixelNoise) -> np.ndarray:
+        data, residual = self.problem.data, self.problem.residual(model)
+        u = standardised_residual(data, residual, model.value, noise, self.problem.gain(noise))
+        return huber_weights(u) / cell_variance(data, model.value, noise)
+
     def _inside(self, p: np.ndarray) -> np.ndarray:
         return np.clip(p, self.low + 1e-9, self.high - 1e-9)
 
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
-        """Return starts in order of their misfit, no two neighbours on the lattice."""
+        """Return the lobes of a lattice that fit better than their neighbours, the two best first."""
         layout, problem = self.problem.layout, self.problem
-        family = layout.kind.family
-        lattice: list[tuple[float, ...]] = [(q,) for q in _WIDTHS]
-        if family in _UNNAMED:
-            lattice = _UNNAMED[family]
-        elif family in WITH_POWER:
-            lattice = [(q, power) for power in _POWERS[family] for q in _WIDTHS[::2]]
         kind = layout.kind._replace(bends=0, shadows=0)
         free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False))
-        found = []
-        for lobe in lattice:
-            inside = np.clip(lobe, self.low[: len(lobe)], self.high[: len(lobe)])
-            p = np.zeros(free.layout.size)
-            for index in range(layout.lobes):
-                p[free.layout.lobe(index)] = inside
-            model = free.start_model(p, weight)
+        lattice = _lattice(kind.family)
+        count = lattice.shape[-1]
+        lobes = np.clip(lattice.reshape(-1, count), self.low[:count], self.high[:count])
+        models = [free.start_model(record, weight) for record in self.starts.of(kind, lobes)]
+        misfit = np.zeros(len(models))
+        for index, model in enumerate(models):
             u = free.whitening(model, weight, 0.0)(problem.data.values - model.value)
-            found.append(((huber_weights(u) * u**2).sum(), inside, model))
-        order = np.argsort([misfit for misfit, *_ in found])
-        picked: list[np.ndarray] = []
-        for index in order:
-            _, lobe, _ = found[index]
-            if all(np.abs(lobe[0] - other[0]) > 1.2 or np.abs(lobe - other)[1:].any() for other in picked):
-                picked.append(lobe)
-        best = found[order[0]][2]
-        return [self._vector(lobe, best) for lobe in picked[:2]]
+            misfit[index] = (huber_weights(u) * u**2).sum()
+        grid = misfit.reshape(lattice.shape[:-1])
+        valleys = np.flatnonzero(grid == minimum_filter(grid, 3, mode="nearest"))
+        best = valleys[np.argsort(misfit[valleys])]
+        return [self._vector(lobes[index], models[best[0]]) for index in best[:_FOLLOWED]]
 
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
         """Return a whole start around a lobe; Fresnel terms come from the free strengths of a model."""
@@ -143,29 +175,34 @@ class Search:
         return self._inside(p)
 
     def _refine(
-        self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, rounds: int, steps: tuple[int, int] = (12, 5)
+        self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, rounds: int, steps: tuple[int, int] = _STEPS
     ) -> Solution:
         """Alternate least squares with fixed weights and better weights until nothing moves.
+
+        Each round leaves much the same share of the way: where two say so, the next begins where the way leads.
 
         steps: most steps of least squares, in the first round and in others.
         """
         problem, data = self.problem, self.problem.data
+        last = np.zeros_like(p)
         for turn in range(rounds):
             before = p
-            p = self._least_squares(p, weight, noise, steps=steps[turn > 0])
-            model = problem.model(p, weight)
-            residual = problem.residual(model)
-            if self.given_noise is None:
-                noise = estimate_noise(data, residual, model.value, p.size, noise)
-            u = standardised_residual(data, residual, model.value, noise, problem.gain(noise))
-            weight = huber_weights(u) / cell_variance(data, model.value, noise)
-            model = problem.model(p, weight)
+            p, _ = self._least_squares(p, weight, noise, steps=steps[turn > 0])
+            model, weight, noise = self._weighed(p, weight, noise)
             white = problem.whitening(model, weight, noise.picture_gain)
             flat = white(model.derivative).reshape(p.size, -1)
             covariance = scaled_inverse(flat @ flat.T + self.prior_rows.T @ self.prior_rows, undetermined=1e12)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
-            if np.all(np.abs(p - before) < _SETTLED * std):
+            change = (p - before) / std
+            if np.all(np.abs(change) < _SETTLED):
                 break
+            share = float(change @ last / max(last @ last, 1e-30))
+            steady = 0 < share < _LONGEST and np.linalg.norm(change - share * last) < _STEADY * np.linalg.norm(change)
+            last = change
+            if steady and turn + 1 < rounds:
+                p = self._inside(p + share / (1 - share) * (p - before))
+                _, weight, noise = self._weighed(p, weight, noise)
+                last = np.zeros_like(p)
         if not np.all(np.isfinite(p)):
             raise FitError("the fit ran into numbers that are none: the data do not look like a lobe of this family")
         u = white(problem.residual(model))
@@ -174,7 +211,10 @@ class Search:
         misfit = float((u**2).sum() / max(freedom, 1))
         return Solution(problem, p, model, covariance, noise, misfit, freedom, weight)
 
-    def _least_squares(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int) -> np.ndarray:
+    def _least_squares(
+        self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int
+    ) -> tuple[np.ndarray, float]:
+        """Return the parameters at which the squares are least, and half of their sum."""
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
         fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
@@ -197,4 +237,4 @@ class Search:
             lambda p: triangle(p)[:, -1], self._inside(p), lambda p: triangle(p)[:, :-1], bounds=(self.low, self.high),
             x_scale="jac", ftol=1e-7, xtol=1e-6, max_nfev=steps,
         )  # fmt: skip
-        return found.x
+        return found.x, float(found.cost)

@@ -6,7 +6,7 @@ The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its mask
 
 and the e_s, one for each sample of the masking, do not depend on q. Of D only the family's own parameters, one or two, need
 the lobe's formula at every node. A bend multiplies D by exp(sum_k b_k B_k) / norm, so that its derivatives are sums of
-a_n D_n B_k and the derivative of one number. Lambda is differentiated in its table. A parameter of the rig changes the weights
+a_n D_n B_k and the derivative of one number. Lambda is differentiated in its table; it is linear in D, too. A parameter of the rig changes the weights
 alone, by a polynomial of few points.
 
 Forward differentiation would make the derivatives of all nodes by all parameters, hundreds of MB, and read them again.
@@ -21,11 +21,12 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.inverse.operator.lobe_operator import LobeOperator, quick_lambda, quick_table
+from matcam.inverse.operator.lobe_operator import LAMBDA_NODES, LobeOperator, quick_lambda, quick_table
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.material.masking import cot_of, lambda_from_table
-from matcam.material.ndf.free_lobe import BentNDF, bend_basis
-from matcam.numerics.approximation import combined, lagrange_basis
+from matcam.material.masking import cot_of, lambda_from_table, lambda_table, smith_rule, table_cots
+from matcam.material.ndf.distribution import NDF
+from matcam.material.ndf.free_lobe import BentNDF, bend_at, bend_sums
+from matcam.numerics.approximation import lagrange_basis
 
 _FEW = 2
 """Coordinates of a lobe up to which Lambda in closed form is differentiated by each in turn."""
@@ -66,13 +67,7 @@ class _Lobe(NamedTuple):
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
         """Return what all slices share."""
-
-        def log_norm(q: jax.Array) -> jax.Array:
-            bent = kind._replace(shadows=0).ndf(q)
-            assert isinstance(bent, BentNDF)
-            return jnp.log(bent.norm)
-
-        by_norm = jax.jacfwd(log_norm)(q) if kind.bends else None
+        by_norm = _by_norm(kind, q) if kind.bends else None
         ndf = kind.ndf(q)
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
@@ -87,8 +82,49 @@ def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Ar
 
     None where nothing is masked, or Lambda has a closed form.
     """
-    table = None if kind.masking is None else quick_table(kind.ndf(q))
-    return table, None if table is None else jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T
+    if kind.masking is None or (table := quick_table(kind.ndf(q))) is None:
+        return None, None
+    return (table, jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T) if not kind.bends else _bent_table(kind, q)
+
+
+def _bent_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the table of a bent lobe and its derivatives: the sums of its integral, each with what changes D there."""
+    ndf = kind.ndf(q)
+    cot = table_cots(ndf.roughness, LAMBDA_NODES)
+    slope2, weight = smith_rule(ndf.roughness, cot)
+    light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))
+    value = jnp.sum(weight * light, axis=-1)
+    by_family = jnp.stack([jnp.sum(weight * slope, axis=-1) for slope in by_own])
+    slopes = jnp.concatenate([by_family, bend_sums(slope2, weight * light)]) - _by_norm(kind, q)[:, None] * value
+    return lambda_table(lambda _: value, ndf.roughness, LAMBDA_NODES), slopes / (1 + value)
+
+
+def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
+    """Return the derivatives of ln norm of a bent lobe."""
+
+    def log_norm(q: jax.Array) -> jax.Array:
+        bent = kind._replace(shadows=0).ndf(q)
+        assert isinstance(bent, BentNDF)
+        return jnp.log(bent.norm)
+
+    return jax.jacfwd(log_norm)(q)
+
+
+def _lifted(
+    kind: LobeKind, q: jax.Array, slope2: jax.Array, light_of: Callable[[NDF], jax.Array]
+) -> tuple[jax.Array, list[jax.Array]]:
+    """Return light in proportion to D, and its derivatives by the family's own parameters, the norm's aside.
+
+    light_of: the light of a lobe without a bend, at the squared slopes.
+    """
+    plain, own = kind._replace(bends=0, shadows=0), len(kind.family_names)
+    pairs = [jax.jvp(lambda own: light_of(plain.ndf(own)), (q[:own],), (unit,)) for unit in np.eye(own)]
+    if not kind.bends:
+        return pairs[0][0], [slope for _, slope in pairs]
+    bent = kind._replace(shadows=0).ndf(q)
+    assert isinstance(bent, BentNDF)
+    lift = jnp.exp(bend_at(bent.bends, slope2)) / bent.norm
+    return pairs[0][0] * lift, [slope * lift for _, slope in pairs]
 
 
 def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
@@ -97,18 +133,7 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
     weight = operator.weight
     for (basis, _), differences in zip(bases, operator.along, strict=True):
         weight = weight + jnp.tensordot(basis, differences, 1)
-    plain, own = kind._replace(bends=0, shadows=0), len(kind.family_names)
-    units = np.eye(own)
-    pairs = [jax.jvp(lambda own: operator.light(plain.ndf(own)), (q[:own],), (unit,)) for unit in units]
-    light, by_own = pairs[0][0], [slope for _, slope in pairs]
-    shapes = jnp.zeros((0, *operator.slope2.shape))
-    if kind.bends:
-        shapes = bend_basis(operator.slope2)
-        bent = kind._replace(shadows=0).ndf(q)
-        assert isinstance(bent, BentNDF)
-        lift = jnp.exp(combined(bent.bends, shapes)) / bent.norm
-        light, by_own = light * lift, [slope * lift for slope in by_own]
-
+    light, by_own = _lifted(kind, q, operator.slope2, operator.light)
     seen, by_lambda = jnp.ones_like(weight), jnp.zeros(())
     if kind.masking is not None:
         cosines = operator.cos_i, operator.cos_o
@@ -137,8 +162,8 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
     visible = seen * light
     record = _over_nodes(weight * visible)
     by_family = jnp.stack([_over_nodes(weight * seen * slope) for slope in by_own])
-    by_bend = jnp.einsum("kcwn,cwn->kc", shapes, weight * visible)
-    by_lobe = jnp.pad(jnp.concatenate([by_family, by_bend]), ((0, kind.shadows), (0, 0))) + by_lambda
+    by_bend = [bend_sums(operator.slope2, weight * visible, axes=2)] if kind.bends else []
+    by_lobe = jnp.pad(jnp.concatenate([by_family, *by_bend]), ((0, kind.shadows), (0, 0))) + by_lambda
     if lobe.by_norm is not None:
         by_lobe -= lobe.by_norm[:, None] * record
     by_rig = [

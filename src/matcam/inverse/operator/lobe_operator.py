@@ -51,7 +51,8 @@ from matcam.sample.curved import Cylinder, Sphere
 _STEEPEST_COSINE = 1e-4
 """Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
 
-_LAMBDA_NODES = 128
+LAMBDA_NODES = 128
+"""Entries of the small table of a Lambda that is an integral."""
 
 
 class LobeOperator(eqx.Module):
@@ -237,7 +238,7 @@ def quick_table(ndf: NDF) -> jax.Array | None:
     """Return the small table of a Lambda that is an integral; None where it has a closed form."""
     if isinstance(ndf, GGX | Beckmann | TwoLobes | ShadowedNDF):
         return None
-    return lambda_table(lambda cot: ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2)), ndf.roughness, _LAMBDA_NODES)
+    return lambda_table(lambda cot: ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2)), ndf.roughness, LAMBDA_NODES)
 
 
 def lobe_operator(

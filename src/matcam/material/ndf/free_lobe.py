@@ -14,7 +14,7 @@ from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import NDF, SlopeNDF
-from matcam.numerics.approximation import combined, cubic_basis, smoothness
+from matcam.numerics.approximation import combined, cubic_basis, cubic_spline, cubic_sums, smoothness
 
 KNOTS = 17
 """Parameters of a bend."""
@@ -54,7 +54,7 @@ class BentNDF(SlopeNDF):
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return base times bend over their integral."""
-        return self.base.slope_density(slope2) * jnp.exp(_bend(self.bends, slope2)) / self.norm
+        return self.base.slope_density(slope2) * jnp.exp(bend_at(self.bends, slope2)) / self.norm
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
@@ -76,15 +76,30 @@ def _norm(base: NDF, bends: jax.Array) -> jax.Array:
     t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
     slope = scale * jnp.sinh(t)
     area = 2 * jnp.pi * slope * scale * jnp.cosh(t) * jnp.arcsinh(2e3 / scale) / 2 * _NODES[1]
-    return jnp.sum(area * base.slope_density(slope**2) * jnp.exp(_bend(bends, slope**2)))
+    return jnp.sum(area * base.slope_density(slope**2) * jnp.exp(bend_at(bends, slope**2)))
 
 
 def bend_basis(slope2: jax.Array) -> jax.Array:
     """Return the functions B_k at squared slopes, (KNOTS, ...): cubic B-splines, mirrored at 0."""
+    return cubic_basis(_knot_at(slope2), KNOTS)
+
+
+def bend_sums(slope2: jax.Array, weights: jax.Array, axes: int = 1) -> jax.Array:
+    """Return sum weights B_k over the last `axes` axes, (KNOTS, ...)."""
+    return cubic_sums(_knot_at(slope2), weights, KNOTS, axes)
+
+
+@jax.custom_jvp
+def bend_at(bends: jax.Array, slope2: jax.Array) -> jax.Array:
+    """Return sum_k bends_k B_k at squared slopes."""
+    return cubic_spline(bends, _knot_at(slope2))
+
+
+def _knot_at(slope2: jax.Array) -> jax.Array:
+    """Return the place of squared slopes among the knots, counted from 0."""
     small = slope2 < 1e-24  # the root's derivative at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
-    place = jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
-    return cubic_basis(place, KNOTS)
+    return jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
 
 
 def bend_smoothness() -> np.ndarray:
@@ -104,19 +119,14 @@ def slope_of_knot(place: np.ndarray) -> np.ndarray:
     return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
 
 
-@jax.custom_jvp
-def _bend(bends: jax.Array, slope2: jax.Array) -> jax.Array:
-    return combined(bends, bend_basis(slope2))
-
-
-@_bend.defjvp
+@bend_at.defjvp
 def _bend_slopes(
     values: tuple[jax.Array, jax.Array], changes: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
     """Differentiate by the chain rule: the functions and their derivatives once, not along every direction asked for."""
     bends, slope2 = values
-    basis, by_slope2 = jax.jvp(bend_basis, (slope2,), (jnp.ones_like(slope2),))
-    return combined(bends, basis), combined(changes[0], basis) + combined(bends, by_slope2) * changes[1]
+    value, by_slope2 = jax.jvp(lambda at: cubic_spline(bends, _knot_at(at)), (slope2,), (jnp.ones_like(slope2),))
+    return value, combined(changes[0], bend_basis(slope2)) + by_slope2 * changes[1]
 
 
 def shadow_basis(cos: ArrayLike) -> jax.Array:
