@@ -45,7 +45,7 @@ class StartRecords:
         """Name the operator by its numbers: whatever made them, the records follow from them."""
         numbers = hashlib.sha256()
         for leaf in jax.tree.leaves(self.operator):
-            numbers.update(np.ascontiguousarray(leaf))
+            numbers.update(np.ascontiguousarray(leaf).tobytes())
         return numbers.hexdigest()
 
 

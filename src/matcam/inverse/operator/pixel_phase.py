@@ -13,13 +13,13 @@ a few dozen values, without any rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from matcam.core.errors import FitError
 from matcam.core.grid import GRID_SHAPE, azimuth_of, sampling_of
@@ -53,6 +53,10 @@ _STRIDE = 1 << 16
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
+_FIRST_TRIES, _TRIES = 25, 90
+"""Phases that are tried to see whether a grid of pixels is there, and to find it."""
+_FALLS = 0.2
+"""Share of what a start leaves that is left after the first tries where a grid is there."""
 _MOST_REST = 1e-6
 """Share of the variance of interpolated cells that a grid may leave."""
 READ_FROM: dict[CellValue, str] = {
@@ -262,23 +266,23 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Return the phase of a table whose cells were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
-    def rest(phase: np.ndarray) -> float:
-        return _rest("bilinear", (phase[0], phase[1]), cells)
+    def log_rest(phase: Sequence[float], cells: list[_NearCells] = cells) -> float:
+        return float(np.log(_rest("bilinear", (phase[0], phase[1]), cells) + 1e-30))
+
+    def followed(start: tuple[float, float]) -> OptimizeResult:
+        """Follow a start to its end, unless the first steps say that no grid is there."""
+        corners, most = np.array(start) + [[0, 0], [0.04, 0], [0, 0.04]], _FIRST_TRIES
+        before = log_rest(start)
+        while True:
+            options = {"initial_simplex": corners, "xatol": 1e-5, "maxfev": most}
+            found = minimize(log_rest, start, method="Nelder-Mead", options=options)
+            if most == _TRIES or found.fun > before + np.log(_FALLS):
+                return found
+            corners, most = found.final_simplex[0], _TRIES
 
     line = np.arange(-0.5, 0.5, 0.1)
-    starts = sorted(((rest(np.array([u, v])), u, v) for u in line for v in line), key=lambda entry: entry[0])[:3]
-    found = min(
-        (
-            minimize(
-                lambda p: np.log(rest(p) + 1e-30),
-                [u, v],
-                method="Nelder-Mead",
-                options={"initial_simplex": [[u, v], [u + 0.04, v], [u, v + 0.04]], "xatol": 1e-5, "maxfev": 90},
-            )
-            for _, u, v in starts
-        ),
-        key=lambda one: one.fun,
-    )
+    starts = sorted((log_rest((u, v)), u, v) for u in line for v in line)[:3]
+    found = min((followed((u, v)) for _, u, v in starts), key=lambda one: one.fun)
     unexplained = float(np.exp(found.fun))
     if unexplained > _MOST_REST:
         raise FitError(
