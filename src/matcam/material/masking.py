@@ -96,13 +96,9 @@ def interpolated_lambda(
 
 def lambda_table(function: Callable[[jax.Array], jax.Array], scale: jax.Array, nodes: int) -> jax.Array:
     """Return the table of `function` that `lambda_from_table` reads, (nodes,)."""
-    # nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
-    return jnp.log(_nus(nodes) * (1 + function(table_cots(scale, nodes))))
-
-
-def table_cots(scale: jax.Array, nodes: int) -> jax.Array:
-    """Return cot theta of a table's entries. They do not change with the scale: neither does the function."""
-    return jax.lax.stop_gradient(scale) * _nus(nodes)
+    nus = np.maximum(_KNEE * np.sinh(_spacing(nodes) * np.arange(nodes)), 1e-11)
+    # the table's places do not change the function. nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
+    return jnp.log(nus * (1 + function(jax.lax.stop_gradient(scale) * nus)))
 
 
 def lambda_from_table(table: jax.Array, scale: jax.Array, cot: jax.Array) -> jax.Array:
@@ -110,10 +106,6 @@ def lambda_from_table(table: jax.Array, scale: jax.Array, cot: jax.Array) -> jax
     nu = jnp.minimum(cot / jax.lax.stop_gradient(scale), _REACH)
     place = jnp.arcsinh(nu / _KNEE) / _spacing(table.size)
     return jnp.maximum(jnp.exp(_cubic(table, place)) / nu - 1, 0.0)
-
-
-def _nus(nodes: int) -> np.ndarray:
-    return np.maximum(_KNEE * np.sinh(_spacing(nodes) * np.arange(nodes)), 1e-11)
 
 
 def _spacing(nodes: int) -> float:

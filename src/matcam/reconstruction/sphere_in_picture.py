@@ -10,8 +10,8 @@ from __future__ import annotations
 from matcam.core.grid import azimuth_difference
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
-from matcam.inverse.operator.lobe_operator import quick_lambda
 from matcam.material.diffuse_shape import departure
+from matcam.material.lambda_table import quick_lambda
 from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution

@@ -6,8 +6,8 @@ The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its mask
 
 and the e_s, one for each sample of the masking, do not depend on q. Of D only the family's own parameters, one or two, need
 the lobe's formula at every node. A bend multiplies D by exp(sum_k b_k B_k) / norm, so that its derivatives are sums of
-a_n D_n B_k and the derivative of one number. Lambda is differentiated in its table; it is linear in D, too. A parameter of the rig changes the weights
-alone, by a polynomial of few points.
+a_n D_n B_k and the derivative of one number. Lambda is differentiated in its table; it is linear in D, too. A parameter of
+the rig changes the weights alone, by a polynomial of few points.
 
 Forward differentiation would make the derivatives of all nodes by all parameters, hundreds of MB, and read them again.
 """
@@ -21,9 +21,10 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.inverse.fit.fit_parameters import LobeKind
-from matcam.inverse.operator.lobe_operator import LAMBDA_NODES, LobeOperator, quick_lambda, quick_table
+from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.material.masking import cot_of, lambda_from_table, lambda_table, smith_rule, table_cots
+from matcam.material.lambda_table import COTS, by_entries, lambda_at, quick_table
+from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import BentNDF, bend_at, bend_sums
 from matcam.numerics.approximation import lagrange_basis
@@ -52,8 +53,7 @@ class _Lobe(NamedTuple):
         by_norm: derivative of a bent lobe's ln norm by q; None: the lobe is not bent.
         masked_by: what Lambda is made of: the table, or the coordinates themselves.
         masked_slopes: its derivatives by q, (lobe coordinates, values).
-        lambda_at: Lambda by these and by the cosine of directions.
-        in_closed_form: whether it is made of the coordinates themselves.
+        tabulated: whether it is made of the table.
     """
 
     kind: LobeKind
@@ -61,20 +61,24 @@ class _Lobe(NamedTuple):
     by_norm: jax.Array | None
     masked_by: jax.Array
     masked_slopes: jax.Array
-    lambda_at: Callable[[jax.Array, jax.Array], jax.Array]
-    in_closed_form: bool = False
+    tabulated: bool
 
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
         """Return what all slices share."""
         by_norm = _by_norm(kind, q) if kind.bends else None
-        ndf = kind.ndf(q)
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
-            return cls(kind, q, by_norm, q, jnp.eye(q.size), lambda own, cos: quick_lambda(kind.ndf(own), cos), True)
-        return cls(
-            kind, q, by_norm, table, slopes, lambda table, cos: lambda_from_table(table, ndf.roughness, cot_of(cos))
-        )
+            return cls(kind, q, by_norm, q, jnp.eye(q.size), tabulated=False)
+        return cls(kind, q, by_norm, table, slopes, tabulated=True)
+
+    def directions(self, operator: LobeOperator) -> tuple[jax.Array, jax.Array]:
+        """Return the light and the view of an operator as `lambda_of` takes them."""
+        return (operator.place_i, operator.place_o) if self.tabulated else (operator.cos_i, operator.cos_o)
+
+    def lambda_of(self, by: jax.Array, direction: jax.Array) -> jax.Array:
+        """Return Lambda in directions. by: what it is made of."""
+        return lambda_at(by, direction) if self.tabulated else self.kind.ndf(by).smith_lambda(direction)
 
 
 def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
@@ -90,13 +94,12 @@ def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Ar
 def _bent_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return the table of a bent lobe and its derivatives: the sums of its integral, each with what changes D there."""
     ndf = kind.ndf(q)
-    cot = table_cots(ndf.roughness, LAMBDA_NODES)
-    slope2, weight = smith_rule(ndf.roughness, cot)
+    slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
     light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))
     value = jnp.sum(weight * light, axis=-1)
     by_family = jnp.stack([jnp.sum(weight * slope, axis=-1) for slope in by_own])
     slopes = jnp.concatenate([by_family, bend_sums(slope2, weight * light)]) - _by_norm(kind, q)[:, None] * value
-    return lambda_table(lambda _: value, ndf.roughness, LAMBDA_NODES), slopes / (1 + value)
+    return jnp.log1p(value), slopes / (1 + value)
 
 
 def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
@@ -136,23 +139,27 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
     light, by_own = _lifted(kind, q, operator.slope2, operator.light)
     seen, by_lambda = jnp.ones_like(weight), jnp.zeros(())
     if kind.masking is not None:
-        cosines = operator.cos_i, operator.cos_o
-        lambdas = [lobe.lambda_at(lobe.masked_by, cos) for cos in cosines]
+        directions = lobe.directions(operator)
+        lambdas = [lobe.lambda_of(lobe.masked_by, one) for one in directions]
         seen, pull = jax.vjp(lambda i, o: operator.joint_masking(kind.masking, i, o), *lambdas)
         pulled = pull(weight * light)
 
         def along(direction: jax.Array) -> jax.Array:
             """Return the derivative of the record by way of its masking."""
             total = jnp.zeros(())
-            for cos, share in zip(cosines, pulled, strict=True):
-                _, change = jax.jvp(lambda by, cos=cos: lobe.lambda_at(by, cos), (lobe.masked_by,), (direction,))
+            for one, share in zip(directions, pulled, strict=True):
+                _, change = jax.jvp(lambda by, one=one: lobe.lambda_of(by, one), (lobe.masked_by,), (direction,))
                 total = total + jnp.sum(share * change, axis=(1, 2, 3, 4))
             return total
 
-        if kind.size > _FEW:  # each cell with coordinates of its own: one pass back for all
+        if kind.size > _FEW and lobe.tabulated:
+            by_logs = [share * (1 + own) for share, own in zip(pulled, lambdas, strict=True)]
+            light_and_view = [by_entries(*pair).T for pair in zip(directions, by_logs, strict=True)]
+            by_lambda = lobe.masked_slopes @ (light_and_view[0] + light_and_view[1])
+        elif kind.size > _FEW:  # each cell with coordinates of its own: one pass back for all
 
             def of_cells(own: jax.Array) -> list[jax.Array]:
-                return [jax.vmap(lobe.lambda_at)(own, cos) for cos in cosines]
+                return [jax.vmap(lobe.lambda_of)(own, one) for one in directions]
 
             _, back = jax.vjp(of_cells, jnp.broadcast_to(lobe.masked_by, (len(operator.slope2), lobe.masked_by.size)))
             by_lambda = lobe.masked_slopes @ back(list(pulled))[0].T

@@ -37,22 +37,13 @@ from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.polar_rule import NODE_RULE, SAMPLED, THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
-from matcam.material.masking import Masking, cot_of, g2, lambda_from_table, lambda_table
-from matcam.material.ndf.beckmann import Beckmann
+from matcam.material.lambda_table import STEEPEST, lambda_at, place_of, quick_table
+from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
-from matcam.material.ndf.free_lobe import ShadowedNDF
-from matcam.material.ndf.ggx import GGX
-from matcam.material.ndf.two_lobes import TwoLobes
 from matcam.numerics.approximation import lagrange_basis
 from matcam.numerics.disc_chords import CHORD_RULE
 from matcam.rigs import ON_REAL_PIXELS, Rig
 from matcam.sample.curved import Cylinder, Sphere
-
-_STEEPEST_COSINE = 1e-4
-"""Cosine that a direction keeps at least: light at the very ends of the sphere is none."""
-
-LAMBDA_NODES = 128
-"""Entries of the small table of a Lambda that is an integral."""
 
 
 class LobeOperator(eqx.Module):
@@ -64,6 +55,8 @@ class LobeOperator(eqx.Module):
         along: for each axis, (points, cells, ways, nodes): by how much the weights differ at the axis's points.
         cos_i: (cells, ways, groups of nodes, samples, 2), cosine of the light.
         cos_o: the same of the view.
+        place_i: place of the light in the table of a Lambda (`lambda_table`), as `cos_i`.
+        place_o: the same of the view.
         azimuth: the same of the angle between the two, rad.
         through_samples: (nodes of a group, samples).
         axes: parameters of the rig that may change.
@@ -77,6 +70,8 @@ class LobeOperator(eqx.Module):
     along: tuple[jax.Array, ...]
     cos_i: jax.Array
     cos_o: jax.Array
+    place_i: jax.Array
+    place_o: jax.Array
     azimuth: jax.Array
     through_samples: jax.Array
     axes: tuple[Axis, ...] = eqx.field(static=True)
@@ -137,9 +132,14 @@ class LobeOperator(eqx.Module):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
         light = self.light(ndf)
         if masking is not None:
-            lambda_i, lambda_o = (quick_lambda(ndf, cos, table) for cos in (self.cos_i, self.cos_o))
-            light *= self.joint_masking(masking, lambda_i, lambda_o)
+            light *= self.joint_masking(masking, *self.lambdas(ndf, quick_table(ndf) if table is None else table))
         return weight * light
+
+    def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+        """Return Lambda of the light and of the view. table: of Lambda; None: it has a closed form."""
+        if table is None:
+            return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
+        return lambda_at(table, self.place_i), lambda_at(table, self.place_o)
 
     def light(self, ndf: NDF) -> jax.Array:
         """Return D at the nodes, 1/sr: P22 / cos^4."""
@@ -177,7 +177,8 @@ class LobeOperator(eqx.Module):
 
         return LobeOperator(
             slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
-            cos_i=own(self.cos_i), cos_o=own(self.cos_o), azimuth=own(self.azimuth),
+            cos_i=own(self.cos_i), cos_o=own(self.cos_o), place_i=own(self.place_i), place_o=own(self.place_o),
+            azimuth=own(self.azimuth),
             through_samples=self.through_samples, axes=self.axes, shape=(1, count),
             share=None if self.share is None else own(self.share),
         )  # fmt: skip
@@ -205,7 +206,7 @@ class _Rules(NamedTuple):
         mean = np.cos(theta) * np.cos(theta_d)
         half = np.sin(theta) * np.sin(theta_d) * self.sample_cos_psi
         azimuth = azimuth_difference(theta, theta_d, np.pi - np.arccos(self.sample_cos_psi))
-        cos_i, cos_o = (placed(np.maximum(c, _STEEPEST_COSINE)) for c in (mean + half, mean - half))
+        cos_i, cos_o = (placed(np.maximum(c, STEEPEST)) for c in (mean + half, mean - half))
         slices, count = cells.valid.shape
         own = LobeOperator(
             slope2=placed(np.tan(self.theta) ** 2),
@@ -213,6 +214,8 @@ class _Rules(NamedTuple):
             along=tuple(placed(a) for a in self.along),
             cos_i=cos_i,
             cos_o=cos_o,
+            place_i=place_of(cos_i),
+            place_o=place_of(cos_o),
             azimuth=azimuth,
             through_samples=placed(through),
             axes=axes,
@@ -223,22 +226,6 @@ class _Rules(NamedTuple):
             return own
         along = tuple(placed(a) for a in self.moment_along)
         return dataclasses.replace(own, moment=dataclasses.replace(own, weight=placed(self.moment), along=along))
-
-
-def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> jax.Array:
-    """Return Lambda; where it is an integral, from a small table, which the operator's own accuracy allows.
-
-    table: as `quick_table` returns it, where it is at hand. Default: None.
-    """
-    table = quick_table(ndf) if table is None else table
-    return ndf.smith_lambda(cos) if table is None else lambda_from_table(table, ndf.roughness, cot_of(cos))
-
-
-def quick_table(ndf: NDF) -> jax.Array | None:
-    """Return the small table of a Lambda that is an integral; None where it has a closed form."""
-    if isinstance(ndf, GGX | Beckmann | TwoLobes | ShadowedNDF):
-        return None
-    return lambda_table(lambda cot: ndf.smith_lambda(cot / jnp.sqrt(1 + cot**2)), ndf.roughness, LAMBDA_NODES)
 
 
 def lobe_operator(

@@ -271,7 +271,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
     def followed(start: tuple[float, float]) -> OptimizeResult:
         """Follow a start to its end, unless the first steps say that no grid is there."""
-        corners, most = np.array(start) + [[0, 0], [0.04, 0], [0, 0.04]], _FIRST_TRIES
+        corners, most = np.add(start, [[0, 0], [0.04, 0], [0, 0.04]]), _FIRST_TRIES
         before = log_rest(start)
         while True:
             options = {"initial_simplex": corners, "xatol": 1e-5, "maxfev": most}
