@@ -13,6 +13,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 
@@ -55,11 +56,13 @@ def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Samplin
     Both are (90, 90, 180, channels), 1/sr; missing entries send nothing. Only what the correction added is cut down, for light
     and view alike, so that the result is as reciprocal as both are.
     """
-    change = np.nan_to_num(corrected) - np.nan_to_num(recorded)
+    change = corrected - recorded
     if not (change > 0).any():
         return corrected
+    cells, weight = _albedo_rule()
+    change_there = np.nan_to_num(change.reshape(-1, change.shape[-1])[cells])
     before = albedo(recorded)
-    added, taken = (albedo(np.maximum(side * change, 0)) for side in (1, -1))
+    added, taken = (weight @ np.maximum(side * change_there, 0) for side in (1, -1))
     room = np.maximum(1.0, before) - before + taken
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(added > room, room / added, 1.0)
@@ -79,18 +82,17 @@ def albedo(table: np.ndarray) -> np.ndarray:
     4 brdf cos_o (light . half) over their solid angle.
     """
     cells, weight = _albedo_rule()
-    flat = np.nan_to_num(table).reshape(-1, table.shape[-1])
-    return np.stack([w @ flat[c] for c, w in zip(cells, weight, strict=True)])
+    return weight @ np.nan_to_num(table.reshape(-1, table.shape[-1])[cells])
 
 
 @cache
-def _albedo_rule() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return the cells that each direction's integral reads, and their weights."""
+def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
+    """Return the cells that the integrals read, and the weight of each in each direction's, (directions, cells)."""
     edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
     ring = -np.diff(np.cos(edges))
     theta = ((edges[:-1] + edges[1:]) / 2)[:, None]
     turn = 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
-    cells, weights = [], []
+    rows = []
     for direction in _DIRECTIONS:
         cos_d = np.cos(direction) * np.cos(theta) + np.sin(direction) * np.sin(theta) * np.cos(turn)
         cos_o = 2 * cos_d * np.cos(theta) - np.cos(direction)
@@ -101,9 +103,11 @@ def _albedo_rule() -> tuple[list[np.ndarray], list[np.ndarray]]:
         at = merl_grid("centre").index(theta_h=theta + 0 * turn, theta_d=theta_d, phi_d=phi_d)
         index = np.ravel_multi_index(at, GRID_SHAPE)
         weight = 4 * cos_d * cos_o * ring[:, None] * (2 * np.pi / _AZIMUTHS)
-        cells.append(index[seen])
-        weights.append(weight[seen])
-    return cells, weights
+        rows.append((index[seen], weight[seen]))
+    cells, place = np.unique(np.concatenate([index for index, _ in rows]), return_inverse=True)
+    counts = np.cumsum([0, *(index.size for index, _ in rows)])
+    weights = np.concatenate([weight for _, weight in rows])
+    return cells, csr_matrix((weights, place, counts), shape=(len(rows), cells.size))
 
 
 @cache

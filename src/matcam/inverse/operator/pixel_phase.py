@@ -53,6 +53,7 @@ _STRIDE = 1 << 16
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
+_CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
 _FIRST_TRIES, _TRIES = 25, 90
 """Phases that are tried to see whether a grid of pixels is there, and to find it."""
 _FALLS = 0.2
@@ -271,7 +272,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
     def followed(start: tuple[float, float]) -> OptimizeResult:
         """Follow a start to its end, unless the first steps say that no grid is there."""
-        corners, most = np.add(start, [[0, 0], [0.04, 0], [0, 0.04]]), _FIRST_TRIES
+        corners, most = np.array(start) + _CORNERS, _FIRST_TRIES
         before = log_rest(start)
         while True:
             options = {"initial_simplex": corners, "xatol": 1e-5, "maxfev": most}
