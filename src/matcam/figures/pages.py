@@ -26,6 +26,8 @@ from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
+_MARGINS = {"left": 0.08, "right": 0.985, "bottom": 0.085, "top": 0.955}
+"""Of figures whose labels are as long whatever is drawn: finding room for them would take half of a page's time."""
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -83,8 +85,8 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     used = (theta > 10) & (theta < 45)
     scale = np.nanmean(fitted[used])  # below 0 where noise is all that there is of a lobe
     with styled():
-        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
-        axes = figure.subplots()
+        figure = Figure(figsize=(7.5, 4.2))
+        axes = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.98, "bottom": 0.13, "top": 0.97})
         axes.plot(
             np.degrees(angle),
             peak / np.nanmean(peak[middle]),
@@ -106,8 +108,9 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
     theta_h = np.degrees(raw["theta_h"].values)
     with styled():
-        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
-        for axes, theta_d in zip(figure.subplots(2, 2).flat, np.radians(_SLICES), strict=True):
+        figure = Figure(figsize=(9.6, 6.4))
+        panels = figure.subplots(2, 2, gridspec_kw={**_MARGINS, "wspace": 0.22, "hspace": 0.36})
+        for axes, theta_d in zip(panels.flat, np.radians(_SLICES), strict=True):
             at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
             before = raw.values[at]
             after, std = (done.table[v].values[at] for v in ("brdf", "brdf_std"))
@@ -138,8 +141,9 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight 20 times closer."""
     with styled():
-        figure = Figure(figsize=(8.6, 8.6), layout="constrained")
-        panels = figure.subplots(2, 2)
+        figure = Figure(figsize=(8.6, 8.6))
+        margins = {"left": 0.01, "right": 0.99, "bottom": 0.035, "top": 0.965}
+        panels = figure.subplots(2, 2, gridspec_kw={**margins, "wspace": 0.02, "hspace": 0.08})
         for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
             before, after = (table_sphere(values, _SPHERE, zoom) for values in (raw.values, done.table["brdf"].values))
             white = body_white(after) if zoom == 1 else after.max(initial=0)

@@ -11,13 +11,14 @@ from jax.typing import ArrayLike
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
-from matcam.core.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
 from matcam.inverse.correction.explanation import explain
+from matcam.inverse.correction.farthest_glare import farthest_glare
 from matcam.inverse.correction.harmless import LobeRatio, shrunk, withheld, within_energy
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
 from matcam.inverse.correction.other_maskings import other_maskings
@@ -27,7 +28,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.inverse.operator.sample_view import rig_behind, sample_view
+from matcam.inverse.operator.sample_view import rig_behind
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -58,8 +59,6 @@ _UNSEEN = Remark(
     "the lens is a guess, and the data do not show whether it blurs: the table stays as it is, and what the rig would have "
     "changed is the standard deviation of the correction; state the lens, or anyway=True corrects it",
 )
-_NEAREST_GLARE = 8.0
-"""px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
 _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""
 _ROWS = [slice(first, first + 10) for first in range(0, GRID_SHAPE[0], 10)]
@@ -148,7 +147,7 @@ class Correction:
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
-        scattered = glare * _farthest_glare(brdf, rig, best)
+        scattered = glare * farthest_glare(sampling_of(brdf), rig, best, workspace)
         blind = held_back and found.no_blur
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
@@ -425,26 +424,3 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
 def _matters(ratio: LobeRatio) -> bool:
     """Say whether a correction would change the highlight at all."""
     return bool(np.abs(ratio.log[0, : _ANGLES[-1]]).max() > _MATTERS)
-
-
-def _farthest_glare(brdf: xr.DataArray, rig: Rig, found: MaterialFit) -> np.ndarray:
-    """Return the most that a halo of any radius, holding all of the highlight's light, could add to an entry, 1/sr.
-
-    A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
-    """
-    grid = merl_grid(sampling_of(brdf))
-    strength = found.curves["fresnel"].values
-    there = np.isfinite(strength).all(axis=1)
-    if not there.any():
-        raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
-    seen = found.theta_d[there]
-    f = np.stack([np.interp(grid.theta_d, seen, column[there]) for column in strength.T], axis=-1)
-    view = sample_view(rig)
-    th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
-    # each cell's way on the lamp's side stands for both: they lie about as far from their picture's highlight
-    x, y = view.from_highlight(th, td, ph)
-    distance2 = np.maximum(x**2 + y**2, _NEAREST_GLARE**2)
-    # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig
-    cos_i = np.maximum(np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph)), 0.05)
-    flux = view.highlight_area(grid.theta_d)[:, None] / 4 / view.irradiance(cos_i)
-    return f[None, :, None, :] * (flux / (np.pi * np.e * distance2 * cos_i))[..., None]

@@ -28,7 +28,8 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens, widths_of
-from matcam.material.ndf.free_lobe import KNOTS, bend_basis, bend_smoothness
+from matcam.material.lambda_table import quick_table
+from matcam.material.ndf.free_lobe import KNOTS, bend_smoothness, bend_sums
 from matcam.numerics.approximation import smoothness
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
@@ -210,10 +211,11 @@ def shape_records(
 ) -> tuple[jax.Array, jax.Array]:
     """Return the record of a lobe and what each B_k adds to it: (slices, cells) and (k, slices, cells)."""
     ndf = kind.ndf(q)
+    table = None if kind.masking is None else quick_table(ndf)
 
     def one(slice_: LobeOperator) -> jax.Array:
-        shapes = jnp.concatenate([jnp.ones_like(slice_.slope2)[None], bend_basis(slice_.slope2)])
-        return slice_.records(ndf, kind.masking, shifts, shapes)[:, 0]
+        lobe = slice_.weighted(ndf, kind.masking, shifts, table)
+        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], bend_sums(slice_.slope2, lobe, axes=2)])
 
     both = jnp.moveaxis(operator.slice_by_slice(one), 0, 1)
     return both[0], both[1:]

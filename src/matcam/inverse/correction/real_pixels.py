@@ -23,7 +23,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
-from matcam.material.ndf.free_lobe import bend_basis
+from matcam.material.ndf.free_lobe import bend_at
 
 _CUBIC = 3
 _OVERLAP = 4
@@ -111,8 +111,7 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array, b: jax.Array) -> jax.Array:
     """Return the record of each way of a lobe times 1 + sum b_k B_k, (slices, cells, 2)."""
     ndf = kind.ndf(q)
-    lift = 1 + sum(b_k * part for b_k, part in zip(b, bend_basis(operator.slope2), strict=True))
-    return operator.ways(ndf, kind.masking, shifts, lift)
+    return operator.ways(ndf, kind.masking, shifts, 1 + bend_at(b, operator.slope2))
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray, shape: ShapeCorrection) -> np.ndarray:

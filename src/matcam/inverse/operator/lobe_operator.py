@@ -104,10 +104,10 @@ class LobeOperator(eqx.Module):
         """
         table = None if masking is None else quick_table(ndf)
         if table is None:
-            return jnp.sum(self._weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
+            return jnp.sum(self.weighted(ndf, masking, shifts), axis=(-2, -1)).reshape(self.shape)
 
         def one(slice_: LobeOperator) -> jax.Array:
-            return jnp.sum(slice_._weighted(ndf, masking, shifts, table), axis=(-2, -1))
+            return jnp.sum(slice_.weighted(ndf, masking, shifts, table), axis=(-2, -1))
 
         return self.slice_by_slice(one)
 
@@ -116,17 +116,10 @@ class LobeOperator(eqx.Module):
 
         factor: of D, (cells, ways, nodes), at `slope2`.
         """
-        return 2 * jnp.sum(self._weighted(ndf, masking, shifts) * factor, axis=-1).reshape(*self.shape, -1)
+        return 2 * jnp.sum(self.weighted(ndf, masking, shifts) * factor, axis=-1).reshape(*self.shape, -1)
 
-    def records(self, ndf: NDF, masking: Masking, shifts: jax.Array, factors: jax.Array) -> jax.Array:
-        """Return the same of D times each of some functions of the slope; shape (functions, slices, cells).
-
-        factors: (functions, cells, ways, nodes), at `slope2`.
-        """
-        return jnp.sum(self._weighted(ndf, masking, shifts) * factors, axis=(-2, -1)).reshape(-1, *self.shape)
-
-    def _weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
-        """Return D G at the nodes times their weights. table: of Lambda, where it is at hand."""
+    def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
+        """Return D G at the nodes times their weights, (cells, ways, nodes). table: of Lambda, where it is at hand."""
         weight = self.weight
         for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)

@@ -1,0 +1,51 @@
+"""Glare: the most light of a highlight that the lens could scatter to each entry of a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.core.errors import FitError
+from matcam.core.grid import Sampling, merl_grid
+from matcam.core.workspace import Workspace
+from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.operator.sample_view import SampleView, sample_view
+from matcam.rigs import Rig
+
+_NEAREST = 8.0
+"""px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
+_VIEWS = 2
+"""Views whose scattered light is kept in memory, 12 MB each."""
+
+
+def farthest_glare(sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace) -> np.ndarray:
+    """Return the most that a halo of any radius, holding all of the highlight's light, could add to an entry, 1/sr.
+
+    Shape (90, 90, 180, channels).
+
+    found: says how bright the highlights are. workspace: keeps what depends on the rig alone.
+    """
+    strength = found.curves["fresnel"].values
+    there = np.isfinite(strength).all(axis=1)
+    if not there.any():
+        raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
+    theta_d, seen = merl_grid(sampling).theta_d, found.theta_d[there]
+    f = np.stack([np.interp(theta_d, seen, column[there]) for column in strength.T], axis=-1)
+    view = sample_view(rig)
+    share = workspace.remember("farthest glare", (view, sampling), lambda: _of_mirror(view, sampling), most=_VIEWS)
+    return f[None, :, None, :] * share[..., None]
+
+
+def _of_mirror(view: SampleView, sampling: Sampling) -> np.ndarray:
+    """Return the same of a surface that reflects all light, (90, 90, 180).
+
+    A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
+    """
+    grid = merl_grid(sampling)
+    th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
+    # each cell's way on the lamp's side stands for both: they lie about as far from their picture's highlight
+    x, y = view.from_highlight(th, td, ph)
+    distance2 = np.maximum(x**2 + y**2, _NEAREST**2)
+    # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig
+    cos_i = np.maximum(np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph)), 0.05)
+    flux = view.highlight_area(grid.theta_d)[:, None] / 4 / view.irradiance(cos_i)
+    return flux / (np.pi * np.e * distance2 * cos_i)
