@@ -28,8 +28,8 @@ _WIDTHS = np.log(np.geomspace(1.5e-4, 0.7, 18))
 _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
 _EXCESSES = np.log([0.7, 2.0, 6.0])
 _WIDER, _SHARES, _TAILS = np.log([3.0, 12.0, 45.0]), (-0.8, 0.8), ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
-_FOLLOWED = 2
-"""Starts that are followed, where a lattice has more than one valley."""
+_FOLLOWED, _NO_RIVAL = 2, 1.5
+"""Starts that are followed, where a lattice has more than one valley, and misfit over the best one's from which none is."""
 _ROUNDS = 6
 _STEPS = 12, 3
 """Most steps of least squares, with the first weights and with later ones: these change the fit by less and less."""
@@ -155,8 +155,9 @@ class Search:
             misfit[index] = (huber_weights(u) * u**2).sum()
         grid = misfit.reshape(lattice.shape[:-1])
         valleys = np.flatnonzero(grid == minimum_filter(grid, 3, mode="nearest"))
-        best = valleys[np.argsort(misfit[valleys])]
-        return [self._vector(lobes[index], models[best[0]]) for index in best[:_FOLLOWED]]
+        best = valleys[np.argsort(misfit[valleys])][:_FOLLOWED]
+        best = best[misfit[best] <= _NO_RIVAL * misfit[best[0]]]
+        return [self._vector(lobes[index], models[best[0]]) for index in best]
 
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
         """Return a whole start around a lobe; Fresnel terms come from the free strengths of a model."""
