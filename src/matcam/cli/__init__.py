@@ -14,7 +14,7 @@ import traceback
 from pathlib import Path
 from typing import Any, TextIO
 
-from matcam.core.threads import use_one_blas_thread
+from matcam.core.threads import use_one_blas_thread, use_one_heap
 
 BAD_INPUT = 2
 FAULT = 70
@@ -26,6 +26,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
     gc.set_threshold(50_000, 20, 50)  # a short life with much importing and tracing: collecting rarely saves a tenth
     use_one_blas_thread()
+    use_one_heap()
     sys.stdout, sys.stderr = (stream or _nowhere() for stream in (sys.stdout, sys.stderr))
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a locale without a sign for degrees gets its escape

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +21,9 @@ waits for its share spins: on two busy processors a triangle of 5,000 rows takes
 """
 
 
+_ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
+
+
 def use_one_blas_thread() -> None:
     """Keep this process's linear algebra to one thread, unless the user says otherwise or NumPy is loaded already.
 
@@ -27,6 +32,16 @@ def use_one_blas_thread() -> None:
     if "numpy" not in sys.modules:
         for name, value in ONE_BLAS_THREAD.items():
             os.environ.setdefault(name, value)
+
+
+def use_one_heap() -> None:
+    """Keep what all threads allocate in one heap, where the C library is glibc and the user has not said otherwise.
+
+    Each thread that compiles would keep a heap of its own, with all that it once needed: a first correction 0.15 GiB.
+    """
+    if "MALLOC_ARENA_MAX" not in os.environ:
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
 
 def available_cores() -> int:

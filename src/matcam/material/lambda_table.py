@@ -9,12 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.material.masking import cot_of
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
-from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.approximation import AnyValues, lagrange_basis
 
 STEEPEST = 1e-4
 """Cosine, and cotangent, at which the table begins."""
@@ -42,9 +41,11 @@ def quick_table(ndf: NDF) -> jax.Array | None:
     return jnp.log1p(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2)))
 
 
-def place_of(cos: jax.Array) -> jax.Array:
-    """Return the place of directions in the table, counted from 0."""
-    return jnp.log(cot_of(cos) / STEEPEST) / _STEP
+def place_of(cos: AnyValues) -> AnyValues:
+    """Return the place of directions in the table, counted from 0; arrays of NumPy give arrays of NumPy."""
+    numbers = np if isinstance(cos, np.ndarray) else jnp
+    sin2 = numbers.maximum((1 - cos) * (1 + cos), _LEVEL**-2)
+    return numbers.log(cos / numbers.sqrt(sin2) / STEEPEST) / _STEP
 
 
 def lambda_at(table: jax.Array, place: jax.Array) -> jax.Array:

@@ -9,8 +9,8 @@ from collections.abc import Generator, Sequence
 from matcam.batch.job import Job, Outcome
 from matcam.core.threads import ONE_BLAS_THREAD
 
-_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # the size of XLA's pool of threads
-"""Read by NumPy's BLAS and by XLA when a process loads them."""
+_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1", "MALLOC_ARENA_MAX": "1"}  # NPROC is the size of XLA's pool of threads
+"""Read by NumPy's BLAS, by XLA and by the C library when a process loads them."""
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _XLA = "--xla_cpu_multi_thread_eigen=false"
 

@@ -12,14 +12,14 @@ from jax.typing import ArrayLike
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import GRID_SHAPE, Grid, checked_table, merl_grid, sampling_of
+from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
 from matcam.inverse.correction.explanation import explain
-from matcam.inverse.correction.farthest_glare import farthest_glare
-from matcam.inverse.correction.harmless import LobeRatio, shrunk, withheld, within_energy
+from matcam.inverse.correction.farthest_glare import FarthestGlare, farthest_glare
+from matcam.inverse.correction.harmless import ROWS, LobeRatio, energy_limit, shrunk, withheld, within_energy
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
 from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.correction.response_lattice import seen_cells
@@ -61,7 +61,6 @@ _UNSEEN = Remark(
 )
 _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""
-_ROWS = [slice(first, first + 10) for first in range(0, GRID_SHAPE[0], 10)]
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ class Correction:
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
-        scattered = glare * farthest_glare(sampling_of(brdf), rig, best, workspace)
+        scattered = farthest_glare(glare, sampling_of(brdf), rig, best, workspace)
         blind = held_back and found.no_blur
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
@@ -324,35 +323,39 @@ def _corrected_table(
     noise: PixelNoise,
     noise_share: np.ndarray,
     ratio_of_lobes: LobeRatio,
-    scattered: np.ndarray,
+    scattered: FarthestGlare,
     glare: float,
 ) -> xr.Dataset:
     """Return the corrected table.
 
-    noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight, 1/sr, that glare adds to it.
+    noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
     """
     data, sampling = brdf.values, sampling_of(brdf)
     body, body_std = found.diffuse / np.pi, found.diffuse_std / np.pi
     seen = seen_cells(sampling)
     ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
-    wanted = np.empty_like(data)
-    for rows in _ROWS:  # a few at a time: a table has many temporary ones
+    corrected = np.empty_like(data)
+    for rows in ROWS:
         above = data[rows] - body
         raised = np.where(above > 0, body + above * ratio[rows, ..., None], data[rows])
-        wanted[rows] = np.maximum(raised, 0.0)
-    corrected = within_energy(data, wanted, sampling)
+        corrected[rows] = np.maximum(raised, 0.0)
+    limit = energy_limit(data, corrected, sampling)
 
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
     total, correction_std, noise_std = (np.empty_like(data) for _ in range(3))
     supported = np.empty(data.shape, dtype=bool)
-    for rows in _ROWS:
+    for rows in ROWS:
         recorded, known = data[rows], seen[rows, ..., None] & np.isfinite(data[rows])
         above = recorded - body
         lobe = above > 0
         factor = np.where(lobe, ratio[rows, ..., None], 1.0)
         camera = np.where(lobe, above * factor * ratio_of_lobes.std[rows, ..., None], 0.0) ** 2
-        camera += (scattered[rows] ** 2 + (glare * recorded) ** 2) * factor**2
-        camera += (body_std * (factor - 1)) ** 2 + (wanted[rows] - corrected[rows]) ** 2
+        camera += (scattered.of(rows) ** 2 + (glare * recorded) ** 2) * factor**2
+        camera += (body_std * (factor - 1)) ** 2
+        if not limit.none:
+            wanted = corrected[rows].copy()
+            corrected[rows] = limit.of(rows, recorded, wanted)
+            camera += (wanted - corrected[rows]) ** 2
         pixels = noise_share[rows, ..., None] * ((noise.relative * recorded) ** 2 + (noise.floor * peak) ** 2)
         pixels = (pixels + (noise.picture_gain * recorded) ** 2) * factor**2
         camera_std, noise_std[rows] = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from matcam.core.errors import FitError
@@ -17,12 +19,29 @@ _VIEWS = 2
 """Views whose scattered light is kept in memory, 12 MB each."""
 
 
-def farthest_glare(sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace) -> np.ndarray:
-    """Return the most that a halo of any radius, holding all of the highlight's light, could add to an entry, 1/sr.
+class FarthestGlare(NamedTuple):
+    """Hold the most that a halo of any radius, holding a share of the highlight's light, could add to an entry.
 
-    Shape (90, 90, 180, channels).
+    Attributes:
+        strength: (90, channels), reflectance of the highlight of each theta_d times the share.
+        of_mirror: (90, 90, 180), what it would be if all light were reflected, 1/sr.
+    """
 
-    found: says how bright the highlights are. workspace: keeps what depends on the rig alone.
+    strength: np.ndarray
+    of_mirror: np.ndarray
+
+    def of(self, rows: slice) -> np.ndarray:
+        """Return it in some rows of the table, (rows, 90, 180, channels), 1/sr."""
+        return self.strength[:, None] * self.of_mirror[rows, ..., None]
+
+
+def farthest_glare(
+    glare: float, sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace
+) -> FarthestGlare:
+    """Return the farthest glare of a highlight.
+
+    glare: share of the light that the lens scatters. found: says how bright the highlights are. workspace: keeps what depends
+        on the rig alone.
     """
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
@@ -31,12 +50,14 @@ def farthest_glare(sampling: Sampling, rig: Rig, found: MaterialFit, workspace: 
     theta_d, seen = merl_grid(sampling).theta_d, found.theta_d[there]
     f = np.stack([np.interp(theta_d, seen, column[there]) for column in strength.T], axis=-1)
     view = sample_view(rig)
-    share = workspace.remember("farthest glare", (view, sampling), lambda: _of_mirror(view, sampling), most=_VIEWS)
-    return f[None, :, None, :] * share[..., None]
+    key = view, sampling
+    return FarthestGlare(
+        glare * f, workspace.remember("farthest glare", key, lambda: _of_mirror(view, sampling), most=_VIEWS)
+    )
 
 
 def _of_mirror(view: SampleView, sampling: Sampling) -> np.ndarray:
-    """Return the same of a surface that reflects all light, (90, 90, 180).
+    """Return what a surface that reflects all light would have scattered to each entry, (90, 90, 180).
 
     A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
     """

@@ -17,6 +17,8 @@ from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 
+ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
+"""Rows of a table that are worked on at a time: all at once would need several times the table's memory."""
 _AZIMUTHS = 72
 _DIRECTIONS = np.radians(np.arange(90) + 0.5)
 
@@ -50,29 +52,58 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     return LobeRatio(mean * share, np.sqrt(variance + lost**2))
 
 
-def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Sampling) -> np.ndarray:
-    """Return a corrected table whose albedo is at most 1, or that of the recorded one, in every direction and channel.
+class EnergyLimit(NamedTuple):
+    """Hold by how much what a correction adds is cut down, for light and view alike: the result is as reciprocal as it was.
 
-    Both are (90, 90, 180, channels), 1/sr; missing entries send nothing. Only what the correction added is cut down, for light
-    and view alike, so that the result is as reciprocal as both are.
+    Attributes:
+        share: (directions, channels), share that stays of what is added in directions beside the normal.
+        light: (90, 90, 180), direction of each entry's light.
+        view: the same of its view.
     """
-    change = corrected - recorded
-    if not (change > 0).any():
-        return corrected
+
+    share: np.ndarray
+    light: np.ndarray
+    view: np.ndarray
+
+    @property
+    def none(self) -> bool:
+        """Say whether nothing is cut down."""
+        return bool((self.share == 1).all())
+
+    def of(self, rows: slice, recorded: np.ndarray, corrected: np.ndarray) -> np.ndarray:
+        """Return some rows of a corrected table as far as energy allows, (rows, 90, 180, channels)."""
+        change = corrected - recorded
+        allowed = np.minimum(self.share[self.light[rows]], self.share[self.view[rows]])
+        return np.where(change > 0, recorded + change * allowed, corrected)
+
+
+def energy_limit(recorded: np.ndarray, corrected: np.ndarray, sampling: Sampling) -> EnergyLimit:
+    """Return what keeps the albedo of a corrected table at 1 at most, or the recorded one's, in each direction and channel.
+
+    Both are (90, 90, 180, channels), 1/sr; missing entries send nothing.
+    """
     cells, weight = _albedo_rule()
-    change_there = np.nan_to_num(change.reshape(-1, change.shape[-1])[cells])
+    there = [table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected)]
+    change = np.nan_to_num(there[1] - there[0])
     before = albedo(recorded)
-    added, taken = (weight @ np.maximum(side * change_there, 0) for side in (1, -1))
+    added, taken = (weight @ np.maximum(side * change, 0) for side in (1, -1))
     room = np.maximum(1.0, before) - before + taken
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(added > room, room / added, 1.0)
-    if (share == 1).all():
-        return corrected
     # of the directions on either side of an entry's own, the stricter
     share = np.minimum(share, np.minimum(np.r_[share[1:], share[-1:]], np.r_[share[:1], share[:-1]]))
-    light, view = _directions(sampling)
-    allowed = np.minimum(share[light], share[view])
-    return np.where(change > 0, recorded + change * allowed, corrected)
+    return EnergyLimit(share, *_directions(sampling))
+
+
+def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Sampling) -> np.ndarray:
+    """Return a corrected table as far as energy allows (`energy_limit`)."""
+    limit = energy_limit(recorded, corrected, sampling)
+    if limit.none:
+        return corrected
+    limited = np.empty_like(corrected)
+    for rows in ROWS:
+        limited[rows] = limit.of(rows, recorded[rows], corrected[rows])
+    return limited
 
 
 def albedo(table: np.ndarray) -> np.ndarray:
