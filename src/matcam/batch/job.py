@@ -24,9 +24,9 @@ from matcam.core.io import (
     where_written,
     write_json,
 )
+from matcam.core.threads import import_behind
 from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_table
-from matcam.figures.spheres import write_thumbnail
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import write_merl
 from matcam.inverse.correction.correction import supported_values
@@ -164,6 +164,8 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     check_name(job.source)
     for path in job.files:
         check_output(path, force=job.force, inputs=[job.source])
+    if job.recipe.page:
+        import_behind("matcam.figures.pages")
     started = time.perf_counter()
     before = fingerprint(job.source)
     table = read_table(job.source, sampling=job.recipe.sampling)
@@ -179,6 +181,8 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         if job.recipe.page:
             done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)
         if job.key is not None:
+            from matcam.figures.spheres import write_thumbnail
+
             write_thumbnail(job.output.with_suffix(".png"), table, done.table["brdf"], force=job.force)
         if job.row is not None:
             job.row.write(done.table)

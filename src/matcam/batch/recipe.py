@@ -24,7 +24,6 @@ from matcam.core.io import plain
 from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_table
 from matcam.exchange.inspection import lobe_widths
-from matcam.figures.pages import write_correction_page
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
 from matcam.inverse.operator.rig_axes import LENS, known_lens
@@ -88,6 +87,8 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
     document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
 
     def write_page(path: Path, name: str, force: bool) -> None:
+        from matcam.figures.pages import write_correction_page  # Matplotlib only where something is drawn
+
         write_correction_page(path, table, done, name, force=force)
 
     return CorrectedTable(done.table, document, write_page)

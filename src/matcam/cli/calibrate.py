@@ -93,8 +93,7 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
-    from matcam.core.io import check_output
-    from matcam.figures.style import check_picture
+    from matcam.core.io import check_output, check_picture
 
     files = _files(pictures)
     figure = figure or output.with_suffix(".png")

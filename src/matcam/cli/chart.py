@@ -41,8 +41,7 @@ def command(
     """
     from matcam.calibration.chart.chart_file import description_path, write_chart
     from matcam.calibration.chart.chart_layout import design_chart
-    from matcam.core.io import check_output
-    from matcam.figures.style import check_picture
+    from matcam.core.io import check_output, check_picture
 
     description = description_path(output)
     check_picture(output, force=force)

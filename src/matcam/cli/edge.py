@@ -77,8 +77,7 @@ def command(
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
     from matcam.core import checks
-    from matcam.core.io import check_output
-    from matcam.figures.style import check_picture
+    from matcam.core.io import check_output, check_picture
 
     output = output or Path(f"{picture.stem}-edge.png")
     check_picture(output, force=force, inputs=[picture])

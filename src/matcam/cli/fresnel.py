@@ -83,8 +83,8 @@ def command(
     Example: `matcam fresnel chrome.binary --metal Cr`
     """
     from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
-    from matcam.figures.style import check_picture
+    from matcam.core.io import check_output, check_picture
+    from matcam.core.threads import import_behind
 
     low, high = normalise
     if not 0 <= low < high < 90:
@@ -99,6 +99,7 @@ def command(
         from matcam.core.workspace import Workspace
 
         use_compilation_cache()
+        import_behind("matcam.figures.curves", "matcam.files.datasets")
         from matcam.exchange.contents import read_table
         from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
         from matcam.material.optical_constants import metals

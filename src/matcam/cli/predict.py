@@ -90,7 +90,7 @@ def command(
     inputs = [camera] if camera else []
     for path in (output, map_):
         if path:
-            from matcam.figures.style import check_picture  # Matplotlib only where something is drawn
+            from matcam.core.io import check_picture
 
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()

@@ -53,12 +53,12 @@ def command(
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
     from matcam.core.errors import ArgumentError
-    from matcam.core.io import check_output
+    from matcam.core.io import check_output, check_picture
     from matcam.core.jax import use_compilation_cache
     from matcam.exchange.contents import material_of, read_contents
     from matcam.exchange.renderers import rendered_sphere
     from matcam.figures.spheres import spheres_figure
-    from matcam.figures.style import check_picture, save
+    from matcam.figures.style import save
     from matcam.files.float_pictures import write_exr
 
     if len(files) > 2:

@@ -176,7 +176,7 @@ def command(
 
         check_output(sidecar_path(output), force=force, inputs=inputs)
     if preview:
-        from matcam.figures.style import check_picture
+        from matcam.core.io import check_picture
 
         if suffix in _TABLES:
             raise ArgumentError("--preview shows a picture, and the output is a table: leave it out")

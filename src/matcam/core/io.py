@@ -29,6 +29,8 @@ from matcam.core.errors import FileFormatError, OutputError
 if TYPE_CHECKING:
     import xarray as xr
 
+_PICTURES = (".png", ".pdf", ".svg")
+
 
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
     """Refuse, before any work, an output that could not be written or that would destroy something.
@@ -51,6 +53,14 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
             break
     if path.exists() and not force:
         raise OutputError(f"output {path} exists: use force=True to replace it")
+    return path
+
+
+def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
+    """Check an output that is a picture, whose suffix chooses the format, as `check_output` does."""
+    path = check_output(path, force=force, inputs=inputs)
+    if path.suffix.lower() not in _PICTURES:
+        raise OutputError(f"picture {path} must end in {', '.join(_PICTURES)}")
     return path
 
 

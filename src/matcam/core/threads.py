@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -47,6 +49,20 @@ def use_one_heap() -> None:
 def available_cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def import_behind(*modules: str) -> None:
+    """Import modules in another thread, for what will ask for them later: XLA computes meanwhile, outside of Python's lock.
+
+    What cannot be imported fails where it is asked for. modules: their full names.
+    """
+
+    def work() -> None:
+        for name in modules:
+            with contextlib.suppress(Exception):
+                importlib.import_module(name)
+
+    threading.Thread(target=work, daemon=True).start()
 
 
 def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:

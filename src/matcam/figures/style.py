@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -20,16 +20,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from matcam.core.errors import OutputError
-from matcam.core.io import check_output, replacing
+from matcam.core.io import check_picture, replacing
 
 BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#F0E442", "#000000",
 )  # fmt: skip
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#6E6E6E"
-
-SUFFIXES = (".png", ".pdf", ".svg")
 
 _RC: Any = {
     "font.size": 9.5,
@@ -51,15 +48,6 @@ _RC: Any = {
 def styled() -> AbstractContextManager[None]:
     """Return the context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
-
-
-def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-    """Check an output that is a picture, whose suffix chooses the format, as `check_output` does."""
-    path = Path(path)
-    path = check_output(path, force=force, inputs=inputs)
-    if path.suffix.lower() not in SUFFIXES:
-        raise OutputError(f"picture {path} must end in {', '.join(SUFFIXES)}")
-    return path
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:

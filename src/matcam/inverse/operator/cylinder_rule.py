@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.integral.cylinder_record import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
-from matcam.inverse.operator.near_rule import Directions, NearRule, azimuths_seen
+from matcam.inverse.operator.near_rule import Directions, NearRule, azimuths_seen, rise_of
 from matcam.inverse.operator.polar_rule import NODES, onto_nodes, stretched
 from matcam.sample.curved import Cylinder
 
@@ -185,7 +185,7 @@ def cylinder_rule(
             1.1,
         )
         weight = onto_nodes(place, share)
-        moment = None if cell is None else onto_nodes(place, share * (at.theta_d - cell[:, None, None]))
+        moment = None if cell is None else onto_nodes(place, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         # nodes of all samples at about one turn are a circle
         circles = jax.tree.map(lambda a: jnp.swapaxes(jnp.broadcast_to(a, u.shape), 1, 2), (at, place, share))

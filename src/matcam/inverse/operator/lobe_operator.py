@@ -34,6 +34,7 @@ from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import MOMENT_ALONG, rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
+from matcam.inverse.operator.near_rule import RISE
 from matcam.inverse.operator.polar_rule import NODE_RULE, SAMPLED, THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
@@ -289,7 +290,7 @@ def operator_in(
         description = f"{description}, rings by {REST_RULE}"
     description = f"{description}, masking at {SAMPLED.size} nodes, {NODE_RULE}"
     if not sample_view(rig).distant:
-        description = f"{description}, moments of theta_d"
+        description = f"{description}, moments of {RISE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along, moment_along = (
         tuple(stored.pop(f"{name}{n}") for n in range(len(axes)) if f"{name}{n}" in stored)

@@ -4,7 +4,8 @@ The half vector turns over the picture, so that a circle about the highlight's n
 on such circles, as in `polar_rule`: what the camera sees, the lamp lights and the kernel reaches is an arc in closed form on
 each. Every node has its own theta_h, theta_d and irradiance. A polynomial in asinh(theta_h / scale) carries their weights over
 to few nodes in theta_h, at which a lobe is asked for. The polynomials are Legendre's, and those nodes are Gauss's. In the same
-way come the weights times the difference of theta_d from the cell's, by which F is read at each node's own theta_d.
+way come the weights times the difference of theta_d from the cell's (`rise_of`), by which F is read at each node's own
+theta_d.
 
 A lamp at an azimuth turns the pixel against the plane of camera and lamp (docs/model.md 10). The arcs are those of the square
 about the turned pixel then, and its kernel is different on either side of that plane. Here a distant rig is one whose camera
@@ -35,10 +36,22 @@ from matcam.inverse.operator.sample_view import SampleView, angles_between, squa
 from matcam.numerics.sine import sine_and_cosine
 
 _BLOCK = 32
+_STEEPNESS = 7.0
+"""1/rad."""
+RISE = f"exp({_STEEPNESS:g} theta_d)"
+"""What F is taken to be linear in; rules that are kept say so."""
 _MORE_AZIMUTHS = np.polynomial.legendre.leggauss(30)
 """A turned pixel is met over up to sqrt(2) times its side."""
 _LEAST_SPREAD = 1e-7
 """Standard deviation of the cosine of an azimuth below which all azimuths are one."""
+
+
+def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
+    """Return the difference of theta_d from the cell's as F takes it, rad: for small ones itself.
+
+    F is about linear in it: where it rises steeply, towards grazing angles, it does so as exp(7 theta_d).
+    """
+    return jnp.expm1(_STEEPNESS * (theta_d - cell)) / _STEEPNESS
 
 
 class NearPixels(NamedTuple):
@@ -233,7 +246,7 @@ def near_rule(
         weight = onto_nodes(place, through[..., None] * share)
         moment = None
         if cell is not None:
-            moment = onto_nodes(place, through[..., None] * share * (at.theta_d - cell[:, None, None]))
+            moment = onto_nodes(place, through[..., None] * share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         return nodes[:, 0], weight, *azimuths_seen(at, place, share), moment
 
