@@ -5,7 +5,16 @@ import pytest
 
 from matcam.core.jax import jax, jnp
 from matcam.numerics.anderson import AndersonMixing
-from matcam.numerics.approximation import graded_nodes, interpolated, lagrange_basis, nodes_between, nodes_in_panels
+from matcam.numerics.approximation import (
+    cubic_basis,
+    cubic_spline,
+    cubic_sums,
+    graded_nodes,
+    interpolated,
+    lagrange_basis,
+    nodes_between,
+    nodes_in_panels,
+)
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
 UNITS = np.array([1e-12, 1.0, 1e9])
@@ -122,3 +131,17 @@ def test_mixed_steps_end_where_plain_ones_creep():
     assert np.abs(x - truth).max() < 1e-6
     mixing.forget()
     np.testing.assert_array_equal(mixing.step(x, step(x), np.eye(20)), step(x))
+
+
+def test_splines_of_four_are_those_of_the_whole_basis():
+    """Their value, and sums of weights times each, from the first knot to the last."""
+    rng = np.random.default_rng(6)
+    place = jnp.asarray(np.concatenate([[0.0, 1.0, 15.5, 16.0], rng.uniform(0, 16, 200)]))
+    coefficients, weights = jnp.asarray(rng.normal(size=17)), jnp.asarray(rng.normal(size=place.shape))
+    basis = cubic_basis(place, 17)
+    np.testing.assert_allclose(cubic_spline(coefficients, place), coefficients @ basis, atol=1e-14)
+    np.testing.assert_allclose(cubic_sums(place, weights, 17), basis @ weights, atol=1e-12)
+    np.testing.assert_allclose(
+        cubic_sums(place.reshape(4, 3, 17), weights.reshape(4, 3, 17), 17, axes=2),
+        (basis * weights).reshape(17, 4, 51).sum(-1), atol=1e-12,
+    )  # fmt: skip
