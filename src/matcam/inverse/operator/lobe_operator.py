@@ -5,8 +5,8 @@ under a distant lamp is one theta_d. What depends on the rig alone, the rule of 
 kept.
 
 Before a near camera or under a near lamp every node has a theta_d of its own. There the table reads F A + F' B, A the record at
-F = 1 and B the record of D G times the difference of theta_d from the cell's (`rise_of`). `moment` is the operator that makes B:
-A's, with other weights. What a second order would add is 3e-5 of the value at most, in rigs whose lamp is at three radii.
+F = 1 and B the record of D G times the difference of theta_d from the cell's (`rise_of`). `moment` is the operator that makes
+B: A's, with other weights. What a second order would add is 3e-5 of the value at most, in rigs whose lamp is at three radii.
 
 Uncertain parameters of the rig change the weights of the rule. Each is followed along its own axis (`rig_axes`) through a few
 values, by the polynomial through them. How two of them act together beyond their sum is left out, as the product of two small
