@@ -2,7 +2,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import GGX, BoxPixel, Camera, Conductor, GaussianOptics, Microfacet, fresnel_conductor, read_merl
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    ColourOptics,
+    Conductor,
+    GaussianOptics,
+    Microfacet,
+    SeidelOptics,
+    fresnel_conductor,
+    read_merl,
+)
 from matcam.camera import Uncertainty
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError
@@ -124,6 +135,23 @@ def test_report_of_a_camera(tmp_path):
     assert report["std"] == {"optics.sigma_px": pytest.approx(0.015)}
     f = report["mtf50_cycles_per_px"]
     assert np.exp(-2 * (np.pi * 0.5 * f) ** 2) * np.sinc(f) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_report_of_a_camera_whose_lens_has_colours(tmp_path, capsys):
+    """Of a Gaussian lens and a box MTF50 is known; of an aberrated one it is that at the centre of the picture."""
+    lens = ColourOptics(GaussianOptics(0.4), GaussianOptics(0.5), SeidelOptics(8.0, 550e-9, 5e-6, unit=400.0, coma=0.2))
+    Camera(lens, BoxPixel(0.5)).save(tmp_path / "c.json")
+    mtf50 = inspect_camera(tmp_path / "c.json")["mtf50_cycles_per_px"]
+    assert list(mtf50) == ["red", "green", "blue, centre"]
+    for sigma, colour in ((0.4, "red"), (0.5, "green")):
+        f = mtf50[colour]
+        assert np.exp(-2 * (np.pi * sigma * f) ** 2) * np.sinc(f) == pytest.approx(0.5, abs=1e-3)
+    cutoff = 5e-6 / (550e-9 * 8.0)
+    s = mtf50["blue, centre"] / cutoff
+    airy = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s**2))
+    assert airy * np.sinc(mtf50["blue, centre"]) == pytest.approx(0.5, abs=2e-3)
+    assert _run(["inspect", str(tmp_path / "c.json")]) == 0
+    assert f"green: {mtf50['green']:.4f} cycles/px" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("rule", [pytest.param("nearest", marks=pytest.mark.slow), "bilinear"])

@@ -157,7 +157,10 @@ def _print_profile(report: dict[str, Any]) -> None:
         for name, value in report["parameters"].items()
     ]
     show.table(["parameter", "value", "standard deviation"], rows)
-    show.say(f"MTF50 along a row of pixels: {report['mtf50_cycles_per_px']:.4f} cycles/px")
+    mtf50 = report["mtf50_cycles_per_px"]
+    for name, value in mtf50.items() if isinstance(mtf50, dict) else [("", mtf50)]:
+        lens = f", {name}" if name else ""
+        show.say(f"MTF50 along a row of pixels{lens}: {value:.4f} cycles/px")
     for key in ("source", "created", "software", "notes"):
         if report["provenance"][key]:
             show.say(f"{key}: {report['provenance'][key]}")

@@ -79,6 +79,20 @@ class ColourOptics(VaryingOptics):
         return self.red, self.green, self.blue
 
     @property
+    def named_lenses(self) -> dict[str, Optics]:
+        """Return the lenses by colour.
+
+        One that changes over the picture is given by the lenses that stand for it.
+        """
+        named: dict[str, Optics] = {}
+        for colour, lens in zip(("red", "green", "blue"), self.lenses, strict=True):
+            if isinstance(lens, VaryingOptics):
+                named |= {f"{colour}, {name}": one for name, one in lens.named_lenses.items()}
+            else:
+                named[colour] = lens
+        return named
+
+    @property
     def shifts(self) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Return the channels' shifts, each (right, up), px."""
         return self.red_shift, self.green_shift, self.blue_shift

@@ -8,6 +8,7 @@ from typing import ClassVar
 import equinox as eqx
 from jax.typing import ArrayLike
 
+from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.pupil import DiffractionOptics
 from matcam.camera.optics.varying import VaryingOptics
 from matcam.camera.optics.zernike import ZernikeOptics, check_phase
@@ -107,6 +108,11 @@ class SeidelOptics(VaryingOptics):
             lambda one: (one.defocus, one.astigmatism, one.coma), self.axial, (found[0], found[1:3], found[3:5])
         )
         return lens
+
+    @property
+    def named_lenses(self) -> dict[str, Optics]:
+        """Return the lens at the centre of the picture."""
+        return {"centre": self.at(0.0, 0.0)}
 
     def terms_at(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the coefficients of `ZernikeOptics.terms` at places, (..., 8), waves rms.

@@ -24,6 +24,11 @@ class VaryingOptics(Optics):
     def instead(self) -> str:
         """Return what to ask instead, for a message."""
 
+    @property
+    @abstractmethod
+    def named_lenses(self) -> dict[str, Optics]:
+        """Return single lenses that stand for it, by what they are called."""
+
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Refuse: each of its lenses has its own.
 
