@@ -56,7 +56,9 @@ def figures(lines):
                 "entries": int(here.sum()), "within 1": _share(pull[here] < 1), "within 2": _share(pull[here] < 2),
                 "rms pull": _rms(pull[here]),
             }  # fmt: skip
-    peak, bar = e["kind"] == 0, e["std"] / e["value"]
+    # what was recorded below 0 is corrected to 0
+    bar = np.divide(e["std"], e["value"], out=np.full_like(e["std"], np.inf), where=e["value"] > 0)
+    peak = e["kind"] == 0
     supported_peak = peak & e["supported"] & np.isfinite(e["bound"]) & stated
     kept = e["clean"] / e["true"]
     before, after = (np.abs(e[name] / e["true"] - 1) for name in ("raw", "value"))
