@@ -164,13 +164,13 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     check_name(job.source)
     for path in job.files:
         check_output(path, force=job.force, inputs=[job.source])
-    if job.recipe.page:
-        import_behind("matcam.figures.pages")
     started = time.perf_counter()
     before = fingerprint(job.source)
     table = read_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is whole")
+    if job.recipe.page:
+        import_behind("matcam.figures.pages")
     options = job.recipe.options
     if workspace is not None:
         options = options._replace(workspace=workspace)

@@ -99,7 +99,6 @@ def command(
         from matcam.core.workspace import Workspace
 
         use_compilation_cache()
-        import_behind("matcam.figures.curves", "matcam.files.datasets")
         from matcam.exchange.contents import read_table
         from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
         from matcam.material.optical_constants import metals
@@ -113,9 +112,12 @@ def command(
             "sample_mm": sample_mm,
         }
         near["azimuth"] = azimuth
+        table = read_table(file, sampling=sampling)
+        rig = rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase)
+        import_behind("matcam.figures.curves", "matcam.files.datasets")
         result = fresnel(
-            read_table(file, sampling=sampling),
-            rig_of(camera, radius, lamp, **near, cell_value=cell or "unknown", pixel_phase=phase),
+            table,
+            rig,
             ndf=ndf,
             masking=None if masking == "none" else masking,
             normalise=(math.radians(low), math.radians(high)),

@@ -85,13 +85,12 @@ def command(
 
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
+    from matcam.core.io import check_picture
     from matcam.core.jax import use_compilation_cache
 
     inputs = [camera] if camera else []
     for path in (output, map_):
         if path:
-            from matcam.core.io import check_picture
-
             check_picture(path, force=force, inputs=inputs)
     use_compilation_cache()
     from matcam.core.registry import family_ndf

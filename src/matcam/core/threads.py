@@ -21,8 +21,6 @@ ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM
 Matrices of a fit have some thousand rows and twenty columns. OpenBLAS shares even those among all processors, and a thread that
 waits for its share spins: on two busy processors a triangle of 5,000 rows takes 12 ms instead of 0.3 ms.
 """
-
-
 _ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
 
 
@@ -54,7 +52,8 @@ def available_cores() -> int:
 def import_behind(*modules: str) -> None:
     """Import modules in another thread, for what will ask for them later: XLA computes meanwhile, outside of Python's lock.
 
-    What cannot be imported fails where it is asked for. modules: their full names.
+    What cannot be imported fails where it is asked for. A process that ends waits for the import: one that is torn down in a
+    module of C++ would abort. modules: their full names.
     """
 
     def work() -> None:
@@ -62,7 +61,8 @@ def import_behind(*modules: str) -> None:
             with contextlib.suppress(Exception):
                 importlib.import_module(name)
 
-    threading.Thread(target=work, daemon=True).start()
+    if not sys.modules.keys() >= set(modules):
+        threading.Thread(target=work).start()
 
 
 def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:

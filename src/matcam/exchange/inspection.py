@@ -315,13 +315,15 @@ def inspect_camera(path: str | Path) -> dict[str, Any]:
     colours, or changes over the picture, MTF50 is that of each lens that stands for it, by name.
     """
     camera = Camera.load(path)
-    several = isinstance(camera.optics, VaryingOptics)  # and so has no MTF of its own
-    lenses = camera.optics.named_lenses if isinstance(camera.optics, VaryingOptics) else {"": camera.optics}
-    mtf50 = {name: _mtf50(Camera(lens, camera.pixel)) for name, lens in lenses.items()}
+    mtf50: float | dict[str, float]
+    if isinstance(camera.optics, VaryingOptics):  # and so has no MTF of its own
+        mtf50 = {name: _mtf50(Camera(lens, camera.pixel)) for name, lens in camera.optics.named_lenses.items()}
+    else:
+        mtf50 = _mtf50(camera)
     return {
         "parameters": {name: float(value) for name, value in camera.parameters().items()},
         "std": camera.uncertainty.std() if camera.uncertainty else {},
-        "mtf50_cycles_per_px": mtf50 if several else mtf50[""],
+        "mtf50_cycles_per_px": mtf50,
         "provenance": dataclasses.asdict(camera.provenance),
     }
 

@@ -1,7 +1,8 @@
 """The HTML pages of `correct`: one for a corrected table, and the index of a run over many.
 
 Each is one file that can be read offline and kept with the data. The index can be sorted without a network and leads to each
-material's page.
+material's page. Figures state their margins: labels are as long whatever is drawn, and finding room for them would take half of
+a page's time.
 """
 
 from __future__ import annotations
@@ -26,8 +27,6 @@ from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
-_MARGINS = {"left": 0.08, "right": 0.985, "bottom": 0.085, "top": 0.955}
-"""Of figures whose labels are as long whatever is drawn: finding room for them would take half of a page's time."""
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -109,7 +108,8 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     theta_h = np.degrees(raw["theta_h"].values)
     with styled():
         figure = Figure(figsize=(9.6, 6.4))
-        panels = figure.subplots(2, 2, gridspec_kw={**_MARGINS, "wspace": 0.22, "hspace": 0.36})
+        margins = {"left": 0.08, "right": 0.985, "bottom": 0.085, "top": 0.955}
+        panels = figure.subplots(2, 2, gridspec_kw={**margins, "wspace": 0.22, "hspace": 0.36})
         for axes, theta_d in zip(panels.flat, np.radians(_SLICES), strict=True):
             at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
             before = raw.values[at]

@@ -14,13 +14,14 @@ from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import NDF
 from matcam.material.ndf.free_lobe import ShadowedNDF
 from matcam.material.ndf.ggx import GGX
-from matcam.numerics.approximation import AnyValues, lagrange_basis
+from matcam.numerics.approximation import AnyValues, between_entries, four_about
 
 STEEPEST = 1e-4
 """Cosine, and cotangent, at which the table begins."""
 _LEVEL = 1e4  # cotangent at which it ends: there nothing is masked
 _ENTRIES = 161
-_STEP = float(np.log(_LEVEL / STEEPEST) / (_ENTRIES - 1))
+_LAST = _ENTRIES - 1.0
+_STEP = float(np.log(_LEVEL / STEEPEST) / _LAST)
 
 COTS = STEEPEST * np.exp(_STEP * np.arange(_ENTRIES))
 """Cotangents of the table's directions, even in the logarithm."""
@@ -51,8 +52,7 @@ def place_of(cos: AnyValues) -> AnyValues:
 
 def lambda_at(table: jax.Array, place: jax.Array) -> jax.Array:
     """Return Lambda at places of a table, by the cubic through four entries; steeper than them all it goes as 1 / cot."""
-    first, cubics = _about(place)
-    log = sum((table.at[first + k].get(mode="clip") * cubic for k, cubic in enumerate(cubics)), jnp.zeros(()))
+    log = between_entries(table, jnp.clip(place, 0.0, _LAST))
     return jnp.maximum(jnp.exp(log + _STEP * jnp.maximum(-place, 0.0)) - 1, 0.0)
 
 
@@ -61,16 +61,9 @@ def by_entries(place: jax.Array, by_log: jax.Array) -> jax.Array:
 
     by_log: those by ln(1 + Lambda) at each place, of its shape (cells, ...).
     """
-    first, cubics = _about(place)
+    first, shares = four_about(jnp.clip(place, 0.0, _LAST), _ENTRIES)
     cell = jnp.arange(place.shape[0]).reshape(-1, *[1] * (place.ndim - 1))
     total = jnp.zeros((place.shape[0], _ENTRIES))
-    for k, cubic in enumerate(cubics):
-        total = total.at[cell, first + k].add(by_log * cubic, mode="promise_in_bounds")
+    for k, share in enumerate(shares):
+        total = total.at[cell, first + k].add(by_log * share, mode="promise_in_bounds")
     return total
-
-
-def _about(place: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-    """Return the first of the four entries about each place, and the shares of the four."""
-    inside = jnp.clip(place, 0.0, _ENTRIES - 1.0)
-    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(inside), 1, _ENTRIES - 3))
-    return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), inside - left)

@@ -12,7 +12,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.core.registry import MASKING_MODELS
-from matcam.numerics.approximation import lagrange_basis
+from matcam.numerics.approximation import between_entries
 
 Masking = str | None
 """Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""
@@ -32,6 +32,8 @@ _NEAREST = 1e-30  # cosine: keeps Lambda finite at the horizon, where 1 / Lambda
 
 # The table's grid: even in asinh(cot / (scale _KNEE)), that is in cot close to the horizon and in its logarithm elsewhere
 _NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
+_SPACING = float(np.arcsinh(_REACH / _KNEE) / (_NODES - 1))
+_NUS = np.maximum(_KNEE * np.sinh(_SPACING * np.arange(_NODES)), 1e-11)
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
@@ -81,44 +83,11 @@ def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Arr
     cot = cot_of(cos)
     if cot.size <= _NODES:
         return smith_lambda(slope_density, scale, cot)
-    return interpolated_lambda(lambda cot: smith_lambda(slope_density, scale, cot), scale, cot, _NODES)
-
-
-def interpolated_lambda(
-    function: Callable[[jax.Array], jax.Array], scale: jax.Array, cot: jax.Array, nodes: int
-) -> jax.Array:
-    """Interpolate Lambda at cot theta > 0 in a table of `function` (Lambda of cot theta).
-
-    256 nodes give 1 / (1 + Lambda) to 1e-6.
-    """
-    return lambda_from_table(lambda_table(function, scale, nodes), scale, cot)
-
-
-def lambda_table(function: Callable[[jax.Array], jax.Array], scale: jax.Array, nodes: int) -> jax.Array:
-    """Return the table of `function` that `lambda_from_table` reads, (nodes,)."""
-    nus = np.maximum(_KNEE * np.sinh(_spacing(nodes) * np.arange(nodes)), 1e-11)
-    # the table's places do not change the function. nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
-    return jnp.log(nus * (1 + function(jax.lax.stop_gradient(scale) * nus)))
-
-
-def lambda_from_table(table: jax.Array, scale: jax.Array, cot: jax.Array) -> jax.Array:
-    """Return Lambda at cot theta > 0 from a table as of `lambda_table`, of the same scale."""
-    nu = jnp.minimum(cot / jax.lax.stop_gradient(scale), _REACH)
-    place = jnp.arcsinh(nu / _KNEE) / _spacing(table.size)
-    return jnp.maximum(jnp.exp(_cubic(table, place)) / nu - 1, 0.0)
-
-
-def _spacing(nodes: int) -> float:
-    """Return the table's step in asinh(cot / (scale _KNEE))."""
-    return float(np.arcsinh(_REACH / _KNEE) / (nodes - 1))
-
-
-def _cubic(table: jax.Array, place: jax.Array) -> jax.Array:
-    """Interpolate by Lagrange's cubic through the four entries around `place`."""
-    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 1, table.size - 3))
-    first = left.astype(int) - 1
-    weights = lagrange_basis(np.arange(-1.0, 3.0), place - left)
-    return sum((table[first + k] * weight for k, weight in enumerate(weights)), jnp.zeros(()))
+    scale = jax.lax.stop_gradient(scale)  # the table's places do not change the function
+    nu = jnp.minimum(cot / scale, _REACH)
+    # nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
+    table = jnp.log(_NUS * (1 + smith_lambda(slope_density, scale, scale * _NUS)))
+    return jnp.maximum(jnp.exp(between_entries(table, jnp.arcsinh(nu / _KNEE) / _SPACING)) / nu - 1, 0.0)
 
 
 def cot_of(cos: jax.Array) -> jax.Array:

@@ -60,6 +60,18 @@ def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) 
     return nodes_in_panels(cuts, order)
 
 
+def between_entries(table: jax.Array, place: jax.Array) -> jax.Array:
+    """Return values at places among a table's entries, counted from 0, by Lagrange's cubic through the four about each."""
+    first, shares = four_about(place, table.size)
+    return sum((table.at[first + k].get(mode="clip") * share for k, share in enumerate(shares)), jnp.zeros(()))
+
+
+def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
+    """Return the first of the four entries about each place, and the shares of the four in the value there."""
+    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 1, entries - 3))
+    return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
+
+
 POINTS = 8
 """Points per axis from which `interpolated` makes a value; half of them must lie on either side."""
 

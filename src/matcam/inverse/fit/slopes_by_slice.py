@@ -84,11 +84,12 @@ class _Lobe(NamedTuple):
 def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
     """Return the table of a lobe's Lambda, and its derivatives by q, (lobe coordinates, values).
 
-    None where nothing is masked, or Lambda has a closed form.
+    None where nothing is masked, or Lambda needs no table.
     """
-    if kind.masking is None or (table := quick_table(kind.ndf(q))) is None:
-        return None, None
-    return (table, jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T) if not kind.bends else _bent_table(kind, q)
+    if kind.masking is not None and kind.bends and not kind.shadows:
+        return _bent_table(kind, q)
+    table = None if kind.masking is None else quick_table(kind.ndf(q))
+    return table, None if table is None else jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T
 
 
 def _bent_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:

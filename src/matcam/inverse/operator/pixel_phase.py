@@ -267,23 +267,21 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Return the phase of a table whose cells were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
-    def log_rest(phase: Sequence[float], cells: list[_NearCells] = cells) -> float:
+    def log_rest(phase: Sequence[float]) -> float:
         return float(np.log(_rest("bilinear", (phase[0], phase[1]), cells) + 1e-30))
 
-    def followed(start: tuple[float, float]) -> OptimizeResult:
-        """Follow a start to its end, unless the first steps say that no grid is there."""
-        corners, most = np.array(start) + _CORNERS, _FIRST_TRIES
-        before = log_rest(start)
-        while True:
-            options = {"initial_simplex": corners, "xatol": 1e-5, "maxfev": most}
-            found = minimize(log_rest, start, method="Nelder-Mead", options=options)
-            if most == _TRIES or found.fun > before + np.log(_FALLS):
-                return found
-            corners, most = found.final_simplex[0], _TRIES
+    def descended(corners: np.ndarray, tries: int) -> OptimizeResult:
+        options = {"initial_simplex": corners, "xatol": 1e-5, "maxfev": tries}
+        return minimize(log_rest, corners[0], method="Nelder-Mead", options=options)
+
+    def followed(before: float, u: float, v: float) -> OptimizeResult:
+        """Follow a start to its end, unless the first steps say that no grid is there. before: what it leaves."""
+        first = descended(np.array([u, v]) + _CORNERS, _FIRST_TRIES)
+        return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 
     line = np.arange(-0.5, 0.5, 0.1)
     starts = sorted((log_rest((u, v)), u, v) for u in line for v in line)[:3]
-    found = min((followed((u, v)) for _, u, v in starts), key=lambda one: one.fun)
+    found = min((followed(*start) for start in starts), key=lambda one: one.fun)
     unexplained = float(np.exp(found.fun))
     if unexplained > _MOST_REST:
         raise FitError(
