@@ -9,7 +9,8 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -82,16 +83,81 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
     """
     yield from map(work, items[:1])
     if workers < 2 or len(items) < 3:
-        yield from map(work, items[1:])
+        for item in items[1:]:
+            _check_wanted()
+            yield work(item)
         return
     with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(work, item) for item in items[1 : workers + 1]]
+        waiting: list[Future[U]] = []
+        left = iter(items[1:])
         try:
-            for number in range(1, len(items)):
-                result = waiting.pop(0).result()
-                if number + workers < len(items):  # no more than that many results lie about
-                    waiting.append(pool.submit(work, items[number + workers]))
-                yield result
+            for _ in range(1, len(items)):
+                _check_wanted()
+                # no more than that many results lie about
+                waiting += [pool.submit(work, item) for item in islice(left, _at_a_time(workers) - len(waiting))]
+                yield waiting.pop(0).result()
         finally:
             for one in waiting:
                 one.cancel()
+
+
+class _Behind(threading.local):
+    """Say of a thread whose work is done behind another's whether that one still goes on, and whether it is still wanted."""
+
+    busy: threading.Event | None = None
+    dropped: threading.Event | None = None
+
+
+_behind = _Behind()
+
+
+class _DroppedError(Exception):
+    """End work that nobody waits for any more."""
+
+
+def _check_wanted() -> None:
+    if _behind.dropped is not None and _behind.dropped.is_set():
+        raise _DroppedError
+
+
+def _at_a_time(workers: int) -> int:
+    """Return how many items to work on at a time: one, while the work that goes before needs a core."""
+    return 1 if _behind.busy is not None and _behind.busy.is_set() else workers
+
+
+@contextlib.contextmanager
+def done_behind(work: Callable[[], object]) -> Iterator[None]:
+    """Do some work in another thread while the block runs, for what will ask for it later and finds it kept.
+
+    Its `in_order` takes one core while the block runs, and all of them when it has ended. The block's end waits for it; after
+    an error nobody does, and it ends with the item that it is at. What fails in it fails again where it is asked for. On one
+    core there is nothing to gain, and nothing is done.
+
+    Args:
+        work: a function without arguments.
+
+    Example:
+        >>> with done_behind(lambda: print("behind")):  # doctest: +SKIP
+        ...     print("before")
+    """
+    if available_cores() < 2:
+        yield
+        return
+    busy, dropped = threading.Event(), threading.Event()
+    busy.set()
+
+    def alone() -> None:
+        _behind.busy, _behind.dropped = busy, dropped
+        with contextlib.suppress(Exception):
+            work()
+
+    thread = threading.Thread(target=alone)
+    thread.start()
+    try:
+        yield
+    except BaseException:
+        dropped.set()
+        raise
+    finally:
+        busy.clear()
+        thread.join()

@@ -16,13 +16,15 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import to_attribute
-from matcam.core.workspace import Workspace
+from matcam.core.threads import done_behind
+from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.peaks.peak import peak_response
-from matcam.inverse.correction.explanation import explain
+from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import peak_cells
 from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
+from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
@@ -118,9 +120,14 @@ def fresnel(
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
     _check_highlight(brdf, normalise)
-    explained = explain(
-        brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace, every=max(every, SEARCH_EVERY)
+    located = located_rig(rig, brdf)
+    setup = first_setup(
+        brdf, located.rig, masking=masking, noise=noise, workspace=workspace or default_workspace(),
+        every=max(every, SEARCH_EVERY),
     )  # fmt: skip
+    setup.rule()  # by itself: what it compiles serves the others
+    with done_behind(setup.with_(every=every).rule):
+        explained = explain(setup, located, ndf)
     found = explained.setup.with_(every=every).solve(start=explained.fit)
     terms = [_FresnelTerm(found, normalise)]
     held_back = explained.contradicts and not anyway

@@ -87,6 +87,11 @@ class Blur(eqx.Module):
         return tuple(range(self.stds.size + (self.rest is not None)))
 
     @property
+    def std_of_half(self) -> float:
+        """Return how wide its Gaussians are together, px: see `std_of_half`."""
+        return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
+
+    @property
     def even(self) -> bool:
         """Tell whether the kernel is the same mirrored up and down."""
         return self.rest is None or self.rest.even
@@ -307,6 +312,18 @@ class BlurTerms(eqx.Module):
     def of_rest(self) -> bool:
         """Tell whether they are what the Gaussians leave, which passes no even light."""
         return all(map(self.blur.is_rest, self.terms))
+
+
+def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
+    """Return the standard deviation of the Gaussian whose transfer falls to a half where that of a sum of Gaussians does.
+
+    The sum's own variance says nothing of a lens: of an ideal one's it is infinite, by tails of hardly any light.
+    """
+    if stds.size == 1:
+        return float(stds[0])
+    frequency = np.geomspace(0.01 / stds.max(), 2 / stds.min(), 2000)
+    passed = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
+    return float(np.sqrt(np.log(2) / 2) / (np.pi * frequency[np.argmax(passed < 0.5)]))
 
 
 def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: KernelRest | None = None) -> Blur:

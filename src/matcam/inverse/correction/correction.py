@@ -15,18 +15,20 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
+from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
-from matcam.inverse.correction.explanation import explain
+from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.correction.farthest_glare import FarthestGlare, farthest_glare
 from matcam.inverse.correction.harmless import ROWS, LobeRatio, energy_limit, shrunk, withheld, within_energy
-from matcam.inverse.correction.lobe_ratio import CorrectionFits, lobe_ratio
+from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead, lobe_ratio
 from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
+from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.operator.sample_view import rig_behind
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
@@ -136,23 +138,30 @@ class Correction:
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
         workspace = workspace or default_workspace()
-        found = explain(brdf, rig, ndf, masking=masking, noise=noise, workspace=workspace)
+        sampling, located = sampling_of(brdf), located_rig(rig, brdf)
+        setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
+        expected = setup.axes_with_doubts
+        setup.rule()  # by itself: what it compiles serves the others
+        with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
+            found = explain(setup, located, ndf)
         best = found.fit
-        fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, other_maskings(best))
-        fitted = lobe_ratio(found.located.rig, sampling_of(brdf), fits, workspace, found.located.std)
+        fits = CorrectionFits(
+            best, found.shape, found.base, found.doubts, found.others, other_maskings(best), expected
+        )
+        fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)
         if anyway:
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
-        scattered = farthest_glare(glare, sampling_of(brdf), rig, best, workspace)
+        scattered = farthest_glare(glare, sampling, rig, best, workspace)
         blind = held_back and found.no_blur
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
             lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
-        shares = noise_shares(rig_behind(brdf, rig), sampling_of(brdf))
+        shares = noise_shares(rig_behind(brdf, rig), sampling)
         table = _corrected_table(brdf, best, left, shares, ratio, scattered, glare)
         remarks = found.remarks
         if noise is None:
@@ -165,7 +174,7 @@ class Correction:
             remarks = (*remarks, _UNSEEN)
         table.attrs.update(
             ndf=best.family, bent=int(best.is_bent), masking=masking or "none", glare=glare,
-            sampling=sampling_of(brdf), source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
+            sampling=sampling, source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
         return cls(table, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said)
@@ -359,7 +368,7 @@ def _corrected_table(
         pixels = noise_share[rows, ..., None] * ((noise.relative * recorded) ** 2 + (noise.floor * peak) ** 2)
         pixels = (pixels + (noise.picture_gain * recorded) ** 2) * factor**2
         camera_std, noise_std[rows] = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             supported[rows] = known & (camera_std < SUPPORTED * corrected[rows])
             correction_std[rows] = np.where(recorded > 0, camera_std / recorded, np.nan)
         total[rows] = np.hypot(camera_std, noise_std[rows])

@@ -39,8 +39,8 @@ from matcam.inverse.correction.other_maskings import EVIDENCE
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.pixel_phase import LocatedRig, located_rig
-from matcam.inverse.operator.rig_axes import LENS, is_guess, known_lens
+from matcam.inverse.operator.pixel_phase import LocatedRig
+from matcam.inverse.operator.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
@@ -151,31 +151,45 @@ class Explanation(NamedTuple):
         return (*remarks, *(doubt.remark for doubt in self.doubts if doubt.contradicts))
 
 
-def explain(
+def first_setup(
     brdf: xr.DataArray,
     rig: Rig,
-    ndf: str,
     *,
     masking: Masking,
     noise: PixelNoise | None,
     workspace: Workspace | None,
     every: int = SEARCH_EVERY,
-) -> Explanation:
-    """Return the explanation of a checked table. Arguments are those of `correct`.
+) -> FitSetup:
+    """Return the setup that `explain` begins with.
 
-    every: spacing of the slices that are used.
+    Args:
+        brdf: a checked table, 1/sr.
+        rig: the rig that recorded it, as `located_rig` returns it.
+        masking: as of `correct`.
+        noise: as of `correct`.
+        workspace: as of `correct`.
+        every: spacing of the slices that are used (no unit).
     """
-    located = located_rig(rig, brdf)
-    rig = located.rig
-    exact = known_lens(rig.camera).exact
     setup = free_setup([brdf], rig, masking=masking, noise=noise, every=every, workspace=workspace)
-    setup = setup.with_(lens_shape=not exact)
+    doubted = tuple(name for name in (LAMP,) if name in widths_of(rig))
+    return setup.with_(lens_shape=not known_lens(rig.camera).exact, doubted=doubted)
+
+
+def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
+    """Return the explanation of a table.
+
+    Args:
+        setup: its `first_setup`.
+        located: the setup's rig.
+        ndf: family of the lobe, or "auto".
+    """
+    rig, noise, every = located.rig, setup.noise, setup.every
     candidates = candidate_fits(setup, ndf)
     found = likeliest(candidates)
     setup = setup.with_(ndf=found.family)
     blind_setup = FitSetup(
-        (brdf,), None, found.family, fresnel="free", diffuse=True, masking=masking, noise=noise, every=setup.every,
-        view=sample_view(rig), pixels=grid_of(rig), workspace=workspace,
+        setup.tables, None, found.family, fresnel="free", diffuse=True, masking=setup.masking, noise=noise, every=every,
+        view=sample_view(rig), pixels=grid_of(rig), workspace=setup.workspace,
     )  # fmt: skip
     shape = shape_correction(found, noise)
     refused: list[OtherLobe] = []

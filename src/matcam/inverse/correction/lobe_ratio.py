@@ -28,7 +28,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
-from matcam.inverse.operator.rig_axes import axis_selection
+from matcam.inverse.operator.rig_axes import Axis, axis_selection
 from matcam.inverse.operator.sample_view import sample_view
 from matcam.rigs import Rig
 
@@ -43,6 +43,7 @@ class CorrectionFits(NamedTuple):
         doubts: fits with a parameter of the rig free.
         others: other lobes through the same camera, whose difference counts as uncertainty.
         maskings: what other maskings would make of `fit`; the same.
+        expected: parameters of the rig that such fits have, of which `lattices_ahead` was told.
     """
 
     fit: MaterialFit
@@ -51,6 +52,29 @@ class CorrectionFits(NamedTuple):
     doubts: Sequence[Doubt]
     others: Sequence[OtherLobe] = ()
     maskings: Sequence[OtherMasking] = ()
+    expected: tuple[Axis, ...] = ()
+
+    @property
+    def alternatives(self) -> list[tuple[FitCoordinates, FitCoordinates, float]]:
+        """Return from where to where the ratio may change, and how often that counts."""
+        at, base = self.fit.coordinates, self.base.coordinates
+        return [
+            *((base, doubt.fit.coordinates, doubt.counted) for doubt in self.doubts if doubt.counted),
+            *((at, other.fit.coordinates, other.weight) for other in self.others),
+            *((at, other.coordinates, other.weight) for other in self.maskings),
+        ]
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Return the parameters of the rig that any of the fits has, or may be expected to have."""
+        fitted = (self.fit.coordinates, *(there for _, there, _ in self.alternatives))
+        return tuple(dict.fromkeys((*self.expected, *(axis for one in fitted for axis in one.axes))))
+
+
+def lattices_ahead(rig: Rig, sampling: Sampling, expected: tuple[Axis, ...], workspace: Workspace) -> None:
+    """Make the lattices that `lobe_ratio` will ask for, and keep them in the workspace."""
+    response_lattice(rig, sampling, FINE, (), workspace)
+    response_lattice(rig, sampling, COARSE, expected, workspace)
 
 
 def lobe_ratio(
@@ -66,13 +90,7 @@ def lobe_ratio(
     at = fits.fit.coordinates
     log_slope = fits.fit.log_slope  # a near rig's: the ratio is one for all channels, so that it is their mean
     fine = response_lattice(rig, sampling, FINE, (), workspace).of_fresnel(log_slope)
-    base = fits.base.coordinates
-    alternatives = [
-        *((base, doubt.fit.coordinates, doubt.counted) for doubt in fits.doubts if doubt.counted),
-        *((at, other.fit.coordinates, other.weight) for other in fits.others),
-        *((at, other.coordinates, other.weight) for other in fits.maskings),
-    ]
-    axes = tuple(dict.fromkeys(axis for one in (at, *(there for _, there, _ in alternatives)) for axis in one.axes))
+    axes = fits.axes
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
     fitted = at.rig @ axis_selection(at.axes, axes)
 
@@ -81,7 +99,7 @@ def lobe_ratio(
     if fitted.any():
         log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
     variance = np.maximum(on_table(_variance(coarse, at, fits.shape, fitted), coarse), 0.0)
-    for from_, there, weight in alternatives:
+    for from_, there, weight in fits.alternatives:
         change = _at(coarse, there) - (here if from_ is at else _at(coarse, from_))
         variance += (weight * on_table(change, coarse)) ** 2
     pixels = grid_of(rig)

@@ -29,7 +29,14 @@ from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, FresnelModel, 
 from matcam.inverse.fit.fit_problem import FitProblem, Prior
 from matcam.inverse.fit.material_fit import MaterialFit, material_fit
 from matcam.inverse.fit.search import Search, Solution
-from matcam.inverse.operator.lobe_operator import check_rig, lobe_operator, perfect_operator
+from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.lobe_operator import (
+    LobeOperator,
+    WholeRule,
+    check_rig,
+    lobe_operator,
+    perfect_operator,
+)
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import (
     LENS,
@@ -78,6 +85,8 @@ class FitSetup:
         free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
         also: names of the rig's parameters that are fitted with nothing known, beside those with a prior. Default: ().
         nearby: whether a lamp in `also` is followed about the rig's value alone. Default: False.
+        doubted: names of the rig's parameters that a later fit has in `also`, nearby: their rules are made with this one's.
+            Default: ().
         lens_shape: whether the shape of the lens's kernel is fitted, too: between a disc's and one with long tails. Default:
             False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
@@ -115,6 +124,7 @@ class FitSetup:
     free: tuple[str, ...] = (LENS,)
     also: tuple[str, ...] = ()
     nearby: bool = False
+    doubted: tuple[str, ...] = ()
     lens_shape: bool = False
     bend: float = 0.0
     stiff_below: float = 0.0
@@ -218,17 +228,33 @@ class FitSetup:
         vector[layout.rig.stop :] = p[before.rig.stop :]
         return vector
 
+    def rule(self) -> tuple[ChosenCells, LobeOperator]:
+        """Return the chosen cells of the slices, and what the rig's pixels see of a lobe there; the workspace keeps both."""
+        sampling = sampling_of(self.tables[0])
+        if self.rig is None:
+            return perfect_operator(sampling, self.every, self.view, self.workspace, self.pixels)
+        return lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace, self._whole)
+
     @cached_property
     def problem(self) -> FitProblem:
         """Return the least-squares problem."""
-        layout, sampling = self.layout, sampling_of(self.tables[0])  # the layout first: it checks the arguments
-        if self.rig is None:
-            cells, operator = perfect_operator(sampling, self.every, self.view, self.workspace, self.pixels)
-        else:
-            cells, operator = lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace)
+        layout = self.layout  # first: it checks the arguments
+        cells, operator = self.rule()
         radius = (self.view if self.rig is None else sample_view(self.rig)).radius
         batch = (self.workspace or default_workspace()).batch
         return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius, batch)
+
+    @property
+    def axes_with_doubts(self) -> tuple[Axis, ...]:
+        """Return the rig's parameters that this fit or a later one changes."""
+        return self.with_(also=self.doubted, nearby=True).prior.axes
+
+    @property
+    def _whole(self) -> WholeRule:
+        """Return the slices and axes of which the rule is made: those of a search, and of doubts, which follow in its slices."""
+        every, axes = SEARCH_EVERY if self.every == _LOOK_EVERY else self.every, self.prior.axes
+        doubted = self.axes_with_doubts if every >= SEARCH_EVERY else axes
+        return WholeRule(every, doubted if set(axes) <= set(doubted) else axes)
 
     @cached_property
     def layout(self) -> Layout:

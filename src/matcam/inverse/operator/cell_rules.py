@@ -14,7 +14,7 @@ import numpy as np
 
 from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
-from matcam.forward.integral.blur import Blur, blur_of
+from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import LinePixels, cylinder_rule, line_window
@@ -119,7 +119,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     groups = [group.terms for group in groups_of(blurs[0], rig.sample)]  # type: ignore[arg-type]
     if view.line and any(lamps) and not view.distant:  # rows by the rule of one term
         groups = [(term,) for terms in groups for term in terms]
-    sharpest = [_std_of_half(np.asarray(blur.weights), np.asarray(blur.stds)) for blur in blurs]
+    sharpest = [blur.std_of_half for blur in blurs]
     for terms in groups:
         parts = [blur.only(terms) for blur in blurs]
         if parts[0].rest is not None:
@@ -312,18 +312,9 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     """
     own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
-    std = max(_std_of_half(weights, stds), np.max(widths[-1].reaches[0]) / _RESOLVED)
+    std = max(std_of_half(weights, stds), np.max(widths[-1].reaches[0]) / _RESOLVED)
     stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), rest=None)
     return widths[0]._replace(blurs=[stand_in])
-
-
-def _std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
-    """Return the standard deviation of the Gaussian whose transfer falls to a half where that of a sum of Gaussians does."""
-    if stds.size == 1:
-        return float(stds[0])
-    frequency = np.geomspace(0.01 / stds.max(), 2 / stds.min(), 2000)
-    passed = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) @ weights / weights.sum()
-    return float(np.sqrt(np.log(2) / 2) / (np.pi * frequency[np.argmax(passed < 0.5)]))
 
 
 def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:

@@ -86,6 +86,11 @@ class ChosenCells(NamedTuple):
     one_pixel: np.ndarray
     real: RealPixels | None = None
 
+    def in_slices(self, part: slice) -> ChosenCells:
+        """Return the cells of some of the slices."""
+        *own, real = self
+        return ChosenCells(*(a[part] for a in own), real and RealPixels(*(a[part] for a in real)))
+
     @property
     def weight(self) -> np.ndarray:
         """Return the share of each pixel in its cell, (s, n, pixels)."""

@@ -85,6 +85,28 @@ class LobeOperator(eqx.Module):
         """Return the operator, and that of its moment where there is one."""
         return (self,) if self.moment is None else (self, self.moment)
 
+    def in_slices(self, part: slice) -> LobeOperator:
+        """Return the operator of some of the slices."""
+        slices, count = self.shape
+
+        def own(array: jax.Array, axis: int = 0) -> jax.Array:
+            apart = np.asarray(array).reshape(*array.shape[:axis], slices, count, *array.shape[axis + 1 :])
+            return placed(apart[(slice(None),) * axis + (part,)].reshape(*array.shape[:axis], -1, *array.shape[axis + 1 :]))
+
+        return dataclasses.replace(
+            self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
+            cos_i=own(self.cos_i), cos_o=own(self.cos_o), place_i=own(self.place_i), place_o=own(self.place_o),
+            azimuth=own(self.azimuth), shape=(len(range(slices)[part]), count),
+            share=None if self.share is None else own(self.share),
+            moment=None if self.moment is None else self.moment.in_slices(part),
+        )  # fmt: skip
+
+    def along_axes(self, axes: tuple[Axis, ...]) -> LobeOperator:
+        """Return the operator of a rig of which only some of the parameters may change."""
+        own = tuple(self.along[self.axes.index(axis)] for axis in axes)
+        moment = None if self.moment is None else self.moment.along_axes(axes)
+        return dataclasses.replace(self, along=own, axes=axes, moment=moment)
+
     def leaning(self, lean: np.ndarray) -> LobeOperator:
         """Return the operator of an F that is 1 at the cells' theta_d, and rises. lean: slope of ln F, 1/rad, (slices,)."""
         if self.moment is None:
@@ -222,16 +244,30 @@ class _Rules(NamedTuple):
         return dataclasses.replace(own, moment=dataclasses.replace(own, weight=placed(self.moment), along=along))
 
 
+class WholeRule(NamedTuple):
+    """Say of which slices a rule is made, and along which axes, that a part of it is taken of.
+
+    Attributes:
+        every: spacing of the slices; those of the part are among them.
+        axes: parameters of the rig that may change; those of the part are among them.
+    """
+
+    every: int
+    axes: tuple[Axis, ...]
+
+
 def lobe_operator(
     rig: Rig | None,
     sampling: Sampling,
     every: int = 1,
     axes: tuple[Axis, ...] = (),
     workspace: Workspace | None = None,
+    whole: WholeRule | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
     """Return the chosen cells of every `every`-th slice and their rule.
 
-    rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig.
+    rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig. whole: of more slices or
+    axes, which will be asked for, too: this one is a part of it. Default: None, it is made by itself.
     """
     if rig is None:
         return perfect_operator(sampling, every, FAR_AWAY, workspace)
@@ -239,6 +275,17 @@ def lobe_operator(
     known = rig_key(rig)  # refuses what cannot be fitted, before anything else is asked of it
     pixels = grid_of(rig)
     key = (known, sampling, every, axes, pixels)
+    if whole is not None and whole != (every, axes):
+        cells, operator = lobe_operator(rig, sampling, *whole, workspace)
+        operator = operator.along_axes(axes)
+        if whole.every == every:
+            return cells, operator
+        part = slice((every // 2 - whole.every // 2) // whole.every, None, every // whole.every)
+
+        def cut() -> tuple[ChosenCells, LobeOperator]:
+            return cells.in_slices(part), operator.in_slices(part)
+
+        return workspace.remember("part of an operator", (key, whole), cut)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
         cells = chosen_cells(sample_view(rig), sampling, every, pixels)

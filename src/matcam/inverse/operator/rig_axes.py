@@ -209,8 +209,7 @@ def _softening(name: str, rig: Rig) -> float:
         return float(np.hypot(pixel, rig.jitter))
     if name not in WIDTHS:
         return 0.0
-    blur = blur_of(rig)
-    lens = float(jnp.sum(blur.weights * blur.stds**2))
+    lens = blur_of(rig).std_of_half ** 2
     total = float(np.sqrt(max(lens - (float(rig.jitter) ** 2 if name == "jitter" else 0.0), 0.0) + pixel**2))
     # docs/model.md 3: a lamp spreads light by a quarter of its radius on the sphere, focus by a quarter of the circle of
     # confusion
