@@ -145,9 +145,7 @@ class Correction:
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
-        fits = CorrectionFits(
-            best, found.shape, found.base, found.doubts, found.others, other_maskings(best), expected
-        )
+        fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, other_maskings(best), expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)

@@ -106,7 +106,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=view.plain)
-    blurs = [own, *(blur for axis in axes for blur in _blurs_along(rig, own, axis))]
+    moved = [(blur, axis.by_variance) for axis in axes for blur in _blurs_along(rig, own, axis)]
+    blurs, rough = [own, *(blur for blur, _ in moved)], [False, *(by_variance for _, by_variance in moved)]
     lamps = [float(blur.lamp_radius) for blur in blurs]
 
     def full(part: np.ndarray) -> np.ndarray:
@@ -125,7 +126,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         if parts[0].rest is not None:
             widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle)))
         else:
-            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest))
+            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
@@ -147,24 +148,27 @@ def _gaussian_blurs(
     blurs: list[Blur],
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
+    rough: list[bool],
 ) -> _Blurs:
     """Return Gaussians of one width under a lamp's disc: it is one itself where they, or the lenses, are wide enough.
 
     pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
-    narrower, and of either sign, but what they add up to is no sharper.
+    narrower, and of either sign, but what they add up to is no sharper. rough: for each blur, whether its disc is a Gaussian
+    wherever it is.
     """
     x, y, lamp_angle = pixels
     lamps = [float(blur.lamp_radius) for blur in blurs]
     if view.line:
         blurs = [blur.of_point() for blur in blurs]
     stds = [max(lens, float(np.min(np.asarray(blur.stds)))) for lens, blur in zip(lenses, blurs, strict=True)]
-    discs, moved = lamp_discs(view, blurs, stds, lamp_angle, x, y)
+    exact = [blur.of_point() if one else blur for blur, one in zip(blurs, rough, strict=True)]
+    discs, moved = lamp_discs(view, exact, stds, lamp_angle, x, y)
     chords = max(blur.chords for blur in blurs)
     if any(disc is not None for disc in discs) or (view.line and any(lamps)):
-        blurs, chords = [blur.of_point() for blur in blurs], 0
+        blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if any(blur.varies for blur in blurs):  # one program for all
+    if any(blur.varies for blur in exact) or (not view.plain and any(rough)):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [_variances(view, rig, blur, pixels) for blur in blurs]
     half_width = float(rig.camera.pixel.half_width)

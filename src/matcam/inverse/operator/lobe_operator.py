@@ -91,7 +91,9 @@ class LobeOperator(eqx.Module):
 
         def own(array: jax.Array, axis: int = 0) -> jax.Array:
             apart = np.asarray(array).reshape(*array.shape[:axis], slices, count, *array.shape[axis + 1 :])
-            return placed(apart[(slice(None),) * axis + (part,)].reshape(*array.shape[:axis], -1, *array.shape[axis + 1 :]))
+            return placed(
+                apart[(slice(None),) * axis + (part,)].reshape(*array.shape[:axis], -1, *array.shape[axis + 1 :])
+            )
 
         return dataclasses.replace(
             self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),

@@ -67,6 +67,8 @@ class Axis(NamedTuple):
         low: smallest coordinate.
         high: largest coordinate.
         points: coordinates at which a rule is computed; 0 is among them.
+        by_variance: whether a lamp's disc counts by its variance alone, as a Gaussian: it is doubted, and nobody says how large
+            it is. Default: False.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Axis(NamedTuple):
     low: float
     high: float
     points: tuple[float, ...]
+    by_variance: bool = False
 
     def value(self, coordinate: float) -> float:
         """Return the parameter at a coordinate."""
@@ -162,8 +165,8 @@ def widths_of(rig: Rig) -> tuple[str, ...]:
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
     """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not.
 
-    nearby: whether the lamp's radius is followed about the rig's value alone: where rig and data agree nobody asks for more,
-        and large discs take long.
+    nearby: whether the lamp's radius is followed about the rig's value alone, and from a point on by its variance: where rig
+        and data agree nobody asks for more, and discs take long.
     """
     parameters = rig.camera.parameters()
     if name not in parameters and name not in widths_of(rig):
@@ -183,7 +186,8 @@ def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
     if nearby and name == LAMP:
         low, high = max(low, -_NEARBY), _NEARBY
     sharpest = 0.5 * np.log((_SHARPEST**2 + softening**2) / total) if name == LENS else low
-    return Axis(name, base, softening, float(low), high, _points(min(sharpest, -1e-3) if low < 0 else 0.0, high))
+    points = _points(min(sharpest, -1e-3) if low < 0 else 0.0, high)
+    return Axis(name, base, softening, float(low), high, points, by_variance=nearby and name == LAMP and base == 0)
 
 
 def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
