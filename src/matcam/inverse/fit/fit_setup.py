@@ -229,7 +229,17 @@ class FitSetup:
         return vector
 
     def rule(self) -> tuple[ChosenCells, LobeOperator]:
-        """Return the chosen cells of the slices, and what the rig's pixels see of a lobe there; the workspace keeps both."""
+        """Return the chosen cells and their rule, which the workspace keeps.
+
+        Returns:
+            The cells of the slices that are used, and the operator of what the rig's pixels see of a lobe there.
+
+        Raises:
+            ArgumentError: the rig is not one that a fit can follow, or has not the parameters that are free.
+
+        Example:
+            >>> cells, operator = setup.rule()  # doctest: +SKIP
+        """
         sampling = sampling_of(self.tables[0])
         if self.rig is None:
             return perfect_operator(sampling, self.every, self.view, self.workspace, self.pixels)
@@ -246,12 +256,12 @@ class FitSetup:
 
     @property
     def axes_with_doubts(self) -> tuple[Axis, ...]:
-        """Return the rig's parameters that this fit or a later one changes."""
+        """Return the rig's parameters that this fit or one of `doubted` changes."""
         return self.with_(also=self.doubted, nearby=True).prior.axes
 
     @property
     def _whole(self) -> WholeRule:
-        """Return the slices and axes of which the rule is made: those of a search, and of doubts, which follow in its slices."""
+        """Return of which slices and axes the rule is made: those of a search, and of doubts, which follow in its slices."""
         every, axes = SEARCH_EVERY if self.every == _LOOK_EVERY else self.every, self.prior.axes
         doubted = self.axes_with_doubts if every >= SEARCH_EVERY else axes
         return WholeRule(every, doubted if set(axes) <= set(doubted) else axes)

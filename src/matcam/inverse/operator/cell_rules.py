@@ -177,6 +177,9 @@ def _gaussian_blurs(
         kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
         for s, v, m, blur in zip(widest, spreads, moved, blurs, strict=True)
     ]
+    if any(rough):  # they ask for no nodes of their own, on which others would be less exact
+        seen = np.max([reach for reach, one in zip(reaches, rough, strict=True) if not one], axis=0)
+        reaches = [np.minimum(reach, seen) for reach in reaches]
     return _Blurs(blurs, spreads, reaches, discs, lamps)
 
 

@@ -88,8 +88,8 @@ class ChosenCells(NamedTuple):
 
     def in_slices(self, part: slice) -> ChosenCells:
         """Return the cells of some of the slices."""
-        *own, real = self
-        return ChosenCells(*(a[part] for a in own), real and RealPixels(*(a[part] for a in real)))
+        own = {name: a[part] for name, a in zip(self._fields, self, strict=True) if isinstance(a, np.ndarray)}
+        return self._replace(**own, real=self.real and RealPixels(*(a[part] for a in self.real)))
 
     @property
     def weight(self) -> np.ndarray:

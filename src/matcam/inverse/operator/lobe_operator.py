@@ -268,8 +268,8 @@ def lobe_operator(
 ) -> tuple[ChosenCells, LobeOperator]:
     """Return the chosen cells of every `every`-th slice and their rule.
 
-    rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig. whole: of more slices or
-    axes, which will be asked for, too: this one is a part of it. Default: None, it is made by itself.
+    rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig. whole: of more slices
+    or axes, which will be asked for, too: this one is a part of it. Default: None, it is made by itself.
     """
     if rig is None:
         return perfect_operator(sampling, every, FAR_AWAY, workspace)
