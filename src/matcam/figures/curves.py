@@ -27,13 +27,16 @@ def fresnel_figure(
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
     with styled():
-        figure = Figure(figsize=(9.6, 5.0), layout="constrained")
+        figure = Figure(figsize=(9.6, 5.0))  # its margins are known: a search for them takes as long as to draw it
         left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
         draw_fresnel(left, result, tables, channel)
+        handles, labels = left.get_legend_handles_labels()
+        rows = -(-len(labels) // 2)
+        figure.subplots_adjust(left=0.065, right=0.988, top=0.91, bottom=0.135 + 0.037 * rows, wspace=0.2)
         name = str(result["channel"].values[channel])
         left.set_title(title or f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
         # under the axes: measured curves go everywhere
-        figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=2, fontsize=8.2)
+        figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=2, fontsize=8.2)
         _draw_loss(right, result)
     return figure
 

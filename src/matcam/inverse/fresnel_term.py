@@ -16,7 +16,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import to_attribute
-from matcam.core.threads import done_behind
+from matcam.core.threads import available_cores, done_behind, in_order
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain, first_setup
@@ -46,6 +46,8 @@ _NEGLIGIBLE = 1e-3
 """Probability of no camera below which it is not fitted in all slices."""
 _SHARP_LENS = 0.05
 """px."""
+_PARTS = 5
+"""In which the angles of exact peaks are computed."""
 _REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
 """Indices of dielectrics that a result is compared with."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
@@ -366,7 +368,13 @@ def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, 
     """
     view = sample_view(rig)
     if not view.azimuth:
-        response = np.asarray(peak_response(rig, lobe, theta_d, exact=True, masking=masking))
+        # parts of one length have one program, and the cores share them
+        parts = np.split(theta_d, _PARTS if theta_d.size % _PARTS == 0 else 1)
+
+        def exact(part: np.ndarray) -> np.ndarray:
+            return np.asarray(peak_response(rig, lobe, part, exact=True, masking=masking))
+
+        response = np.concatenate(list(in_order(exact, parts, available_cores())))
         if view.distant:
             return response
     cells = peak_cells(view, theta_d)
