@@ -31,9 +31,9 @@ from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import cylinder_fineness, places_under, record_under_points
 from matcam.forward.integral.cylinder_record import light_at, smooth_places
 from matcam.forward.integral.discs import disc_fineness, nearer
-from matcam.forward.integral.integrals import Scene, Turn, highlight_x
 from matcam.forward.integral.plan import RecordPlaces, integration_plan, pad_indices
 from matcam.forward.integral.recording import record
+from matcam.forward.integral.scene import Scene, Turn, highlight_x
 from matcam.forward.picture_lens import PictureLens, picture_lens, varies_over_field
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material

@@ -25,7 +25,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import blur_of
-from matcam.forward.integral.integrals import Scene, highlight_x
+from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.lamp.lamps import NearLamp
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import NDF, MixtureNDF

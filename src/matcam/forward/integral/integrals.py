@@ -1,7 +1,6 @@
-"""The light of a scene, and three integrals of its record: around a highlight, inside smooth light, and where the light ends.
+"""Three integrals of a scene's record: around a highlight, inside smooth light, and where the light ends.
 
-A scene is a material on a curved sample, under a lamp (docs/model.md 3). What reaches a pixel is radiance rho cos_i, not rho.
-With dx dy = area cos_o du dv, the record is
+What reaches a pixel is radiance rho cos_i, not rho (docs/model.md 3). With dx dy = area cos_o du dv, the record is
 
     R(x) = integral over the visible, lit surface of  k(x - x(u, v)) rho cos_i cos_o area du dv.
 
@@ -20,131 +19,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jnp
-from matcam.core.shading import Shading, Vector, shading
 from matcam.forward.integral.blur import Blur, BlurTerms, Line
 from matcam.forward.integral.disc_stamps import DiscShares
 from matcam.forward.integral.pupil import mean_over_pupil
-from matcam.material.material import Material
+from matcam.forward.integral.scene import Scene, beside_nodes
 from matcam.numerics.approximation import ascending, graded_nodes, nodes_in_panels
-from matcam.sample.shape import Curved, Element
+from matcam.sample.shape import Element
 
 # Orders of the Gauss-Legendre panels about a pixel, and their cuts about a squeezed lobe, in the lobe's width there
 _ORDER_V, _ORDER_V_RIDGE = 8, 7
 _ORDER_U, _ORDER_U_RIDGE = 8, 6
+_ORDER_FAINT = 6
 _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
 _ALONG = 1e-9
 """Sine of an angle below which two lines run along each other."""
-
-
-class Turn(NamedTuple):
-    """Cosine and sine of the lamp's azimuth: of the scene's x axis against the sensor's."""
-
-    cosine: jax.Array
-    sine: jax.Array
-
-    def beside_nodes(self, axes: int) -> Turn:
-        """Reshape to broadcast against `axes` further axes of nodes."""
-        return Turn(*(_beside_nodes(a, axes) for a in self))
-
-
-class Scene(eqx.Module):
-    """A material on a curved sample under a lamp; radiance is in 1/sr.
-
-    The lamp's irradiance is 1 at the sample's centre. The scene's x axis points towards the lamp. A lamp at an azimuth turns
-    it against the sensor's, on which the pixels lie: places in the scene are not places on the sensor.
-
-    Attributes:
-        material: the material.
-        sample: the sample.
-        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the elements asked for.
-        lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
-        turn: the lamp's azimuth, of lamp_angle's shape; None: 0.
-    """
-
-    material: Material
-    sample: Curved
-    lamp_angle: jax.Array
-    lamp_nearness: jax.Array | None = None
-    turn: Turn | None = None
-
-    def beside_nodes(self, axes: int) -> Scene:
-        """Return the scene of one lamp per pixel for arrays with `axes` further axes of nodes."""
-        turn = None if self.turn is None else self.turn.beside_nodes(axes)
-        return Scene(self.material, self.sample, _beside_nodes(self.lamp_angle, axes), self.lamp_nearness, turn)
-
-    def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the place in the scene of a place on the sensor, px."""
-        if self.turn is None:
-            return x, y
-        return x * self.turn.cosine + y * self.turn.sine, y * self.turn.cosine - x * self.turn.sine
-
-    def on_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the place on the sensor of a place in the scene, px."""
-        if self.turn is None:
-            return x, y
-        return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
-
-    def seen(self, element: Element) -> Shading:
-        """Return the angles under which a piece of surface sees lamp and camera."""
-        light, _ = self._light(element)
-        return shading(element.normal, self._tangent(element), light, element.view)
-
-    def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
-        """Return the direction to the lamp, and the irradiance there over that at the centre; None: 1 all over."""
-        light = jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle)
-        if self.lamp_nearness is None:
-            return light, None
-        w, normal = self.lamp_nearness, element.normal
-        x, y, z = light[0] - w * normal[0], -w * self.sample.height(element), light[2] - w * normal[2]
-        square = x**2 + y**2 + z**2
-        length = jnp.sqrt(square)
-        return (x / length, y / length, z / length), 1 / square
-
-    def _tangent(self, element: Element) -> Vector:
-        """Return the first tangent, which lies in the plane of the sensor's x and the optical axis."""
-        if self.turn is None:
-            return element.tangent
-        (x, y, z), (cosine, sine) = element.normal, self.turn
-        length = jnp.sqrt(z**2 + (sine * y - cosine * x) ** 2)
-        return cosine * z / length, -sine * z / length, (sine * y - cosine * x) / length
-
-    def sent(self, element: Element) -> jax.Array:
-        """Return rho cos_i cos_o area under the lamp's irradiance, channels last.
-
-        It is the light of a piece of surface per unit of its coordinates.
-        """
-        direction, strength = self._light(element)
-        seen = shading(element.normal, self._tangent(element), direction, element.view)
-        light = self.material.reflected(seen)
-        if light.ndim == (seen.cos_i * seen.cos_o).ndim:
-            light = light[..., None]
-        area = element.area if strength is None else element.area * strength
-        return light * (area[..., None] if jnp.ndim(area) else area)
-
-    def flat_field(self, element: Element) -> jax.Array:
-        """Return the same for a surface of radiance 1 all over.
-
-        It has no channels, and light need not reach it.
-        """
-        return self.seen(element).cos_o * element.area
-
-    def channels(self) -> int:
-        """Return the count of channels."""
-        at_centre = Scene(self.material, self.sample, jnp.zeros(()), self.lamp_nearness)
-        return jax.eval_shape(lambda: at_centre.sent(self.sample.surface(jnp.zeros(()), jnp.zeros(())))).shape[-1]
-
-
-@jax.jit
-def highlight_x(sample: Curved, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None) -> jax.Array:
-    """Return the position of the highlight on the scene's x axis, px."""
-    return sample.surface(sample.highlight(lamp_angle, lamp_nearness), jnp.zeros(())).x
 
 
 class HighlightPanels(NamedTuple):
@@ -175,6 +69,7 @@ class WindowPanels(NamedTuple):
         ridge: True where a squeezed lobe runs through the window: towards the limb, where the surface turns within a pixel,
             a lobe is a narrow ridge even far from its peak, along the half vector's u.
         rings: whether the kernel has a lens's rings, on whose account a ridge takes no fewer nodes.
+        faint: whether the terms have a small share in the blur, and their error with them.
     """
 
     reach: jax.Array
@@ -182,10 +77,13 @@ class WindowPanels(NamedTuple):
     along_v: int
     ridge: bool
     rings: bool = False
+    faint: bool = False
 
     @property
     def orders(self) -> tuple[int, int]:
         """Return the Gauss-Legendre nodes per panel along u and v."""
+        if self.faint:
+            return _ORDER_FAINT, _ORDER_FAINT
         return (_ORDER_U_RIDGE, _ORDER_V_RIDGE) if self.ridge and not self.rings else (_ORDER_U, _ORDER_V)
 
 
@@ -322,6 +220,8 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     for term in blur.terms:
         dx, dy, share = blur.blur.plane_rule(term, spread)
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
+        if blur.blur.is_rest(term):  # a terminator may be near
+            light = jnp.where(_lit(scene, x[:, None] - dx, y[:, None] - dy)[..., None], light, 0.0)
         total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
     return jnp.asarray(total)
 
@@ -339,6 +239,12 @@ def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array
         return blur.defocus(scene.sample.radius, seen(at_x, at_y).normal[2])
 
     return mean_over_pupil(sent, disc, x, y) if blur.chords else sent(x, y)
+
+
+def _lit(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Tell which places of the sensor, px, show lit surface."""
+    element, visible = scene.sample.at(*scene.from_sensor(x, y))
+    return visible & (scene.seen(element).cos_i > 0)
 
 
 def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, panels: WindowPanels) -> jax.Array:
@@ -407,7 +313,7 @@ def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Arra
             by_kernel.append(sample.across(x[:, None, None] + within, v[..., None]))
     if not panels.ridge:
         return by_kernel
-    ridge = sample.highlight(_beside_nodes(scene.lamp_angle, 1), scene.lamp_nearness)
+    ridge = sample.highlight(beside_nodes(scene.lamp_angle, 1), scene.lamp_nearness)
     # no wider, close to the ridge, than the lobe is
     by_lobe = (ridge + 0 * v)[..., None] + jnp.hypot(finest, v)[..., None] * _RIDGE_CUTS
     # masking takes effect within the lobe's own width of the ends
@@ -440,11 +346,3 @@ def _through_kernel(
         seen = jnp.sum(light * through[..., None], axis=(1, 2)), jnp.sum(flat * through, axis=(1, 2))[:, None]
         total += blur.blur.share(term) * jnp.concatenate(seen, axis=-1)
     return jnp.asarray(total)
-
-
-def _beside_nodes(lamp_angle: jax.Array, axes: int) -> jax.Array:
-    """Reshape lamps to broadcast against `axes` further axes of nodes.
-
-    A single lamp stays as it is.
-    """
-    return lamp_angle.reshape(*lamp_angle.shape, *([1] * axes)) if jnp.ndim(lamp_angle) else lamp_angle

@@ -33,7 +33,7 @@ _APART = 128
 """Half side of what the transform repeats, in periods of the cutoff: their light within the reach is 2e-5 of all."""
 _STENCIL = np.arange(-2, 4)
 """Knots through which the polynomial of an interval goes."""
-_MARGIN = 3
+MARGIN = 3
 """Zeros around the grid."""
 _LEFT_OUT = 1e-5
 """Of the kernel's peak: largest value of the products that are left out."""
@@ -83,7 +83,7 @@ class KernelRest(eqx.Module):
         flat = self.grid.ravel()
         firsts, bases = [], []
         for offset in (x, y):
-            place = jnp.clip(offset / self.reach * (half - _MARGIN) + half, 1, side - 3)
+            place = jnp.clip(offset / self.reach * (half - MARGIN) + half, 1, side - 3)
             first = jnp.floor(place)
             firsts.append(first.astype(jnp.int32) - 1)
             bases.append(lagrange_basis(np.arange(-1.0, 3.0), place - first))
@@ -168,7 +168,7 @@ def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: 
     left = transfer - (by_gaussians * weights) @ by_gaussians.T - step**2 * (waves.conj().T @ shown @ waves.conj())
     return KernelRest(
         jnp.asarray(_polynomials(lines)),
-        jnp.asarray(np.pad(shown, _MARGIN)),
+        jnp.asarray(np.pad(shown, MARGIN)),
         jnp.asarray(_smooth_weights(shown, knots / reach, step)),
         jnp.asarray(reach),
         jnp.asarray(period),

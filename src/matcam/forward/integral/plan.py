@@ -13,17 +13,23 @@ import equinox as eqx
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.blur import Imaging
+from matcam.forward.integral.blur import Blur, Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, BlurScale, groups_of
 from matcam.forward.integral.disc_stamps import margin_for, shares_for
-from matcam.forward.integral.integrals import Turn, highlight_x
+from matcam.forward.integral.rest_at_limb import LimbRule, limb_rule
+from matcam.forward.integral.scene import Turn, highlight_x
 from matcam.numerics.approximation import POINTS
+from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
 """(reach along the surface in units of the kernel's own, panels in v): the first row that holds the kernel counts."""
 _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
+_FAINT = 0.1
+"""Share of a lens's terms from which their own error shows."""
+_NO_CRESCENT = 0.6
+"""Share of a rest's reach within which all must be lit, for the light to be smooth up to the limb."""
 _FINER = 1.4
 _SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
 """How much longer a window counts along v, for more panels: one that holds a turned pixel's corners."""
@@ -84,9 +90,12 @@ class PlanPart(eqx.Module):
         lamps: lamps whose highlights are recorded, (pictures, 1 or 3), rad.
         turns: azimuth of each picture's lamps, (pictures,), rad; None: 0.
         inside: indices of places in smooth light.
+        limb: indices of places that see the limb through what Gaussians leave of a lens.
+        limb_rule: weights of their nodes; None: there are none.
         near: indices of places around the highlight.
         near_whole: True for those of them whose kernel meets no end of the light.
         windows: places that need a window of their own.
+        faint: whether the terms' share in the blur is so small that fewer nodes do.
         place: for each place, its position in the records of inside, windows and near, one after the other. The last position
             is that of darkness.
     """
@@ -103,9 +112,12 @@ class PlanPart(eqx.Module):
     lamps: np.ndarray
     turns: np.ndarray | None
     inside: np.ndarray
+    limb: np.ndarray
+    limb_rule: LimbRule | None
     near: np.ndarray
     near_whole: np.ndarray
     windows: tuple[PixelWindow, ...]
+    faint: bool = eqx.field(static=True)
     place: np.ndarray
 
 
@@ -192,8 +204,12 @@ def _part(
     )
     aside, turn = aside[: places.x.size], turn / scale.reach
     turn *= _FINER if lamps[1] is not None else 1.0
-    inside = smooth & ~ridge & ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
-    beside = lit & ~near & ~inside
+    away = ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
+    inside, limb, limb_rule = smooth & ~ridge & away, np.zeros_like(near), None
+    if group.terms == (imaging.blur.stds.size,) and (limb_rule := _limb_rule(imaging)) is not None:
+        limb, dim = _rest_beside(imaging, (x, y, lamp), turn > _PANELS_ALONG_V[0][0], lit & away & ~inside)
+        inside |= dim
+    beside = lit & ~near & ~inside & ~limb
     windows, least = [], 0.0
     for most, panels in _PANELS_ALONG_V:
         for squeezed in (False, True):
@@ -203,7 +219,8 @@ def _part(
                 windows.append(PixelWindow(index, whole[index], squeezed, panels))
         least = most
     near_index, inside_index = pad_indices(np.flatnonzero(near)), pad_indices(np.flatnonzero(inside))
-    lists = [inside_index, *(window.index for window in windows), near_index]
+    limb_index = pad_indices(np.flatnonzero(limb))
+    lists = [inside_index, limb_index, *(window.index for window in windows), near_index]
     count = sum(map(len, lists))
     place = np.full(places.x.size, count, dtype=np.int32)
     place[np.concatenate(lists)] = np.arange(count)
@@ -220,11 +237,55 @@ def _part(
         lamps=_lamps_around(lamp_angles, places, near),
         turns=lamps[1],
         inside=inside_index,
+        limb=limb_index,
+        limb_rule=limb_rule,
         near=near_index,
         near_whole=whole[near_index],
         windows=tuple(windows),
+        faint=_faint(imaging.blur, group.terms),
         place=place,
     )
+
+
+def _limb_rule(imaging: Imaging) -> LimbRule | None:
+    """Return the rule for what Gaussians leave at the limb; None where lamp or focus spread it, or there is none."""
+    rest, sample = imaging.blur.rest, imaging.sample
+    if rest is None or imaging.blur.varies or not isinstance(sample, Sphere):
+        return None
+    return limb_rule(rest, float(sample.radius))
+
+
+def _rest_beside(
+    imaging: Imaging, at: tuple[jax.Array, jax.Array, _SceneLamp], aslant: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which places see the limb through a lens's rest and need no window, and which are as good as in smooth light.
+
+    Of a terminator, at which light sets in from 0, or a squeezed lobe away from the limb the rest shows 2e-5 of the peak at
+    most. Only where the light is a thin crescent does a terminator beside the limb count.
+
+    Args:
+        imaging: sample and blur.
+        at: x and y, px, and lamp of all places.
+        aslant: whether a place sees the sphere's poles, where crescents are dim.
+        places: those in question.
+    """
+    rest, index = imaging.blur.rest, np.flatnonzero(places)
+    limb, dim = np.zeros_like(places), np.zeros_like(places)
+    if rest is None or not index.size:
+        return limb, dim
+    x, y, lamp = at
+    padded = pad_indices(index)
+    own = _SceneLamp(lamp.angle[padded], lamp.nearness)
+    bright = np.asarray(_lit_around(imaging.sample, x[padded], y[padded], own, _NO_CRESCENT * rest.reach))[: index.size]
+    sees = np.hypot(np.asarray(x)[index], np.asarray(y)[index]) > float(imaging.sample.radius) - float(rest.reach)
+    limb[index], dim[index] = sees & (bright | aslant[index]), ~sees
+    return limb, dim
+
+
+def _faint(blur: Blur, terms: tuple[int, ...]) -> bool:
+    """Tell whether terms are a small share of a lens that is no Gaussian: what surrounds its core, and its tails."""
+    shares = [abs(float(blur.share(term))) for term in terms if not blur.is_rest(term)]
+    return blur.rest is not None and 0 < sum(shares) < _FAINT
 
 
 class _SceneLamp(NamedTuple):
@@ -345,3 +406,18 @@ def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, re
         left = jnp.minimum(left, sample.surface(low, v).x)
         right = jnp.maximum(right, sample.surface(high, v).x)
     return (last > first) & (x - reach < right) & (x + reach > left)
+
+
+@jax.jit
+def _lit_around(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
+    """Tell where all that is visible within `reach` px of (x, y) is lit, by places on two circles."""
+    limb = sample.radius * (1 - 1e-9)
+    lit = jnp.ones(x.shape, dtype=bool)
+    for angle in np.arange(24) * (np.pi / 12):
+        for share in (0.5, 1.0):
+            at_x, at_y = (a + share * reach * part for a, part in ((x, np.cos(angle)), (y, np.sin(angle))))
+            back = jnp.minimum(limb / jnp.maximum(jnp.hypot(at_x, at_y), limb), 1.0)
+            normal = sample.at(at_x * back, at_y * back)[0].normal
+            up = normal[0] * jnp.sin(lamp.angle) + normal[2] * jnp.cos(lamp.angle)
+            lit &= up > (0.0 if lamp.nearness is None else lamp.nearness)
+    return lit

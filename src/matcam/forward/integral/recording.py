@@ -17,20 +17,19 @@ from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.integrals import (
     HighlightPanels,
-    Scene,
-    Turn,
     WindowPanels,
-    highlight_x,
     record_around,
     record_around_turned,
     record_in_window,
     record_inside,
 )
 from matcam.forward.integral.plan import IntegrationPlan, PlanPart, RecordPlaces
+from matcam.forward.integral.rest_at_limb import LimbRule
+from matcam.forward.integral.scene import Scene, Turn, highlight_x
 from matcam.material.material import Material
 from matcam.numerics.approximation import POINTS, interpolated, lagrange_basis
 
-_GRADED, _ORDER = 6, 6
+_GRADED, _ORDER, _ORDER_FAINT = 6, 6, 4
 _THREE_LAMPS = np.array([-1.0, 0.0, 1.0])
 # Places at a time: as many nodes as fit into a processor's cache
 _INSIDE, _NODES, _READ = 4096, 128, 8192
@@ -69,12 +68,15 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
     records = [jnp.zeros((0, subject.under(jnp.zeros(())).channels()))]
     if part.inside.size:
         records.append(_record_inside(subject, part.terms, _at(places, part.inside)))
+    if part.limb_rule is not None and part.limb.size:
+        records.append(_record_at_limb(subject, part.limb_rule, _at(places, part.limb)))
     for window in part.windows:
         kernel = jnp.asarray(part.reach), jnp.asarray(part.cuts)
-        panels = WindowPanels(*kernel, window.panels, window.ridge, subject.through(part.terms).of_rest)
+        panels = WindowPanels(*kernel, window.panels, window.ridge, subject.through(part.terms).of_rest, part.faint)
         records.append(_record_in_window(subject, part.terms, panels, _at(places, window.index), window.whole))
     if part.near.size:
-        around = HighlightPanels(_GRADED, part.even, _ORDER, part.margin, part.shares)
+        order = _ORDER_FAINT if part.faint else _ORDER
+        around = HighlightPanels(_GRADED, part.even, order, part.margin, part.shares)
         grid = _HighlightGrid(
             part.terms, part.steps, around, jnp.asarray(part.reach_in_focus), jnp.asarray(part.spacing)
         )
@@ -115,6 +117,14 @@ def _record_inside(subject: _Subject, terms: tuple[int, ...], pixels: _Pixels) -
     def integral(at: _Pixels) -> jax.Array:
         scene = subject.under(jnp.asarray(at.lamp_angle), at.turn)
         return record_inside(scene, subject.through(terms), jnp.asarray(at.x), jnp.asarray(at.y))
+
+    return in_batches(integral, (pixels,), _INSIDE)
+
+
+@kept_program
+def _record_at_limb(subject: _Subject, rule: LimbRule, pixels: _Pixels) -> jax.Array:
+    def integral(at: _Pixels) -> jax.Array:
+        return rule.record(subject.under(jnp.asarray(at.lamp_angle), at.turn), jnp.asarray(at.x), jnp.asarray(at.y))
 
     return in_batches(integral, (pixels,), _INSIDE)
 

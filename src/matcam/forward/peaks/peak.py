@@ -32,12 +32,10 @@ from matcam.forward.integral.cylinder_record import light_at
 from matcam.forward.integral.discs import LOBE, disc_fineness
 from matcam.forward.integral.integrals import (
     HighlightPanels,
-    Scene,
-    Turn,
-    highlight_x,
     record_around,
     record_around_turned,
 )
+from matcam.forward.integral.scene import Scene, Turn, highlight_x
 from matcam.forward.peaks.disc_points import DiscPoints, has_discs, mean_over_discs
 from matcam.forward.peaks.peak_tables import tabulated_peak
 from matcam.lamp.lamps import Lamp, LampPoint, disc_of, lamp_points

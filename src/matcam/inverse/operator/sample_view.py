@@ -11,7 +11,7 @@ import xarray as xr
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import azimuth_of, sample_of
 from matcam.core.jax import jax, jnp
-from matcam.forward.integral.integrals import highlight_x
+from matcam.forward.integral.scene import highlight_x
 from matcam.forward.pixel_grid import turned
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig

@@ -1,0 +1,122 @@
+"""What Gaussians leave of a lens, where a pixel sees the limb: few nodes in the light, whose weights hold the kernel's rings.
+
+The light ends at the limb, and the rest's rings are as fine as a period there, so that a window about a pixel takes thousands
+of nodes. But the light itself is smooth up to the limb. In c = sqrt(1 - (distance from the axis / limb)^2) and the azimuth
+about the axis a polynomial through few nodes follows it. By what the rest makes of each polynomial, the nodes' weights, a place
+depends on the rest, on its depth within the limb and on its azimuth alone. These are made once, on a lattice.
+
+The whole is 2e-3 of the light at most, so that a hundredth of it is enough.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from matcam.core.jax import jax, jnp
+from matcam.core.workspace import default_workspace
+from matcam.forward.integral.kernel_rest import MARGIN, KernelRest
+from matcam.forward.integral.scene import Scene
+from matcam.numerics.approximation import four_about, lagrange_basis
+
+_ACROSS = np.polynomial.legendre.leggauss(8)[0]
+"""Nodes in c."""
+_ALONG = np.polynomial.legendre.leggauss(4)[0]
+"""Nodes in the azimuth."""
+_FINE_ACROSS, _FINE_ALONG = (np.polynomial.legendre.leggauss(n) for n in (100, 50))
+"""Nodes in c and in the azimuth by which a lattice's entries are integrated: some to a period wherever it is."""
+_DEPTHS = 7
+"""Entries of the lattice to a period of the cutoff."""
+_AZIMUTHS = 18
+"""Entries to a quarter of a turn, after which a round lens through a square pixel is the same."""
+_BEYOND = 3
+"""Entries beyond either end of the lattice."""
+
+
+class LimbRule(eqx.Module):
+    """Hold the weights of nodes about places at the limb.
+
+    Attributes:
+        weights: (depths, azimuths, nodes), px^2 times the kernel's 1/px^2.
+        reach: of the rest, px.
+        quarter: whether the weights are the same after a quarter of a turn; else after a whole one.
+    """
+
+    weights: jax.Array
+    reach: jax.Array
+    quarter: bool = eqx.field(static=True)
+
+    def record(self, scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Return radiance per unit irradiance, (pixels, channels), through the rest.
+
+        Args:
+            scene: the light, under one lamp or one per pixel.
+            x: columns of the pixels, (pixels,), px.
+            y: rows of the pixels, (pixels,), px.
+        """
+        limb, reach = scene.sample.radius, self.reach
+        off, azimuth = jnp.hypot(x, y), jnp.arctan2(y, x)
+        c, turn = _window(limb, reach, off)
+        c = c[:, None, None] * (_ACROSS[:, None] + 1) / 2
+        at = azimuth[:, None, None] + turn * _ALONG
+        far = limb * jnp.sqrt(1 - c**2)
+        element, _ = scene.sample.at(*scene.from_sensor(far * jnp.cos(at), far * jnp.sin(at)))
+        light = scene.beside_nodes(2).sent(element) * c[..., None]
+        depths, azimuths, nodes = self.weights.shape
+        step = 2 * reach / (depths - 1 - 2 * _BEYOND)
+        period = np.pi / 2 if self.quarter else 2 * np.pi
+        row, column = (
+            four_about((off - limb + reach) / step + _BEYOND, depths),
+            four_about(jnp.mod(azimuth / period, 1.0) * (azimuths - 2 * _BEYOND) + _BEYOND, azimuths),
+        )
+        weight = sum(
+            (own * other)[:, None] * self.weights[row[0] + i, column[0] + j]
+            for i, own in enumerate(row[1])
+            for j, other in enumerate(column[1])
+        )
+        return jnp.sum(light.reshape(x.size, nodes, -1) * jnp.asarray(weight)[..., None], axis=1)
+
+
+def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
+    """Return the largest c that a place sees, and the half range of the azimuth, rad. off: px from the axis."""
+    nearest = jnp.maximum(off - reach, 0.0) / limb
+    return jnp.sqrt(jnp.maximum(1 - nearest**2, 0.0)), reach / (limb - reach)
+
+
+def limb_rule(rest: KernelRest, limb: float) -> LimbRule | None:
+    """Return the rule for a sphere whose limb has this radius, px; None where the rest sees more than its border."""
+    if 4 * float(rest.reach) > limb:
+        return None
+    key = np.asarray(rest.grid).tobytes(), float(rest.reach), limb
+    return default_workspace().remember("rest at the limb", key, lambda: _made(rest, limb))
+
+
+def _made(rest: KernelRest, limb: float) -> LimbRule:
+    reach, period, grid = float(rest.reach), float(rest.period), spline_filter(np.asarray(rest.grid))
+    depths = int(np.ceil(2 * reach / period * _DEPTHS))
+    off = limb - reach + 2 * reach * np.arange(-_BEYOND, depths + _BEYOND + 1) / depths
+    around = 2 * np.pi / (4 if rest.even else 1)
+    count = _AZIMUTHS * (1 if rest.even else 4)
+    azimuth = around * np.arange(count) / count
+    (across, c_share), (along, turn_share) = _FINE_ACROSS, _FINE_ALONG
+    basis = np.stack(lagrange_basis(_ACROSS, across)), np.stack(lagrange_basis(_ALONG, along))
+    weights = np.zeros((off.size, count, _ACROSS.size * _ALONG.size))
+    half = (grid.shape[0] - 1) / 2
+    per_px = (half - MARGIN) / reach
+    for row, at in enumerate(off):
+        widest, turn = (float(a) for a in _window(limb, reach, at))
+        if widest == 0:
+            continue
+        c = widest * (across + 1) / 2
+        far = limb * np.sqrt(1 - c**2)[:, None]
+        angle = azimuth[:, None, None] + turn * along
+        dx = at * np.cos(azimuth)[:, None, None] - far * np.cos(angle)
+        dy = at * np.sin(azimuth)[:, None, None] - far * np.sin(angle)
+        kernel = map_coordinates(grid, [dx * per_px + half, dy * per_px + half], order=3, prefilter=False)
+        kernel *= limb**2 * (widest / 2 * c_share)[:, None] * (turn * turn_share)
+        weights[row] = np.einsum("aij,mi,nj->amn", kernel, *basis).reshape(count, -1)
+    weights = np.concatenate([weights[:, -_BEYOND:], weights, weights[:, :_BEYOND]], axis=1)
+    return LimbRule(jnp.asarray(weights), jnp.asarray(reach), rest.even)

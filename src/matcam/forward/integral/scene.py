@@ -1,0 +1,124 @@
+"""The light of a scene: a material on a curved sample, under a lamp (docs/model.md 3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+
+from matcam.core.jax import jax, jnp
+from matcam.core.shading import Shading, Vector, shading
+from matcam.material.material import Material
+from matcam.sample.shape import Curved, Element
+
+
+class Turn(NamedTuple):
+    """Cosine and sine of the lamp's azimuth: of the scene's x axis against the sensor's."""
+
+    cosine: jax.Array
+    sine: jax.Array
+
+    def beside_nodes(self, axes: int) -> Turn:
+        """Reshape to broadcast against `axes` further axes of nodes."""
+        return Turn(*(beside_nodes(a, axes) for a in self))
+
+
+class Scene(eqx.Module):
+    """A material on a curved sample under a lamp; radiance is in 1/sr.
+
+    The lamp's irradiance is 1 at the sample's centre. The scene's x axis points towards the lamp. A lamp at an azimuth turns
+    it against the sensor's, on which the pixels lie: places in the scene are not places on the sensor.
+
+    Attributes:
+        material: the material.
+        sample: the sample.
+        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the elements asked for.
+        lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
+        turn: the lamp's azimuth, of lamp_angle's shape; None: 0.
+    """
+
+    material: Material
+    sample: Curved
+    lamp_angle: jax.Array
+    lamp_nearness: jax.Array | None = None
+    turn: Turn | None = None
+
+    def beside_nodes(self, axes: int) -> Scene:
+        """Return the scene of one lamp per pixel for arrays with `axes` further axes of nodes."""
+        turn = None if self.turn is None else self.turn.beside_nodes(axes)
+        return Scene(self.material, self.sample, beside_nodes(self.lamp_angle, axes), self.lamp_nearness, turn)
+
+    def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the place in the scene of a place on the sensor, px."""
+        if self.turn is None:
+            return x, y
+        return x * self.turn.cosine + y * self.turn.sine, y * self.turn.cosine - x * self.turn.sine
+
+    def on_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the place on the sensor of a place in the scene, px."""
+        if self.turn is None:
+            return x, y
+        return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
+
+    def seen(self, element: Element) -> Shading:
+        """Return the angles under which a piece of surface sees lamp and camera."""
+        light, _ = self._light(element)
+        return shading(element.normal, self._tangent(element), light, element.view)
+
+    def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
+        """Return the direction to the lamp, and the irradiance there over that at the centre; None: 1 all over."""
+        light = jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle)
+        if self.lamp_nearness is None:
+            return light, None
+        w, normal = self.lamp_nearness, element.normal
+        x, y, z = light[0] - w * normal[0], -w * self.sample.height(element), light[2] - w * normal[2]
+        square = x**2 + y**2 + z**2
+        length = jnp.sqrt(square)
+        return (x / length, y / length, z / length), 1 / square
+
+    def _tangent(self, element: Element) -> Vector:
+        """Return the first tangent, which lies in the plane of the sensor's x and the optical axis."""
+        if self.turn is None:
+            return element.tangent
+        (x, y, z), (cosine, sine) = element.normal, self.turn
+        length = jnp.sqrt(z**2 + (sine * y - cosine * x) ** 2)
+        return cosine * z / length, -sine * z / length, (sine * y - cosine * x) / length
+
+    def sent(self, element: Element) -> jax.Array:
+        """Return rho cos_i cos_o area under the lamp's irradiance, channels last.
+
+        It is the light of a piece of surface per unit of its coordinates.
+        """
+        direction, strength = self._light(element)
+        seen = shading(element.normal, self._tangent(element), direction, element.view)
+        light = self.material.reflected(seen)
+        if light.ndim == (seen.cos_i * seen.cos_o).ndim:
+            light = light[..., None]
+        area = element.area if strength is None else element.area * strength
+        return light * (area[..., None] if jnp.ndim(area) else area)
+
+    def flat_field(self, element: Element) -> jax.Array:
+        """Return the same for a surface of radiance 1 all over.
+
+        It has no channels, and light need not reach it.
+        """
+        return self.seen(element).cos_o * element.area
+
+    def channels(self) -> int:
+        """Return the count of channels."""
+        at_centre = Scene(self.material, self.sample, jnp.zeros(()), self.lamp_nearness)
+        return jax.eval_shape(lambda: at_centre.sent(self.sample.surface(jnp.zeros(()), jnp.zeros(())))).shape[-1]
+
+
+@jax.jit
+def highlight_x(sample: Curved, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None) -> jax.Array:
+    """Return the position of the highlight on the scene's x axis, px."""
+    return sample.surface(sample.highlight(lamp_angle, lamp_nearness), jnp.zeros(())).x
+
+
+def beside_nodes(lamp_angle: jax.Array, axes: int) -> jax.Array:
+    """Reshape lamps to broadcast against `axes` further axes of nodes.
+
+    A single lamp stays as it is.
+    """
+    return lamp_angle.reshape(*lamp_angle.shape, *([1] * axes)) if jnp.ndim(lamp_angle) else lamp_angle
