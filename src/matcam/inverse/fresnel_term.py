@@ -27,6 +27,7 @@ from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import LENS, known_lens, rig_with
 from matcam.inverse.operator.sample_view import sample_view
+from matcam.inverse.peak_curve import recorded_peak
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
@@ -392,17 +393,6 @@ def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax
         return jnp.ones_like(theta_d), highest
     hidden = ndf.smith_lambda(jnp.cos(theta_d))
     return g2(masking, hidden, hidden, jnp.asarray(jnp.pi)), highest
-
-
-def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
-    """Return the mean of the cells nearest to the highlight in the slices at theta_d, (channels, slices).
-
-    NaN where they are missing or not positive.
-    """
-    ring = brdf.values[merl_grid(sampling_of(brdf)).index(theta_h=0.0, theta_d=theta_d)]
-    count = np.isfinite(ring).sum(axis=1)
-    peak = np.where(count > 0, np.nansum(ring, axis=1) / np.maximum(count, 1), np.nan).T
-    return np.where(np.nan_to_num(peak) > 0, peak, np.nan)
 
 
 def _nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:

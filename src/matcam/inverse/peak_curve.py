@@ -5,13 +5,23 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from matcam.core.grid import CHANNEL_WAVELENGTHS
-from matcam.inverse.fresnel_term import recorded_peak
+from matcam.core.grid import CHANNEL_WAVELENGTHS, merl_grid, sampling_of
 from matcam.material.optical_constants import metal
 from matcam.material.reflectance import fresnel_conductor
 
 NORMALISED_OVER = (np.radians(10.0), np.radians(45.0))
 """Range of theta_d, rad, over which a curve has mean 1."""
+
+
+def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
+    """Return the mean of the cells nearest to the highlight in the slices at theta_d, (channels, slices).
+
+    NaN where they are missing or not positive.
+    """
+    ring = brdf.values[merl_grid(sampling_of(brdf)).index(theta_h=0.0, theta_d=theta_d)]
+    count = np.isfinite(ring).sum(axis=1)
+    peak = np.where(count > 0, np.nansum(ring, axis=1) / np.maximum(count, 1), np.nan).T
+    return np.where(np.nan_to_num(peak) > 0, peak, np.nan)
 
 
 def peak_curve(table: xr.DataArray) -> xr.DataArray:
