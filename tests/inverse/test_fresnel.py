@@ -25,7 +25,7 @@ from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.grid import brdf_table, merl_grid
 from matcam.inverse import tabulated_fresnel
-from matcam.inverse.fresnel_term import recorded_peak
+from matcam.inverse.peak_curve import recorded_peak
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
