@@ -57,7 +57,7 @@ def figures(lines):
                 "rms pull": _rms(pull[here]),
             }  # fmt: skip
     # what was recorded below 0 is corrected to 0
-    bar = np.divide(e["std"], e["value"], out=np.full_like(e["std"], np.inf), where=e["value"] > 0)
+    bar = relative_bar(e)
     peak = e["kind"] == 0
     supported_peak = peak & e["supported"] & np.isfinite(e["bound"]) & stated
     kept = e["clean"] / e["true"]
@@ -78,6 +78,11 @@ def figures(lines):
     }  # fmt: skip
 
 
+def relative_bar(e):
+    """The standard deviation over the value; infinite where a value was corrected to 0."""
+    return np.divide(e["std"], e["value"], out=np.full_like(e["std"], np.inf), where=e["value"] > 0)
+
+
 def worst(lines):
     """A row for each draw: what is false or harmed, pulls by kind, supported peaks, F(75)."""
     rows = []
@@ -94,7 +99,7 @@ def worst(lines):
             f"kept {np.median((e['clean'] / e['true'])[peak]):.2f} supported {_share(e['supported'][peak]):.2f} "
             f"false {int((pull[e['supported']] > SURE).sum()):3} harmed {int(harmed(e)[np.isfinite(e['std'])].sum()):3} "
             f"pulls {pulls[0]:.2f} {pulls[1]:.2f} {pulls[2]:.2f} peak error "
-            f"{np.median((e['value'] / e['true'] - 1)[peak]):+.3f} bar {np.median((e['std'] / e['value'])[peak]):.3f} "
+            f"{np.median((e['value'] / e['true'] - 1)[peak]):+.3f} bar {np.median(relative_bar(e)[peak]):.3f} "
             f"F75 {one['f75'][0]:+.4f} +- {one['f75'][1]:.4f} "
             f"{one['fitted']} {one['determination']} {one['remarks']} {one['lobe']}"
         )

@@ -30,10 +30,7 @@ from matcam.forward.integral.scene import Scene, beside_nodes
 from matcam.numerics.approximation import ascending, graded_nodes, nodes_in_panels
 from matcam.sample.shape import Element
 
-# Orders of the Gauss-Legendre panels about a pixel, and their cuts about a squeezed lobe, in the lobe's width there
-_ORDER_V, _ORDER_V_RIDGE = 8, 7
-_ORDER_U, _ORDER_U_RIDGE = 8, 6
-_ORDER_FAINT = 6
+# Panels across a squeezed lobe, their cuts in the lobe's width there, and where masking sets in
 _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
@@ -68,23 +65,14 @@ class WindowPanels(NamedTuple):
         along_v: count of panels along v.
         ridge: True where a squeezed lobe runs through the window: towards the limb, where the surface turns within a pixel,
             a lobe is a narrow ridge even far from its peak, along the half vector's u.
-        rings: whether the kernel has a lens's rings, on whose account a ridge takes no fewer nodes.
-        faint: whether the terms have a small share in the blur, and their error with them.
+        orders: Gauss-Legendre nodes per panel along u and v.
     """
 
     reach: jax.Array
     cuts: jax.Array
     along_v: int
     ridge: bool
-    rings: bool = False
-    faint: bool = False
-
-    @property
-    def orders(self) -> tuple[int, int]:
-        """Return the Gauss-Legendre nodes per panel along u and v."""
-        if self.faint:
-            return _ORDER_FAINT, _ORDER_FAINT
-        return (_ORDER_U_RIDGE, _ORDER_V_RIDGE) if self.ridge and not self.rings else (_ORDER_U, _ORDER_V)
+    orders: tuple[int, int]
 
 
 def record_around(

@@ -31,6 +31,8 @@ from matcam.numerics.approximation import POINTS, interpolated, lagrange_basis
 
 _GRADED, _ORDER, _ORDER_FAINT = 6, 6, 4
 _THREE_LAMPS = np.array([-1.0, 0.0, 1.0])
+# Nodes along u and v of a window's panels
+_WINDOW, _RIDGE_WINDOW, _WINDOW_OF_SEVERAL, _FAINT_WINDOW = (8, 8), (6, 7), (11, 11), (7, 7)
 # Places at a time: as many nodes as fit into a processor's cache
 _INSIDE, _NODES, _READ = 4096, 128, 8192
 
@@ -72,7 +74,7 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
         records.append(_record_at_limb(subject, part.limb_rule, _at(places, part.limb)))
     for window in part.windows:
         kernel = jnp.asarray(part.reach), jnp.asarray(part.cuts)
-        panels = WindowPanels(*kernel, window.panels, window.ridge, subject.through(part.terms).of_rest, part.faint)
+        panels = WindowPanels(*kernel, window.panels, window.ridge, _order(subject, part, ridge=window.ridge))
         records.append(_record_in_window(subject, part.terms, panels, _at(places, window.index), window.whole))
     if part.near.size:
         order = _ORDER_FAINT if part.faint else _ORDER
@@ -84,6 +86,16 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
         picture = places.picture[part.near]
         records.append(_read_highlights(subject, grid, lamps, _at(places, part.near), picture, part.near_whole))
     return _in_order(records, part.place)
+
+
+def _order(subject: _Subject, part: PlanPart, *, ridge: bool) -> tuple[int, int]:
+    """Return the Gauss-Legendre nodes of a window's panels along u and v."""
+    if part.faint:
+        return _FAINT_WINDOW
+    if subject.imaging.blur.rest is None:
+        return _RIDGE_WINDOW if ridge else _WINDOW
+    # terms of several widths: the window is the widest's, the nodes are the narrowest's
+    return _WINDOW if subject.through(part.terms).of_rest or len(part.terms) == 1 else _WINDOW_OF_SEVERAL
 
 
 class _Pixels(NamedTuple):
