@@ -6,13 +6,26 @@ import equinox as eqx
 import numpy as np
 import pytest
 
-from matcam import EPD, GGX, SGD, Beckmann, GaussianNDF, Microfacet, Sphere, rigs
+from matcam import (
+    EPD,
+    GGX,
+    SGD,
+    Beckmann,
+    BoxPixel,
+    Camera,
+    DiffractionOptics,
+    GaussianNDF,
+    Microfacet,
+    Rig,
+    Sphere,
+    rigs,
+)
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import merl_grid
 from matcam.core.jax import jnp
 from matcam.core.workspace import Workspace
 from matcam.inverse.operator.chosen_cells import ChosenCells, cell_places, chosen_cells
-from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
+from matcam.inverse.operator.lobe_operator import WholeRule, lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, prior_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView
 from tests.golden import rows
@@ -105,6 +118,42 @@ def test_the_camera_is_followed():
     for shift in (-0.04, 0.03):
         off, scale = followed(axis, shift, rig(0.5 * np.exp(shift)), GGX(0.003))
         assert np.max(off / scale) < 3e-5
+
+
+def test_a_part_of_a_rule_is_the_rule_itself():
+    """Fewer slices, and without a doubted lamp, whose nearby discs ask for no nodes of their own."""
+    axis, lamp = prior_axis("optics.sigma_px", 0.5, 0.02), free_axis("lamp_radius", rigs.merl(), nearby=True)
+    cells, own = lobe_operator(rigs.merl(), "centre", EVERY, (axis,), Workspace())
+    some, part = lobe_operator(rigs.merl(), "centre", EVERY, (axis,), Workspace(), WholeRule(EVERY // 3, (axis, lamp)))
+    np.testing.assert_array_equal(some.i_phi_d, cells.i_phi_d)
+    np.testing.assert_array_equal(some.theta_d, cells.theta_d)
+    shift = jnp.array([0.03])
+    np.testing.assert_allclose(
+        part.record(GGX(0.003), "smith", shift), own.record(GGX(0.003), "smith", shift), rtol=1e-9
+    )
+
+
+def test_a_doubted_lamp_changes_a_record_as_its_disc_does():
+    """It counts by its variance; up to 0.13 degrees that is nearly all of a disc."""
+    axis = free_axis("lamp_radius", rigs.merl(), nearby=True)
+    coordinate = 0.8 * axis.high
+    lit = rig_with(rigs.merl(), {"lamp_radius": axis.value(coordinate)})
+    _, along = lobe_operator(rigs.merl(), "centre", EVERY, (axis,), Workspace())
+    cells, disc = lobe_operator(lit, "centre", EVERY, (), Workspace())
+    ours, point = (np.asarray(along.record(GGX(0.003), "smith", jnp.array([s]))) for s in (coordinate, 0.0))
+    truth = np.asarray(disc.record(GGX(0.003), "smith", ()))
+    for s in range(4):  # up to a theta_d of 63.5 degrees
+        change, expected = (np.where(cells.valid[s], (one - point)[s], 0.0) for one in (ours, truth))
+        assert np.linalg.norm(change - expected) < 0.12 * np.linalg.norm(expected)
+
+
+def test_a_lamp_is_followed_nearby_through_any_lens():
+    """A lens that is no Gaussian is as wide as its core: its tails' variance has no bounds."""
+    airy = Rig(Camera(DiffractionOptics(8.0, 550e-9, 5e-6), BoxPixel()), Sphere(256.0))
+    ends = [free_axis("lamp_radius", one, nearby=True) for one in (airy, rigs.merl())]
+    farthest = [np.degrees(axis.value(axis.high)) for axis in ends]
+    assert farthest[0] == pytest.approx(farthest[1], rel=0.3)
+    assert farthest[1] == pytest.approx(0.13, abs=0.01)
 
 
 @pytest.mark.parametrize(
