@@ -130,8 +130,8 @@ def done_behind(work: Callable[[], object]) -> Iterator[None]:
     """Do some work in another thread while the block runs, for what will ask for it later and finds it kept.
 
     Its `in_order` takes one core while the block runs, and all of them when it has ended. The block's end waits for it; after
-    an error nobody does, and it ends with the item that it is at. What fails in it fails again where it is asked for. On one
-    core there is nothing to gain, and nothing is done.
+    an error in the block it ends with the item that it is at. What fails in it fails again where it is asked for. On one core
+    there is nothing to gain, and nothing is done.
 
     Args:
         work: a function without arguments.

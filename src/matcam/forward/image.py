@@ -422,8 +422,7 @@ def _on_cylinder(
 
 @jax.jit
 def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
-    element, visible = scene.sample.at(*scene.from_sensor(x, y))
-    lit = visible & (scene.seen(element).cos_i > 0)
+    element, lit = scene.shown(x, y)
     return jnp.where(lit[..., None], scene.sent(element), 0.0)
 
 

@@ -317,8 +317,7 @@ def _sphere(
     """Return the sphere at the places `at` along both axes, as it is and as recorded."""
     scene, place = _scene(material, rig, theta)
     x, y = at[None, :], at[:, None]
-    element, visible = scene.sample.at(x, y)
-    lit = visible & (scene.seen(element).cos_i > 0)
+    element, lit = scene.shown(x, y)
     points = jnp.where(lit, _middle(scene.sent(element)), 0.0)
     peak = _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)

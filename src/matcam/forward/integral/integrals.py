@@ -208,8 +208,9 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     for term in blur.terms:
         dx, dy, share = blur.blur.plane_rule(term, spread)
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
-        if blur.blur.is_rest(term):  # a terminator may be near
-            light = jnp.where(_lit(scene, x[:, None] - dx, y[:, None] - dy)[..., None], light, 0.0)
+        if blur.blur.is_rest(term):  # its corners, of hardly any weight, may lie off the limb
+            _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)
+            light = jnp.where(lit[..., None], light, 0.0)
         total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
     return jnp.asarray(total)
 
@@ -227,12 +228,6 @@ def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array
         return blur.defocus(scene.sample.radius, seen(at_x, at_y).normal[2])
 
     return mean_over_pupil(sent, disc, x, y) if blur.chords else sent(x, y)
-
-
-def _lit(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Tell which places of the sensor, px, show lit surface."""
-    element, visible = scene.sample.at(*scene.from_sensor(x, y))
-    return visible & (scene.seen(element).cos_i > 0)
 
 
 def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, panels: WindowPanels) -> jax.Array:

@@ -31,8 +31,8 @@ _FAINT = 0.1
 _NO_CRESCENT = 0.6
 """Share of a rest's reach within which all must be lit, for the light to be smooth up to the limb."""
 _FINER = 1.4
-_SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
 """How much longer a window counts along v, for more panels: one that holds a turned pixel's corners."""
+_SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
 
 
 class RecordPlaces(NamedTuple):
@@ -96,8 +96,8 @@ class PlanPart(eqx.Module):
         near_whole: True for those of them whose kernel meets no end of the light.
         windows: places that need a window of their own.
         faint: whether the terms' share in the blur is so small that fewer nodes do.
-        place: for each place, its position in the records of inside, windows and near, one after the other. The last position
-            is that of darkness.
+        place: for each place, its position in the records of inside, limb, windows and near, one after the other. The last
+            position is that of darkness.
     """
 
     terms: tuple[int, ...] = eqx.field(static=True)
@@ -205,9 +205,11 @@ def _part(
     aside, turn = aside[: places.x.size], turn / scale.reach
     turn *= _FINER if lamps[1] is not None else 1.0
     away = ~near & (aside >= scale.near * (elongation if elongation > 1 else 0.0))
-    inside, limb, limb_rule = smooth & ~ridge & away, np.zeros_like(near), None
-    if group.terms == (imaging.blur.stds.size,) and (limb_rule := _limb_rule(imaging)) is not None:
-        limb, dim = _rest_beside(imaging, (x, y, lamp), turn > _PANELS_ALONG_V[0][0], lit & away & ~inside)
+    inside, limb = smooth & ~ridge & away, np.zeros_like(near)
+    limb_rule = _limb_rule(imaging) if imaging.blur.is_rest(group.terms[0]) else None
+    if limb_rule is not None:
+        aslant, places_beside = turn > _PANELS_ALONG_V[0][0], lit & away & ~inside
+        limb, dim = _rest_beside(sample, float(limb_rule.reach), (x, y, lamp), aslant, places_beside)
         inside |= dim
     beside = lit & ~near & ~inside & ~limb
     windows, least = [], 0.0
@@ -256,7 +258,11 @@ def _limb_rule(imaging: Imaging) -> LimbRule | None:
 
 
 def _rest_beside(
-    imaging: Imaging, at: tuple[jax.Array, jax.Array, _SceneLamp], aslant: np.ndarray, places: np.ndarray
+    sample: Curved,
+    reach: float,
+    at: tuple[jax.Array, jax.Array, _SceneLamp],
+    aslant: np.ndarray,
+    places: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return which places see the limb through a lens's rest and need no window, and which are as good as in smooth light.
 
@@ -264,20 +270,21 @@ def _rest_beside(
     most. Only where the light is a thin crescent does a terminator beside the limb count.
 
     Args:
-        imaging: sample and blur.
+        sample: the sphere.
+        reach: of the rest, px.
         at: x and y, px, and lamp of all places.
         aslant: whether a place sees the sphere's poles, where crescents are dim.
         places: those in question.
     """
-    rest, index = imaging.blur.rest, np.flatnonzero(places)
+    index = np.flatnonzero(places)
     limb, dim = np.zeros_like(places), np.zeros_like(places)
-    if rest is None or not index.size:
+    if not index.size:
         return limb, dim
     x, y, lamp = at
     padded = pad_indices(index)
     own = _SceneLamp(lamp.angle[padded], lamp.nearness)
-    bright = np.asarray(_lit_around(imaging.sample, x[padded], y[padded], own, _NO_CRESCENT * rest.reach))[: index.size]
-    sees = np.hypot(np.asarray(x)[index], np.asarray(y)[index]) > float(imaging.sample.radius) - float(rest.reach)
+    bright = np.asarray(_lit_around(sample, x[padded], y[padded], own, _NO_CRESCENT * reach))[: index.size]
+    sees = np.hypot(np.asarray(x)[index], np.asarray(y)[index]) > float(sample.radius) - reach
     limb[index], dim[index] = sees & (bright | aslant[index]), ~sees
     return limb, dim
 

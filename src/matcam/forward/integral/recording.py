@@ -74,7 +74,7 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
         records.append(_record_at_limb(subject, part.limb_rule, _at(places, part.limb)))
     for window in part.windows:
         kernel = jnp.asarray(part.reach), jnp.asarray(part.cuts)
-        panels = WindowPanels(*kernel, window.panels, window.ridge, _order(subject, part, ridge=window.ridge))
+        panels = WindowPanels(*kernel, window.panels, window.ridge, _orders(subject, part, ridge=window.ridge))
         records.append(_record_in_window(subject, part.terms, panels, _at(places, window.index), window.whole))
     if part.near.size:
         order = _ORDER_FAINT if part.faint else _ORDER
@@ -88,14 +88,14 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
     return _in_order(records, part.place)
 
 
-def _order(subject: _Subject, part: PlanPart, *, ridge: bool) -> tuple[int, int]:
+def _orders(subject: _Subject, part: PlanPart, *, ridge: bool) -> tuple[int, int]:
     """Return the Gauss-Legendre nodes of a window's panels along u and v."""
     if part.faint:
         return _FAINT_WINDOW
     if subject.imaging.blur.rest is None:
         return _RIDGE_WINDOW if ridge else _WINDOW
     # terms of several widths: the window is the widest's, the nodes are the narrowest's
-    return _WINDOW if subject.through(part.terms).of_rest or len(part.terms) == 1 else _WINDOW_OF_SEVERAL
+    return _WINDOW if len(part.terms) == 1 else _WINDOW_OF_SEVERAL
 
 
 class _Pixels(NamedTuple):

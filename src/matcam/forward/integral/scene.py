@@ -60,6 +60,11 @@ class Scene(eqx.Module):
             return x, y
         return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
 
+    def shown(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
+        """Return what places of the sensor, px, show, and whether that is lit surface."""
+        element, visible = self.sample.at(*self.from_sensor(x, y))
+        return element, visible & (self.seen(element).cos_i > 0)
+
     def seen(self, element: Element) -> Shading:
         """Return the angles under which a piece of surface sees lamp and camera."""
         light, _ = self._light(element)

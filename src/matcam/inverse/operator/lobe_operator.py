@@ -88,20 +88,13 @@ class LobeOperator(eqx.Module):
     def in_slices(self, part: slice) -> LobeOperator:
         """Return the operator of some of the slices."""
         slices, count = self.shape
+        cells = np.arange(slices * count).reshape(slices, count)[part]
 
         def own(array: jax.Array, axis: int = 0) -> jax.Array:
-            apart = np.asarray(array).reshape(*array.shape[:axis], slices, count, *array.shape[axis + 1 :])
-            return placed(
-                apart[(slice(None),) * axis + (part,)].reshape(*array.shape[:axis], -1, *array.shape[axis + 1 :])
-            )
+            return placed(np.take(np.asarray(array), cells.ravel(), axis))
 
-        return dataclasses.replace(
-            self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
-            cos_i=own(self.cos_i), cos_o=own(self.cos_o), place_i=own(self.place_i), place_o=own(self.place_o),
-            azimuth=own(self.azimuth), shape=(len(range(slices)[part]), count),
-            share=None if self.share is None else own(self.share),
-            moment=None if self.moment is None else self.moment.in_slices(part),
-        )  # fmt: skip
+        moment = None if self.moment is None else self.moment.in_slices(part)
+        return dataclasses.replace(self._of_cells(own, cells.shape[0]), moment=moment)
 
     def along_axes(self, axes: tuple[Axis, ...]) -> LobeOperator:
         """Return the operator of a rig of which only some of the parameters may change."""
@@ -193,12 +186,18 @@ class LobeOperator(eqx.Module):
         def own(array: jax.Array, axis: int = 0) -> jax.Array:
             return jax.lax.dynamic_slice_in_dim(array, place * count, count, axis)
 
-        return LobeOperator(
-            slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
+        return self._of_cells(own, 1)
+
+    def _of_cells(self, own: Callable[..., jax.Array], slices: int) -> LobeOperator:
+        """Return the operator of some of the cells, without its moment.
+
+        own: takes an array and the axis of its cells, by default the first. slices: how many these cells make up.
+        """
+        return dataclasses.replace(
+            self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
             cos_i=own(self.cos_i), cos_o=own(self.cos_o), place_i=own(self.place_i), place_o=own(self.place_o),
-            azimuth=own(self.azimuth),
-            through_samples=self.through_samples, axes=self.axes, shape=(1, count),
-            share=None if self.share is None else own(self.share),
+            azimuth=own(self.azimuth), shape=(slices, self.shape[1]), share=None if self.share is None else own(self.share),
+            moment=None,
         )  # fmt: skip
 
 
