@@ -18,7 +18,7 @@ from matcam import (
     picture,
 )
 from matcam.forward import picture_values
-from matcam.forward.band_limited import band_limit
+from matcam.forward.frequencies.band_limited import band_limit
 
 AIRY = DiffractionOptics(8.0, wavelength=550e-9, pixel_pitch=4e-6)
 METAL = Microfacet(GGX(0.05), 0.9)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from matcam.forward.place_shares import PlaceShares
+from matcam.forward.frequencies.place_shares import PlaceShares
 
 SIDE, SIGMA = 40.0, 0.6
 WAVES = np.linspace(0.1, 0.6, 12)

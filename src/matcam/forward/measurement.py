@@ -35,6 +35,8 @@ from matcam.core.jax import is_concrete, jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cells_in_pictures import CellChoice, RealCells, TableCells, cell_means, cell_sampling
 from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
+from matcam.forward.frequencies.band_limited import EXACT
+from matcam.forward.frequencies.table_records import record_by_frequencies, served_by_frequencies
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
@@ -109,7 +111,10 @@ def measure(
         "cell_value": written,
         "sample": rig.sample.kind,
         "rig": repr(rig),
-        "kernel_error": max(kernel_error(one) for one, _ in _colours(rig)),
+        "kernel_error": max(
+            EXACT if served_by_frequencies(one, material) else kernel_error(one) for one, _ in _colours(rig)
+        ),
+        "route": "frequencies" if served_by_frequencies(_colours(rig)[0][0], material) else "space",
     }
     attrs["lamp_azimuth"] = _azimuth(rig, azimuth)
     if rig.pixel_phase is not None:
@@ -182,6 +187,8 @@ def _values_through(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float], workspace: Workspace
 ) -> tuple[jax.Array, np.ndarray]:
     """Return values and pixel counts of a table through one lens. shift: of its pictures, (right, up), px."""
+    if served_by_frequencies(rig, material):
+        return _by_frequencies(material, rig, azimuth, shift)
     imaging = imaging_of(rig)
     even = imaging.blur.even and shift[1] == 0
     chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
@@ -189,6 +196,18 @@ def _values_through(
         cells, plan = _table_plan(imaging, chosen, workspace)
         return cell_means(record(material, imaging, plan), cells), cells.pixels
     return _under_disc(material, rig, imaging, chosen)
+
+
+def _by_frequencies(
+    material: Material, rig: Rig, azimuth: float, shift: tuple[float, float]
+) -> tuple[jax.Array, np.ndarray]:
+    """Return the same from the frequencies of each slice's picture."""
+    even = rig.camera.optics.isotropic and shift[1] == 0
+    chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
+    assert isinstance(rig.sample, Sphere)
+    cells = chosen.cells(rig.sample)
+    lamps = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
+    return cell_means(record_by_frequencies(material, rig, lamps, azimuth, cells.places), cells), cells.pixels
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:

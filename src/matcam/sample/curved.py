@@ -8,6 +8,7 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.shading import Vector
 from matcam.numerics.lengths import plane_length
 from matcam.numerics.sine import sine
 from matcam.sample.shape import (
@@ -72,6 +73,19 @@ class Sphere(Curved):
             area=scale**2 * length / depth * cos_v,
         )
 
+    def facing(self, normal: Vector) -> Element:
+        """Return the piece of surface that faces a direction; its area is per solid angle of the normal, px^2/sr."""
+        view, length, depth = self.line_of_sight(normal, normal[1])
+        scale = self.stretch / depth
+        return Element(
+            normal=normal,
+            tangent=self._tangent(normal),
+            view=view,
+            x=scale * normal[0],
+            y=scale * normal[1],
+            area=scale**2 * length / depth,
+        )
+
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
         """Return the point at which the line of sight meets the sphere."""
         q = self.nearness
@@ -79,18 +93,22 @@ class Sphere(Curved):
         depth = 1 - q * n_z
         normal = x / self.stretch * depth, y / self.stretch * depth, n_z
         view, length, _ = self.line_of_sight(normal, normal[1])
-        section = jnp.sqrt(normal[0] ** 2 + normal[2] ** 2)
-        section = jnp.where(section > 0, section, 1.0)
         cos_o = (n_z - q) / length
         visible = hits & (cos_o > 0)
         return Element(
             normal=normal,
-            tangent=(n_z / section, jnp.zeros(()), -normal[0] / section),
+            tangent=self._tangent(normal),
             view=view,
             x=x,
             y=y,
             area=1 / jnp.where(visible, cos_o, 1.0),
         ), visible
+
+    def _tangent(self, normal: Vector) -> Vector:
+        """Return the first tangent, along the latitude's circle."""
+        section = jnp.sqrt(normal[0] ** 2 + normal[2] ** 2)
+        section = jnp.where(section > 0, section, 1.0)
+        return normal[2] / section, jnp.zeros(()), -normal[0] / section
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Return longitude and latitude about the y axis, rad."""

@@ -20,8 +20,8 @@ from matcam.camera.optics.zernike import check_phase
 from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
-from matcam.forward.band_limited import EXACT, BandLimit, band_limit, concrete, sampling_of
-from matcam.forward.place_shares import PlaceShares
+from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit, concrete, optics_band, sampling_of
+from matcam.forward.frequencies.place_shares import PlaceShares
 
 _DEGREES = (3, 6, 9, 12, 16)
 """Of the weights as polynomials of the place: the first of these that is enough."""
@@ -66,6 +66,11 @@ class PictureLens(NamedTuple):
     colours: tuple[ColourLens, ...]
     shares: PlaceShares | None
     error: float
+
+    @property
+    def highest(self) -> float:
+        """Return the frequency above which no lens of it passes anything, cycles/px."""
+        return max(optics_band(lens) for colour in self.colours for lens in colour.lenses)
 
     def channels(self, material: int) -> int:
         """Return the picture's channels for a material's. ArgumentError where they do not fit."""

@@ -5,7 +5,8 @@ B. Their picture is one through a narrow Gaussian and no pixel, filtered:
 
     picture = F^-1 [ lens(f) pixel(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
 
-picture_g is recorded at `per_px` places a pixel, by the operator for Gaussians. What it holds above per_px - B comes back as
+A sphere's light before a distant camera is known by itself (`light_grid.py`), and picture_g with it. Elsewhere picture_g
+is recorded at `per_px` places a pixel, by the operator for Gaussians. What it holds above per_px - B comes back as
 another frequency below B; the Gaussian has left nothing of it. s is so narrow that the filter amplifies little. The filter is
 exact at every frequency that there is, so lens and pixel are the stated ones to `error`.
 """
@@ -37,7 +38,7 @@ _SIGMAS = np.arange(0.1, 2.0, 0.025)
 _FREQUENCIES = 120
 _ANGLES = np.linspace(0, np.pi / 4, 5)
 _REPLICAS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-_APART = 160
+APART = 160
 """px between the scene and its periodic neighbour: an Airy pattern of f/8 has fallen to 1e-7 of its peak."""
 
 
@@ -166,6 +167,10 @@ class FineRecord(NamedTuple):
         """Return the record itself, (rows, columns, channels)."""
         return jnp.fft.irfft2(self.spectrum, self.padded, axes=(0, 1))[: self.size[0], : self.size[1]]
 
+    def through(self, sigma: float | jax.Array) -> FineRecord:
+        """Return what of light is recorded through a Gaussian of a standard deviation, px, and a pixel of `POINT`."""
+        return self._replace(spectrum=self.spectrum * recorded(sigma, self.fx, self.fy[:, None])[..., None])
+
     def derivative(self, along: int, across: int) -> jax.Array:
         """Return the values' derivative, so often by x and by y, 1/px."""
         factor = (2j * np.pi * self.fx) ** along * (2j * np.pi * self.fy[:, None]) ** across
@@ -191,7 +196,7 @@ def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: in
         periodic: True where the record goes on along y for ever, as a cylinder's does.
     """
     height, width = values.shape[:2]
-    rows, columns = (next_fast_len(n + _APART * per_px, real=True) for n in (height, width))
+    rows, columns = (next_fast_len(n + APART * per_px, real=True) for n in (height, width))
     rows = height if periodic else rows
     fx, fy = np.fft.rfftfreq(columns, 1 / per_px) * across.step, np.fft.fftfreq(rows, 1 / per_px) * along.step
     spectrum = jnp.fft.rfft2(values, (rows, columns), axes=(0, 1))
@@ -214,12 +219,16 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
     fx, fy = np.broadcast_arrays(record.fx, record.fy[:, None])
     rows, columns = np.nonzero(np.hypot(fx, fy) <= optics_band(optics))
     fx, fy = fx[rows, columns], fy[rows, columns]
-    lens = optics.otf(fx, fy) * jnp.exp(2 * (jnp.pi * limit.sigma) ** 2 * (fx**2 + fy**2))
-    lens = lens * (pixel.mtf(fx) / np.sinc(2 * POINT * fx)) * (pixel.mtf(fy) / np.sinc(2 * POINT * fy))
+    lens = optics.otf(fx, fy) * pixel.mtf(fx) * pixel.mtf(fy) / recorded(limit.sigma, fx, fy)
     if np.any(np.asarray(jax.lax.stop_gradient(shift))):
         lens = lens * jnp.exp(-2j * jnp.pi * (fx * shift[0] + fy * shift[1]))
     passed = record.spectrum[rows, columns] * lens[:, None]
     return jnp.zeros_like(record.spectrum).at[rows, columns].set(passed)
+
+
+def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
+    """Return the transfer function through which a fine record is made: of a Gaussian lens, px, and a pixel of `POINT`."""
+    return jnp.exp(-2 * (jnp.pi * sigma) ** 2 * (fx**2 + fy**2)) * np.sinc(2 * POINT * fx) * np.sinc(2 * POINT * fy)
 
 
 def optics_band(optics: Optics) -> float:

@@ -1,0 +1,119 @@
+"""Light around a highlight, laid on a grid from nodes in longitude and latitude, graded towards the half vector."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.frequencies.regions import STEEPEST, Borders, Regions, horizon
+from matcam.forward.frequencies.taps import Taps
+from matcam.numerics.approximation import nodes_in_panels
+
+_GRADED = 3.0 ** -np.arange(5, 0, -1.0)
+"""Cuts of the panel beside the half vector, as shares of it."""
+_PANELS = 5
+"""Panels in the plane of incidence, to either side."""
+_TALL = (8, 20, 48)
+"""Panels across it: few kinds, each of which is a program."""
+_WIDEST_PANEL = 1.3  # px
+_NODES = 8
+
+
+class PatchSize(NamedTuple):
+    """Say how large the patch about a highlight is on a grid.
+
+    Attributes:
+        panels: across the plane of incidence, to either side.
+        columns: points of the grid.
+        rows: points of the grid.
+    """
+
+    panels: int
+    columns: int
+    rows: int
+
+
+def patch_size(borders: Borders, squeezed: float, step: float, taps: Taps, alike: bool, turned: bool) -> PatchSize:
+    """Return the size of the patch about a highlight.
+
+    Args:
+        borders: how wide the regions are.
+        squeezed: cosine of the view at the highlight.
+        step: of the grid, px.
+        taps: how light is laid on the grid.
+        alike: whether only the upper half is laid.
+        turned: whether the sensor is turned against the scene.
+    """
+    squeezed = max(squeezed, STEEPEST)
+    panels = next(n for n in _TALL if n * _WIDEST_PANEL * squeezed >= borders.around or n == _TALL[-1])
+    most = min(panels * _WIDEST_PANEL, borders.around / STEEPEST)
+    wide = 2 * borders.around if not turned else 2 * np.hypot(borders.around, most)
+    high = (most if alike else 2 * most) if not turned else wide
+    return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))
+
+
+def lay_highlight(
+    grid: jax.Array, regions: Regions, size: PatchSize, x: jax.Array, y: jax.Array, taps: Taps, alike: bool
+) -> jax.Array:
+    """Add the light around a highlight to a grid.
+
+    Args:
+        grid: (rows, columns, channels).
+        regions: what belongs to the highlight.
+        size: of the patch.
+        x: places of the grid's columns, px.
+        y: places of its rows, px.
+        taps: how light is laid on the grid.
+        alike: whether only the upper half is laid, of light that is the same above and below.
+    """
+    scene, around = regions.scene, regions.borders.around
+    middle = scene.on_sensor(regions.peak, jnp.zeros(()))
+    counts = min(size.columns, x.size), min(size.rows, y.size)
+    starts = [_start(line, at, count) for line, at, count in zip((x, y), middle, counts, strict=True)]
+    starts[1] = jnp.zeros((), int) if alike else starts[1]
+
+    def shares(line: jax.Array, at: jax.Array, axis: int) -> jax.Array:
+        step = line[1] - line[0]
+        return taps.weights((at - line[0]) / step, starts[axis], counts[axis]) / jnp.abs(step)
+
+    radius = scene.sample.radius
+    tall = np.concatenate([[0.0], _GRADED, np.arange(1, size.panels + 1)]) / size.panels
+    latitude = jnp.arcsin(jnp.clip(around / regions.squeezed * tall / radius, 0, 1 - 1e-12))
+    # all light first: within a loop over what it is laid on it would be asked for again and again
+    at_x, at_y, sent = jax.lax.map(lambda node: _light(regions, *node), nodes_in_panels(latitude, _NODES))
+    if scene.turn is None:  # one latitude is one height
+        values = jax.lax.map(lambda row: shares(x, row[0], 0) @ row[1], (at_x, sent))
+        total = jnp.einsum("rv,vck->rck", shares(y, at_y[:, 0], 1) + shares(y, -at_y[:, 0], 1), values)
+    else:
+
+        def both(total: jax.Array, row: tuple[jax.Array, ...]) -> tuple[jax.Array, None]:
+            for side in (1, -1):
+                own = scene.on_sensor(row[0], side * row[1])
+                total += jnp.einsum("rn,cn,nk->rck", shares(y, own[1], 1), shares(x, own[0], 0), row[2])
+            return total, None
+
+        nothing = jnp.zeros((counts[1], counts[0], grid.shape[-1]))
+        total = jax.lax.scan(both, nothing, (at_x, at_y, sent))[0]
+    at = starts[1], starts[0], jnp.zeros((), int)
+    return jax.lax.dynamic_update_slice(grid, jax.lax.dynamic_slice(grid, at, total.shape) + total, at)
+
+
+def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
+    place = (jax.lax.stop_gradient(middle) - line[0]) / (line[1] - line[0])
+    return jnp.clip(jnp.round(place).astype(int) - count // 2, 0, line.size - count)
+
+
+def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return nodes of one latitude in the scene, x and y, px, and the light of each, (nodes, channels), px^2/sr."""
+    scene, around, peak = regions.scene, regions.borders.around, regions.peak
+    radius = scene.sample.radius
+    cuts = np.concatenate([[0.0], _GRADED, np.arange(1, _PANELS + 1)]) / _PANELS
+    cuts = np.concatenate([-cuts[:0:-1], cuts])
+    longitude = jnp.arcsin(jnp.clip((peak + around * cuts) / radius, -1 + 1e-12, 1 - 1e-12))
+    dark = scene.lamp_angle - jnp.arccos(jnp.clip(horizon(scene) / jnp.cos(v), 0, 1 - 1e-12))
+    u, share = nodes_in_panels(jnp.clip(longitude, dark, np.pi / 2), _NODES)
+    element = scene.sample.surface(u, v)
+    share *= regions.highlight(element.x, element.y) * width
+    return element.x, jnp.broadcast_to(element.y, u.shape), scene.sent(element) * share[:, None]

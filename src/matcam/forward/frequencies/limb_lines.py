@@ -1,0 +1,137 @@
+"""Light at the limb, laid on a grid from nodes along its rows and columns.
+
+Within a few px of the limb light changes as the root of the distance, and then ends. Along a line it is a smooth function of
+the angle up to the limb, or to the terminator where that comes first. Lines that meet the limb at less than half a right angle
+would come back as other frequencies: rows serve its left and right, columns its top and bottom, with a smooth border between.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.frequencies.lines import Lines
+from matcam.forward.frequencies.regions import Regions, falling
+from matcam.forward.frequencies.taps import Taps
+from matcam.numerics.approximation import nodes_between
+from matcam.sample.curved import Sphere
+
+_NODES = 32
+_BETWEEN = 0.045
+"""Standard deviation of the border between rows and columns, rad."""
+_STEEPEST_LINE = np.pi / 4 + 4.9 * _BETWEEN
+"""Largest angle, at the sphere's centre, between the limb and the direction of the lines that serve it, rad."""
+_AT_ONCE = 16
+"""Lines at a time: as many numbers as fit into a processor's cache."""
+
+
+class LimbLines(NamedTuple):
+    """Say which lines of a grid serve a limb on one side, and where they go.
+
+    Attributes:
+        upright: True for columns, False for rows.
+        side: 1 where they end right or above, -1 left or below.
+        first: number of the first.
+        last: number after the last.
+        length: points of the grid on which the light of one is laid.
+    """
+
+    upright: bool
+    side: int
+    first: int
+    last: int
+    length: int
+
+
+def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upright: bool, side: int) -> LimbLines:
+    """Return the lines that serve a side of a limb.
+
+    Args:
+        fixed: places of all lines across their direction, an even step apart, px.
+        radius: of the limb, px.
+        widest: how far within the limb light belongs to it, px.
+        taps: how light is laid on the grid.
+        upright: see `LimbLines`.
+        side: see `LimbLines`.
+    """
+    served = np.flatnonzero(np.abs(fixed) < radius * np.sin(_STEEPEST_LINE))
+    step = abs(fixed[1] - fixed[0])
+    length = int(np.ceil(widest / step / np.cos(_STEEPEST_LINE))) + 2 * taps.reach + 2
+    return LimbLines(upright, side, int(served[0]), int(served[-1]) + 1, length)
+
+
+def lay_limb(
+    grid: jax.Array, regions: Regions, served: LimbLines, across: jax.Array, along: jax.Array, taps: Taps
+) -> jax.Array:
+    """Add the light of one side of a limb to a grid.
+
+    Args:
+        grid: (rows, columns, channels).
+        regions: what belongs to the limb.
+        served: which lines serve it.
+        across: places of all lines of their kind, px.
+        along: places of the grid's points on one of them, px.
+        taps: how light is laid on the grid.
+    """
+    first, step = along[0], along[1] - along[0]
+    count = served.last - served.first
+    padded = -(-count // _AT_ONCE) * _AT_ONCE
+    number = served.first + jnp.minimum(jnp.arange(padded), count - 1)
+
+    def light(fixed: jax.Array) -> tuple[jax.Array, jax.Array]:
+        lines = Lines(regions.scene, served.upright, fixed)
+        low, high = _ends(lines, regions, served.side)
+        nothing = jnp.zeros((fixed.size, _NODES)), jnp.zeros((fixed.size, _NODES, grid.shape[-1]))
+        return jax.lax.cond(
+            jnp.any(high > low), lambda: _light(lines, regions, served.side, low, high), lambda: nothing
+        )
+
+    def lay(node: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        at, sent = node
+        at = (at - first) / step
+        lowest = jnp.floor(jnp.min(jax.lax.stop_gradient(at), axis=-1)).astype(int) - taps.reach
+        start = jnp.clip(lowest, 0, along.size - served.length)
+
+        def laid() -> jax.Array:
+            weights = taps.weights(at, start, served.length)
+            return jnp.einsum("lpn,lnc->lpc", weights, sent / jnp.abs(step))
+
+        nothing = jnp.zeros((*start.shape, served.length, sent.shape[-1]))
+        return start, jax.lax.cond(jnp.any(sent != 0), laid, lambda: nothing)
+
+    # all light first: within a loop over what it is laid on it would be asked for again and again
+    nodes = jax.lax.map(light, across[number].reshape(-1, _AT_ONCE))
+    starts, values = jax.lax.map(lay, nodes)
+    values = values.reshape(padded, served.length, -1)[:count]
+    where, line = starts.ravel()[:count, None] + np.arange(served.length), number[:count, None]
+    return grid.at[(where, line) if served.upright else (line, where)].add(values)
+
+
+def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Array]:
+    """Return the ends of what belongs to the limb on each line, as angles towards `side`, rad."""
+    middle, half = lines.lit()
+    middle = side * middle
+    middle = jnp.where(middle < -np.pi / 2, middle + 2 * np.pi, middle)  # the turn that is nearest to the limb
+    radius = regions.scene.sample.radius
+    within = jnp.sqrt(jnp.maximum((radius - regions.depth) ** 2 - lines.fixed**2, 1e-12)) / lines.radius
+    low = jnp.maximum(jnp.arcsin(jnp.clip(within, 0, 1 - 1e-12)), middle - half)
+    high = jnp.minimum(np.pi / 2, middle + half)
+    return low, jnp.maximum(high, low)
+
+
+def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return nodes along each line, px, (lines, nodes), and the light of each, (lines, nodes, channels), px/sr."""
+    scene, sphere = regions.scene, regions.scene.sample
+    assert isinstance(sphere, Sphere)
+    radius = sphere.radius
+    angle, width = nodes_between(low, high, _NODES)
+    along = side * lines.radius[:, None] * jnp.sin(angle)
+    normal = lines.normal(side * angle)
+    x, y = radius * normal[0], radius * normal[1]
+    share = regions.limb(x, y) * (1 - regions.highlight(x, y))
+    share *= falling(jnp.arctan2(jnp.abs(lines.fixed[:, None]), jnp.abs(along)) - np.pi / 4, _BETWEEN)
+    # along a line dx cos_o = cos_o^2 radius d(angle): what a piece of surface sends counts radius^2 a solid angle
+    sent = scene.sent(sphere.facing(normal))
+    return along, sent * (share * width / radius)[..., None]

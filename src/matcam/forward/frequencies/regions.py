@@ -1,0 +1,138 @@
+"""Which part of a sphere's light is laid on a grid in which way: smooth weights of the place, which add up to 1.
+
+    light = (1 - limb) (1 - highlight) light      by the grid's own points       (`light_grid.py`)
+          + limb (1 - highlight) light            along lines that end at the limb   (`limb_lines.py`)
+          + highlight light                       around the half vector         (`highlight_patch.py`)
+
+A weight's border is as steep as it may be: of its frequencies that come back as others, 1e-6 is left.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.scene import Scene, highlight_x
+
+STEEPEST = 0.1
+"""Least cosine of the view by which a patch around a highlight is stretched."""
+_SMOOTH = 0.84
+"""Standard deviation of a border, times the lowest frequency that must not come back."""
+_ENDS = 4.9
+"""Standard deviations from the middle of a border to where its weight is 0 or 1, but for 1e-6."""
+_NEAR = 3.0
+"""px from a highlight to the middle of its border: a lobe that is narrower than the grid's step is smooth from there."""
+_MORE = 2.0
+"""px by which a crescent of light may be wider than what belongs to the limb, and is all taken as such."""
+_NO_BORDER = 1e9
+
+
+class Borders(NamedTuple):
+    """Say how wide the regions are. The numbers are those of a grid, not of a scene.
+
+    Attributes:
+        sigma: standard deviation of a border, px.
+    """
+
+    sigma: float
+
+    @classmethod
+    def above(cls, frequency: float) -> Borders:
+        """Return borders that hold hardly anything above a frequency, cycles/px."""
+        return cls(_SMOOTH / frequency)
+
+    @property
+    def depth(self) -> float:
+        """Return how far within the limb light belongs to it, px."""
+        return 2 * _ENDS * self.sigma
+
+    @property
+    def around(self) -> float:
+        """Return how far from a highlight light belongs to it, px."""
+        return _NEAR + _ENDS * self.sigma
+
+    @property
+    def widest_line(self) -> float:
+        """Return the length, px, of the longest part of a line whose light belongs to the limb."""
+        return self.depth + _MORE
+
+
+class Regions(NamedTuple):
+    """Hold the regions of a scene's light.
+
+    Attributes:
+        scene: a sphere before a distant camera, under one lamp.
+        borders: how wide they are.
+        peak: place of the highlight on the scene's x axis, px.
+        squeezed: cosine of the view there, but for what is steeper than `STEEPEST`.
+        all_limb: whether the light is a crescent so thin that all of it belongs to the limb.
+        depth: how far within the limb light belongs to it, px.
+    """
+
+    scene: Scene
+    borders: Borders
+    peak: jax.Array
+    squeezed: jax.Array
+    all_limb: jax.Array
+    depth: jax.Array
+
+    @classmethod
+    def of(cls, scene: Scene, borders: Borders) -> Regions:
+        """Return the regions of a scene."""
+        radius = scene.sample.radius
+        peak = highlight_x(scene.sample, scene.lamp_angle, scene.lamp_nearness)
+        end = jnp.maximum(scene.lamp_angle - jnp.arccos(horizon(scene)), 0.0)
+        width = radius * (1 - jnp.sin(end))
+        thin = width < borders.depth + _MORE
+        return cls(
+            scene,
+            borders,
+            peak,
+            jnp.maximum(jnp.sqrt(jnp.maximum(1 - (peak / radius) ** 2, 0.0)), STEEPEST),
+            thin,
+            jnp.where(thin, width, borders.depth),
+        )
+
+    def limb(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Return the weight of the limb at a place in the scene, px, were there no highlight."""
+        middle = jnp.where(self.all_limb, _NO_BORDER, _ENDS * self.borders.sigma)
+        radius = self.scene.sample.radius
+        return self.fall(radius - jnp.hypot(x, y) - middle)
+
+    def highlight(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Return the weight of the highlight at a place in the scene, px."""
+        return self.fall(jnp.hypot(x - self.peak, self.squeezed * y) - _NEAR)
+
+    def fall(self, at: jax.Array) -> jax.Array:
+        """Return a weight that falls from 1 to 0 about 0, px."""
+        return falling(at, self.borders.sigma)
+
+    def inside(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Return the weight of the grid's own points at a place on the sensor, px."""
+        at = self.scene.from_sensor(x, y)
+        return (1 - self.limb(*at)) * (1 - self.highlight(*at))
+
+    def lit(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Tell whether places on the sensor, px, show the sample and light falls there."""
+        radius, angle = self.scene.sample.radius, self.scene.lamp_angle
+        n_x, n_y = (at / radius for at in self.scene.from_sensor(x, y))
+        depth2 = 1 - n_x**2 - n_y**2
+        cosine = n_x * jnp.sin(angle) + jnp.sqrt(jnp.maximum(depth2, 0.0)) * jnp.cos(angle)
+        return (depth2 > 0) & (cosine > horizon(self.scene))
+
+    def sent(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """Return the radiance at places on the sensor, px: 1/sr, channels last; 0 where no light falls."""
+        element, lit = self.scene.shown(x, y)
+        return jnp.where(lit[..., None], self.scene.sent(element), 0.0)
+
+
+def falling(at: jax.Array, sigma: float) -> jax.Array:
+    """Return a weight that falls from 1 to 0 about 0, as the integral of a Gaussian of that standard deviation."""
+    return jax.scipy.special.erfc(at / (np.sqrt(2) * sigma)) / 2
+
+
+def horizon(scene: Scene) -> jax.Array:
+    """Return the cosine between a normal and the lamp, from the sample's centre, at which light ends."""
+    return jnp.zeros(()) if scene.lamp_nearness is None else scene.lamp_nearness

@@ -1,0 +1,60 @@
+"""What the terminator adds to the sum over a grid's points: there light reaches 0 with a bend, which no weight smooths.
+
+A sum over points a step h apart, of a function that starts at 0 with slope s, is its integral less h^2 s B_2(d) / 2, where d is
+the distance of the first point from the start in steps (Euler and Maclaurin; B_2 is Bernoulli's second polynomial). That is
+laid on the two points about the start. Rows and columns both know it; each counts by the square of how steeply the cosine of
+the light rises along it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.frequencies.lines import Lines
+from matcam.forward.frequencies.regions import Regions
+
+_STEP = 0.25
+"""Steps of the grid within which the slope is found."""
+
+
+def mend_bend(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
+    """Add to a grid what the sum of each row, or column, lacks where it crosses the terminator.
+
+    Args:
+        grid: (rows, columns, channels).
+        regions: what belongs to the grid's own points.
+        upright: True for columns, False for rows.
+        across: places of the lines, px.
+        along: places of the grid's points on one of them, px.
+    """
+    radius = regions.scene.sample.radius
+    first, step = along[0], along[1] - along[0]
+    hit = jnp.abs(across) < radius
+    lines = Lines(regions.scene, upright, jnp.where(hit, across, 0.0))
+    middle, half = lines.lit()
+    ends = hit & (half > 0) & (half < np.pi) & ~regions.all_limb
+    towards, beside, axis = lines.lamp()
+    number = jnp.arange(across.size)
+    for side in (1, -1):
+        angle = middle + side * half
+        angle = angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+        there = ends & (jnp.abs(angle) < np.pi / 2)
+        at = lines.radius * jnp.sin(angle)
+        depth = lines.radius * jnp.where(there, jnp.cos(angle), 1.0)
+        # how the cosine of the light grows along the line and across it
+        grows, beyond = towards - axis * at / depth, beside - axis * across / depth
+        share = grows**2 / jnp.where(there, grows**2 + beyond**2, 1.0)
+        share = jnp.where(there, share * regions.inside(*lines.ordered(at, lines.fixed)), 0.0)
+        near = _STEP * jnp.abs(step)
+        slope = regions.sent(*lines.ordered(at - side * near, lines.fixed)) / near
+        place = (at - first) / step
+        below = jnp.floor(jax.lax.stop_gradient(place))
+        rest = place - below
+        off = jnp.where(side * step < 0, 1 - rest, rest)  # light lies on the other side of the end than `side`
+        added = jnp.abs(step) / 2 * (off**2 - off + 1 / 6) * share
+        for point, part in ((below, 1 - rest), (below + 1, rest)):
+            where = jnp.where((point >= 0) & (point < along.size), point, along.size).astype(int)
+            index = (where, number) if upright else (number, where)
+            grid = grid.at[index].add(slope * (added * part)[:, None], mode="drop")
+    return grid

@@ -1,0 +1,251 @@
+"""A sample as a rig photographs it, and the exact record of its pixels.
+
+Through a lens that is a sum of Gaussians every pixel is recorded by itself, by the operator (`integral/`). Through one that
+ends at a frequency all that sends light is known or recorded at several places a pixel, and filtered (`frequencies/`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby, islice
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jax.typing import ArrayLike
+
+from matcam.camera.camera import Camera
+from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.optics.optics import checked_isotropic
+from matcam.camera.pixel import BoxPixel
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.jax import is_concrete, jax, jnp, without_derivatives
+from matcam.forward.frequencies.band_limited import POINT, FineLine, FineRecord, filtered, fine_line, transformed
+from matcam.forward.frequencies.light_grid import LightGrid, margin_of, per_px_for, serves
+from matcam.forward.frequencies.picture_lens import PictureLens, picture_lens, varies_over_field
+from matcam.forward.integral.blur import Imaging, imaging_of
+from matcam.forward.integral.blur_groups import groups_of
+from matcam.forward.integral.cylinder_discs import cylinder_fineness, record_under_points
+from matcam.forward.integral.discs import disc_fineness, nearer
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
+from matcam.forward.integral.recording import record
+from matcam.forward.integral.scene import Scene, Turn
+from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
+from matcam.material.material import Material
+from matcam.rigs import Rig, picture_shape
+from matcam.sample.curved import Cylinder, Sphere
+from matcam.sample.shape import Curved
+
+_PLACES = 1 << 20
+"""Pixels times points of a lamp that are recorded at once: they fit into 1 GiB."""
+_AT_ONCE = 1 << 18
+"""Places of a fine record that are recorded at once."""
+_FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
+
+
+class View(NamedTuple):
+    """A sample as it is photographed, and the part of it that the picture shows.
+
+    Attributes:
+        imaging: sample, blur and the lamp's nearness.
+        lamp_angle: angle between lamp and optical axis, rad.
+        turning: 0, with the derivative of the lamp's angle, rad; None: nobody asks for it.
+        azimuth: of the lamp, rad.
+        points: the lamp's points, each of one angle and azimuth.
+        x: places of the columns, px.
+        y: places of the rows, px.
+        lens: what a fine record is filtered by; None: the lens is a part of the imaging.
+    """
+
+    imaging: Imaging
+    lamp_angle: float
+    turning: jax.Array | None
+    azimuth: float
+    points: list[LampPoint]
+    x: np.ndarray
+    y: np.ndarray
+    lens: PictureLens | None
+
+
+def view_of(
+    material: Material,
+    rig: Rig,
+    lamp: tuple[ArrayLike, ArrayLike | None],
+    shape: tuple[int, int] | None,
+    error: float | None = None,
+) -> View:
+    """Return a rig's view of a sample.
+
+    Args:
+        material: of the sample.
+        rig: camera, sample and lamp.
+        lamp: angle between lamp and optical axis, and its azimuth; None: the rig's, rad.
+        shape: (height, width) of the picture, px. None: what holds the sample.
+        error: largest error of a transfer function that is aimed at, twice. Default: None, as exact as is known.
+
+    Raises:
+        ArgumentError: see `matcam.picture`.
+    """
+    if not isinstance(material, Material):
+        raise ArgumentError(
+            f"material must be a Material such as Microfacet(GGX(0.1), 0.9), got {type(material).__name__}"
+        )
+    if not isinstance(rig, Rig):
+        raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    if not isinstance(rig.sample, Curved):
+        raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
+    lens = _lens_of(material, rig, rig.sample, error)
+    if lens is not None:
+        rig = eqx.tree_at(lambda one: one.camera, rig, Camera(GaussianOptics(lens.limit.sigma), BoxPixel(POINT)))
+    known = without_derivatives(lamp[0])
+    angle = checked_lamp_angle(known, rig.lamp, rig.sample.distance)  # type: ignore[attr-defined]
+    turning = None if is_concrete(lamp[0]) else jnp.asarray(lamp[0]) - known
+    azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
+    reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
+    height, width = _picture_shape(rig, shape, reach)
+    if isinstance(rig.sample, Cylinder):
+        fineness = cylinder_fineness(rig, imaging.blur, np.array(angle), azimuth, material)
+    else:
+        fineness = disc_fineness(rig, imaging, np.array(angle), material)
+    points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
+    if turning is not None and (len(points) > 1 or not isinstance(rig.sample, Sphere)):
+        raise ArgumentError(
+            "derivatives by lamp_angle need a Sphere under a lamp without a disc: give lamp_angle as a number"
+        )
+    x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
+    return View(imaging, angle, turning, azimuth, points, x, y, lens)
+
+
+def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:
+    """Return what the picture is filtered by; None where the lens is a sum of Gaussians."""
+    optics = rig.camera.optics
+    # a cylinder goes on beyond any picture, and its light with it: one row is all of them, where all is distant
+    if isinstance(sample, Cylinder) and not (sample.distant and rig.lamp.nearness is None):
+        checked_isotropic(optics, "a cylinder's picture before a near camera or lamp")
+        return None
+    aimed = None if error is None else error / 2  # of the transfer function: half of it shows at the peak
+    if isinstance(sample, Cylinder) and varies_over_field(optics):
+        raise ArgumentError("a cylinder's picture needs a lens that is the same all over the field: use a Sphere")
+    lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
+    if lens is None:
+        return None
+    lens.channels(Scene(material, sample, jnp.zeros(())).channels())
+    return lens
+
+
+def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
+    """Return the picture's (height, width), px.
+
+    It is the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px.
+    """
+    if shape is not None:
+        return picture_shape("shape", shape)
+    if rig.crop is not None:
+        return rig.crop
+    side = 2 * int(np.ceil(float(rig.sample.radius) + min(reach, _FARTHEST_REACH))) + 1  # type: ignore[attr-defined]
+    return picture_shape("shape", (side, side))
+
+
+def exact_record(material: Material, view: View) -> jax.Array:
+    """Return the radiance of all pixels, 1/sr, (rows, columns, channels)."""
+    if view.lens is not None:
+        return _filtered_record(material, view, view.lens)
+    x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(view.x, view.y))
+    return record_pixels(material, view, x, y).reshape(view.y.size, view.x.size, -1)
+
+
+def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.Array:
+    """Record all that sends light at several places a pixel, and filter it as the lens does."""
+    endless = isinstance(view.imaging.sample, Cylinder)
+    if serves(view.imaging.sample, material.elongation, lens.highest) and not view.imaging.blur.varies:
+        per_px, across, along, record = _light_record(material, view, lens)
+    else:
+        per_px, across, along, record = _fine_record(material, view, lens)
+    shares = [record]
+    if lens.shares is not None:
+        divided = lens.shares.divided(record.derivative, across.at, along.at, lens.limit.sigma)
+        shares = [record.of(share) for share in divided]
+    rows, columns = (
+        first + per_px * np.arange(one.size) for first, one in ((along.first, view.y), (across.first, view.x))
+    )
+    rows = np.zeros_like(rows) if endless else rows
+    seen = []
+    for c, colour in enumerate(lens.colours):
+        # one colour is that of all channels
+        own = slice(None) if len(lens.colours) == 1 else [min(c, record.spectrum.shape[-1] - 1)]
+        passed = (
+            filtered(share.only(own), one, lens.pixel, lens.limit, colour.shift)
+            for share, one in zip(shares, colour.lenses, strict=True)
+        )
+        seen.append(record._replace(spectrum=sum(passed, jnp.zeros(()))).values()[rows[:, None], columns])
+    return jnp.concatenate(seen, axis=-1)
+
+
+def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
+    """Return points a pixel, columns, rows, and what is recorded of a sphere's light."""
+    per_px, sample = max(lens.limit.per_px, per_px_for(lens.highest)), view.imaging.sample
+    side = float(jax.lax.stop_gradient(sample.radius)) + margin_of(per_px, lens.highest)
+    across, along = (fine_line(line, -side, side, per_px) for line in (view.x, view.y))
+    grid = LightGrid.of(across.at, along.at, lens.highest)
+    light: jax.Array | float = 0.0
+    for point in view.points:
+        angle = jnp.asarray(point.angle) + (0.0 if view.turning is None else view.turning)
+        turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth)) if point.azimuth else None
+        nearness = nearer(view.imaging, point.distance).lamp_nearness
+        light += point.weight * grid.laid(Scene(material, sample, angle, nearness, turn))
+    record = transformed(jnp.asarray(light), across, along, per_px, False)
+    return per_px, across, along, record.through(view.imaging.blur.stds[0])
+
+
+def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
+    """Return the same from places each of which is recorded by itself."""
+    per_px, endless = lens.limit.per_px, isinstance(view.imaging.sample, Cylinder)
+    reach = max(group.scale.reach for group in groups_of(view.imaging.blur, view.imaging.sample))
+    side = float(jax.lax.stop_gradient(view.imaging.sample.radius)) + reach
+    across = fine_line(view.x, -side, side, per_px)
+    along = FineLine(view.y[:1], 0, -1.0) if endless else fine_line(view.y, -side, side, per_px)
+    x, y = np.meshgrid(across.at, along.at)
+    lit = np.flatnonzero((np.abs(x) if endless else np.hypot(x, y)).ravel() < side)
+    parts = [
+        record_pixels(material, view, x.ravel()[some], y.ravel()[some])
+        for some in np.split(lit, range(_AT_ONCE, lit.size, _AT_ONCE))
+    ]
+    values = jnp.concatenate(parts)
+    whole = jnp.zeros((x.size, values.shape[-1])).at[lit].set(values).reshape(*x.shape, -1)
+    return per_px, across, along, transformed(whole, across, along, per_px, endless)
+
+
+def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) -> jax.Array:
+    """Record pixels centred on (x, y) px; shape (pixels, channels).
+
+    The picture is the mean over the lamp's points; many of them are recorded at once.
+    """
+    sample, blur, nearness = view.imaging
+    if isinstance(sample, Cylinder):
+        return record_under_points(material, sample, blur, (x, y), view.points, nearness, one_picture=True)
+    total: jax.Array | float = 0.0
+    for points in _rings(view.points, max(1, _PLACES // max(x.size, 1))):
+        angles, azimuths = (np.array([float(getattr(p, name)) for p in points]) for name in ("angle", "azimuth"))
+        which = np.repeat(np.arange(len(points), dtype=np.int32), x.size)
+        turned = azimuths if np.any(azimuths) else None
+        places = RecordPlaces(
+            np.tile(x, len(points)),
+            np.tile(y, len(points)),
+            angles[which],
+            which,
+            None if turned is None else turned[which],
+        )
+        imaging = nearer(view.imaging, points[0].distance)
+        plan = integration_plan(imaging, angles, places, turned, material.elongation)
+        values = record(material, imaging, plan if view.turning is None else plan.turned(view.turning))
+        weights = np.array([point.weight for point in points])
+        total += jnp.tensordot(weights, values.reshape(len(points), x.size, -1), axes=1)
+    return jnp.asarray(total)
+
+
+def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
+    """Split a lamp's points into lists of at most `most` that are equally far away."""
+    for _, ring in groupby(points, lambda point: point.distance):
+        while some := list(islice(ring, most)):
+            yield some
