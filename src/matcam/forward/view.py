@@ -184,8 +184,10 @@ def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.A
 
 def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
     """Return points a pixel, columns, rows, and what is recorded of a sphere's light."""
-    per_px, sample = max(lens.limit.per_px, per_px_for(lens.highest)), view.imaging.sample
-    side = float(jax.lax.stop_gradient(sample.radius)) + margin_of(per_px, lens.highest)
+    sample = view.imaging.sample
+    radius = float(jax.lax.stop_gradient(sample.radius))
+    per_px = max(lens.limit.per_px, per_px_for(lens.highest, radius))
+    side = radius + margin_of(per_px, lens.highest)
     across, along = (fine_line(line, -side, side, per_px) for line in (view.x, view.y))
     grid = LightGrid.of(across.at, along.at, lens.highest)
     light: jax.Array | float = 0.0

@@ -17,7 +17,8 @@ _PANELS = 5
 """Panels in the plane of incidence, to either side."""
 _TALL = (8, 20, 48)
 """Panels across it: few kinds, each of which is a program."""
-_WIDEST_PANEL = 1.3  # px
+_WIDEST_PANEL = 2.9
+"""Standard deviations of a border."""
 _NODES = 8
 
 
@@ -47,8 +48,9 @@ def patch_size(borders: Borders, squeezed: float, step: float, taps: Taps, alike
         turned: whether the sensor is turned against the scene.
     """
     squeezed = max(squeezed, STEEPEST)
-    panels = next(n for n in _TALL if n * _WIDEST_PANEL * squeezed >= borders.around or n == _TALL[-1])
-    most = min(panels * _WIDEST_PANEL, borders.around / STEEPEST)
+    widest = _WIDEST_PANEL * borders.sigma
+    panels = next(n for n in _TALL if n * widest * squeezed >= borders.around or n == _TALL[-1])
+    most = min(panels * widest, borders.around / STEEPEST)
     wide = 2 * borders.around if not turned else 2 * np.hypot(borders.around, most)
     high = (most if alike else 2 * most) if not turned else wide
     return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))

@@ -31,8 +31,10 @@ _FINE_ENOUGH = 2.4
 """Points a pixel, over the lens's highest frequency in cycles/px."""
 _TILE = 32, 64
 """Rows and columns of the grid that are looked at together."""
+_ACROSS = 30.0
+"""Steps of the grid in a sphere's radius, at least, beyond those that the lens's highest frequency asks for."""
 _SMALLEST = 2.5
-"""Least radius of a sphere, in lengths of what belongs to its limb on a line."""
+"""Least radius of a sphere, px."""
 _HIGHEST = 3.3
 """Highest frequency that a lens may pass, cycles/px: 8 points a pixel."""
 
@@ -75,9 +77,14 @@ class LightGrid(NamedTuple):
         return _laid(scene, self.x, self.y, (self.borders, self.taps, self.alike), lines, patch)
 
 
-def per_px_for(highest: float) -> int:
-    """Return how many points a pixel a grid needs whose light is looked at up to a frequency, cycles/px."""
-    return max(2, int(np.ceil(_FINE_ENOUGH * highest)))
+def per_px_for(highest: float, radius: float) -> int:
+    """Return how many points a pixel a grid needs.
+
+    Args:
+        highest: frequency up to which its light is looked at, cycles/px.
+        radius: of the sphere, px.
+    """
+    return max(2, int(np.ceil(_FINE_ENOUGH * highest)), int(np.ceil(highest + _ACROSS / radius)))
 
 
 def margin_of(per_px: int, highest: float) -> float:
@@ -86,7 +93,7 @@ def margin_of(per_px: int, highest: float) -> float:
 
 
 def serves(sample: Curved, elongation: float, highest: float) -> bool:
-    """Tell whether light is laid on grids: a sphere's that is not too small, before a distant camera, of round lobes.
+    """Tell whether light is laid on grids: a sphere's , before a distant camera, of round lobes.
 
     Args:
         sample: what is photographed.
@@ -95,8 +102,7 @@ def serves(sample: Curved, elongation: float, highest: float) -> bool:
     """
     if not isinstance(sample, Sphere) or not sample.distant or elongation != 1 or highest > _HIGHEST:
         return False
-    widest = Borders.above(per_px_for(highest) - highest).widest_line
-    return bool(jax.lax.stop_gradient(sample.radius) >= _SMALLEST * widest)
+    return bool(jax.lax.stop_gradient(sample.radius) >= _SMALLEST)
 
 
 @kept_program

@@ -22,10 +22,10 @@ _SMOOTH = 0.84
 """Standard deviation of a border, times the lowest frequency that must not come back."""
 _ENDS = 4.9
 """Standard deviations from the middle of a border to where its weight is 0 or 1, but for 1e-6."""
-_NEAR = 3.0
-"""px from a highlight to the middle of its border: a lobe that is narrower than the grid's step is smooth from there."""
-_MORE = 2.0
-"""px by which a crescent of light may be wider than what belongs to the limb, and is all taken as such."""
+_NEAR = 6.65
+"""Standard deviations from a highlight to the middle of its border: a lobe narrower than a step is smooth from there."""
+_MORE = 4.4
+"""Standard deviations by which a crescent may be wider than what belongs to the limb, and is all taken as such."""
 _NO_BORDER = 1e9
 
 
@@ -51,12 +51,12 @@ class Borders(NamedTuple):
     @property
     def around(self) -> float:
         """Return how far from a highlight light belongs to it, px."""
-        return _NEAR + _ENDS * self.sigma
+        return (_NEAR + _ENDS) * self.sigma
 
     @property
     def widest_line(self) -> float:
         """Return the length, px, of the longest part of a line whose light belongs to the limb."""
-        return self.depth + _MORE
+        return self.depth + _MORE * self.sigma
 
 
 class Regions(NamedTuple):
@@ -85,7 +85,7 @@ class Regions(NamedTuple):
         peak = highlight_x(scene.sample, scene.lamp_angle, scene.lamp_nearness)
         end = jnp.maximum(scene.lamp_angle - jnp.arccos(horizon(scene)), 0.0)
         width = radius * (1 - jnp.sin(end))
-        thin = width < borders.depth + _MORE
+        thin = width < borders.widest_line
         return cls(
             scene,
             borders,
@@ -103,7 +103,7 @@ class Regions(NamedTuple):
 
     def highlight(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Return the weight of the highlight at a place in the scene, px."""
-        return self.fall(jnp.hypot(x - self.peak, self.squeezed * y) - _NEAR)
+        return self.fall(jnp.hypot(x - self.peak, self.squeezed * y) - _NEAR * self.borders.sigma)
 
     def fall(self, at: jax.Array) -> jax.Array:
         """Return a weight that falls from 1 to 0 about 0, px."""

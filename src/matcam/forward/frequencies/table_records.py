@@ -84,9 +84,9 @@ def record_by_frequencies(
     alike, sample = azimuth == 0, rig.sample
     assert isinstance(sample, Sphere)
     highest = optics_band(rig.camera.optics)
-    per_px = per_px_for(highest)
-    turn = None if alike else Turn(jnp.cos(azimuth), jnp.sin(azimuth))
     radius = float(jax.lax.stop_gradient(sample.radius))
+    per_px = per_px_for(highest, radius)
+    turn = None if alike else Turn(jnp.cos(azimuth), jnp.sin(azimuth))
     counts = np.bincount(places.picture, minlength=lamps.size)
     ends = np.cumsum(counts)
     records: list[jax.Array] = [jnp.zeros((0, 1))] * lamps.size

@@ -1,0 +1,235 @@
+"""A sphere's light on a grid, and what lenses show of it, against quadratures that share no code with it: normals in polar
+coordinates about the highlight or the optical axis, kernels in the plane. A Gaussian lens is given by its measured curve, which
+no longer knows that it is one: so pictures go by frequencies, and the quadratures know the lens."""
+
+import jax
+import numpy as np
+import pytest
+
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    Cylinder,
+    DiffractionOptics,
+    DistantLamp,
+    MeasuredOptics,
+    Microfacet,
+    NearLamp,
+    Rig,
+    Sphere,
+    ZernikeOptics,
+    measure,
+    picture,
+)
+from matcam.core.grid import merl_grid
+from matcam.core.jax import jnp
+from matcam.forward import picture_values, table_values
+from matcam.forward.frequencies.light_grid import LightGrid, per_px_for, serves
+from matcam.forward.frequencies.reading import Reading
+from matcam.forward.frequencies.taps import Taps
+from matcam.forward.integral.scene import Scene
+from tests.oracle import aberrated, lamp_record, sphere_record
+
+SIGMA = 0.6
+PARTS = (8.0, 550e-9, 5e-6)
+
+
+def gaussian_curve(sigma=SIGMA):
+    f = np.linspace(0, 1.1 / sigma, 400)
+    return MeasuredOptics(f, np.where(f < f[-1], np.exp(-2 * (np.pi * f * sigma) ** 2), 0.0))
+
+
+CAMERA = Camera(gaussian_curve(), BoxPixel(0.5))
+
+
+def pixels(image, radius, lamp, count, rng):
+    """Rows and columns of the brightest pixel, and of some at the limb, at the terminator and anywhere in the light."""
+    values, x, y = image.values[..., 0], *np.meshgrid(image.x.values, image.y.values)
+    peak = values.max()
+    chosen = [np.unravel_index(values.argmax(), values.shape)]
+    limb = np.abs(np.hypot(x, y) - radius) < 3
+    terminator = np.abs(x + np.cos(lamp) * np.sqrt(np.maximum(radius**2 - y**2, 0))) < 2
+    for where, least in ((limb, 1e-5), (terminator, 1e-6), (np.ones_like(limb), 1e-6)):
+        some = np.argwhere(where & (values > least * peak))
+        chosen += [tuple(some[k]) for k in rng.integers(0, len(some), count)] if len(some) else []
+    return np.array(chosen).T
+
+
+def against_quadrature(radius, lamp, alpha, diffuse, seed, count=2):
+    """Largest difference of pixels from adaptive quadrature, over the picture's peak."""
+    image = picture(Microfacet(GGX(alpha), 1.0, diffuse=diffuse), Rig(CAMERA, Sphere(radius)), lamp)
+    assert image.attrs["route"] == "frequencies"
+    rows, columns = pixels(image, radius, lamp, count, np.random.default_rng(seed))
+    truth = [
+        sphere_record.record(
+            x, y, lamp, sphere_record.Surface(alpha, diffuse), sphere_record.Setup(radius, np.inf, SIGMA)
+        )
+        for x, y in zip(image.x.values[columns], image.y.values[rows], strict=True)
+    ]
+    return np.abs(image.values[rows, columns, 0] - truth).max() / float(image.max())
+
+
+@pytest.mark.parametrize(
+    ("radius", "lamp", "alpha", "diffuse"),
+    [
+        pytest.param(50.0, 0.29, 0.015, 0.0, id="lamp beside the camera"),
+        pytest.param(30.0, 1.7, 0.3, 0.3, id="all regions"),
+        pytest.param(60.0, 2.87, 0.0015, 0.0, id="crescent"),
+        pytest.param(24.0, 3.05, 0.1, 0.0, id="thin crescent"),
+        pytest.param(4.0, 0.9, 0.2, 0.3, id="hardly larger than the kernel"),
+    ],
+)
+def test_pixels_of_a_gaussian(radius, lamp, alpha, diffuse):
+    assert against_quadrature(radius, lamp, alpha, diffuse, 5) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_pixels_of_drawn_scenes(seed):
+    rng = np.random.default_rng(seed)
+    lamp = rng.choice([rng.uniform(0.01, 0.3), rng.uniform(0.3, 2.6), rng.uniform(2.6, 3.12)])
+    radius, alpha = np.exp(rng.uniform(np.log([2.6, 0.001]), np.log([250, 0.6])))
+    assert against_quadrature(radius, lamp, alpha, rng.choice([0, 0.3]), seed) < 2e-6
+
+
+def under_any_lamp(radius, lamp, azimuth, alpha, distance, disc, seed, count=1):
+    kind = DistantLamp(disc) if np.isinf(distance) else NearLamp(distance, np.tan(disc) * distance)
+    image = picture(Microfacet(GGX(alpha), 1.0, diffuse=0.3), Rig(CAMERA, Sphere(radius), kind), lamp, azimuth)
+    assert image.attrs["route"] == "frequencies"
+    rows, columns = pixels(image, radius, lamp, count, np.random.default_rng(seed))
+    rig = lamp_record.Rig(radius, np.inf, distance, SIGMA, 0.5, disc)
+    points = (6, 24) if disc else (1, 1)
+    truth = [
+        lamp_record.record(x, y, lamp, azimuth, lamp_record.Surface(alpha, 0.3), rig, points)
+        for x, y in zip(image.x.values[columns], image.y.values[rows], strict=True)
+    ]
+    return np.abs(image.values[rows, columns, 0] - truth).max() / float(image.max())
+
+
+def test_pixels_under_a_near_lamp_at_an_azimuth():
+    assert under_any_lamp(20.0, 1.3, 2.4, 0.2, 5.0, 0.0, 1) < 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("lamp", "azimuth", "alpha", "distance", "disc"),
+    [(2.4, -2.4, 0.1, np.inf, 0.02), (0.9, 0.8, 0.05, 43.0, 0.02), (2.5, 1.6, 0.02, 30.0, 0.0)],
+)
+def test_pixels_under_discs_and_far_round(lamp, azimuth, alpha, distance, disc):
+    assert under_any_lamp(26.0, lamp, azimuth, alpha, distance, disc, 3) < 1e-6
+
+
+COMA = ZernikeOptics(*PARTS, coma=(0.1, 0.06), defocus=0.05)
+PUPIL = aberrated.Pupil(float(COMA.cutoff), 0.05, coma=(0.1, 0.06))
+
+
+@pytest.mark.parametrize("azimuth", [0.0, pytest.param(2.2, marks=pytest.mark.slow)])
+def test_pixels_through_coma(azimuth):
+    """By the pupil's own integral; by the operator for Gaussians strong coma was 2.7e-3 of the peak off."""
+    radius, angle = 20.0, 1.4
+    image = picture(Microfacet(GGX(0.3), 1.0, diffuse=0.3), Rig(Camera(COMA), Sphere(radius)), angle, azimuth)
+    rows, columns = pixels(image, radius, angle, 6, np.random.default_rng(2))
+    lamp = np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)
+    at = image.x.values[columns], image.y.values[rows]
+    truth = aberrated.sphere_pixels(*at, lamp, sphere_record.Surface(0.3, 0.3), PUPIL, radius)
+    assert np.abs(image.values[rows, columns, 0] - truth).max() < 1e-5 * float(image.max())
+
+
+def cells_against_the_pupil(radius, alpha, slices, count):
+    """Largest difference of cells through strong coma from sums over normals, over the peak of their slice."""
+    table = measure(Microfacet(GGX(alpha), 1.0), Rig(Camera(COMA), Sphere(radius)))
+    assert table.attrs["route"] == "frequencies"
+    grid, rng, worst = merl_grid("centre"), np.random.default_rng(7), []
+    for j in slices:
+        theta_d, seen = grid.theta_d[j], np.argwhere(np.isfinite(table.values[:, j, :, 0]))
+        for i, k in seen[rng.integers(0, len(seen), count)]:
+            theta_h, phis = grid.theta_h[i], grid.phi_d[k] + np.array([0, np.pi])
+            x, y = (np.array(a) for a in sphere_record.place(theta_h, theta_d, phis, radius))
+            cosine = np.cos(theta_h) * np.cos(theta_d) - np.sin(theta_h) * np.sin(theta_d) * np.cos(phis)
+            lamp = np.sin(2 * theta_d), 0.0, np.cos(2 * theta_d)
+            truth = aberrated.sphere_pixels(x, y, lamp, sphere_record.Surface(alpha), PUPIL, radius)
+            # as radiance: near the terminator a cell is divided by next to nothing
+            worst.append((table.values[i, j, k, 0] - np.mean(truth / cosine)) * cosine.min())
+    return np.abs(worst).max() / (1 / (4 * np.pi * alpha**2))
+
+
+@pytest.mark.parametrize("alpha", [pytest.param(0.1, marks=pytest.mark.slow), 0.4])
+def test_cells_through_coma(alpha):
+    assert cells_against_the_pupil(18.0, alpha, (10, 45, 80), 3) < 1e-4
+
+
+@pytest.mark.parametrize("lamp", [0.05, 1.2, 2.9])
+def test_all_light_of_a_matt_sphere_is_on_the_grid(lamp):
+    """2 (sin + (pi - a) cos) / (3 pi) of the sphere's area, in closed form."""
+    line = np.arange(-90, 91) / 3
+    scene = Scene(Microfacet(GGX(0.1), 0.0, diffuse=1.0), Sphere(24.0), jnp.asarray(lamp))
+    laid = LightGrid.of(line, line, 1.136).laid(scene)
+    expected = 2 / (3 * np.pi) * (np.sin(lamp) + (np.pi - lamp) * np.cos(lamp)) * 24.0**2
+    assert float(laid.sum()) / 9 == pytest.approx(expected, rel=1e-5)
+    upper = LightGrid.of(line, line[90:], 1.136, alike=True).laid(scene)
+    np.testing.assert_allclose(upper, laid[90:], rtol=0, atol=1e-6 * float(laid.max()))
+
+
+def test_a_laid_point_has_all_low_frequencies_and_none_that_come_back():
+    limit = 0.38
+    taps, numbers = Taps.below(limit), np.arange(60)
+    for place in (30.0, 30.2, 29.51):
+        laid = np.asarray(taps.weights(jnp.array([place]), 0, 60))[:, 0]
+        waves = np.exp(-2j * np.pi * np.linspace(0, limit, 40)[:, None] * (numbers - place))
+        np.testing.assert_allclose(waves @ laid, 1, rtol=0, atol=2e-6)
+
+
+def test_values_between_points_are_those_of_the_waves():
+    limit, size, rng = 0.38, 64, np.random.default_rng(3)
+    reading = Reading.below(limit)
+    f = np.arange(-24, 25) / size
+    wave = (rng.normal(size=(49, 49)) + 1j * rng.normal(size=(49, 49))) * (np.hypot(f, f[:, None]) < limit)
+    lost = reading.transfer(np.abs(f))
+    on_grid = np.exp(2j * np.pi * np.outer(np.arange(size), f))
+    grid = (on_grid @ (wave / np.outer(lost, lost)) @ on_grid.T).real
+    row, column = rng.uniform(-10, 80, (2, 30))
+    found = reading.values(jnp.asarray(grid)[..., None], jnp.asarray(row), jnp.asarray(column))[:, 0]
+    between = np.exp(2j * np.pi * np.multiply.outer((row, column), f))
+    truth = np.einsum("pr,rc,pc->p", between[0], wave, between[1]).real
+    np.testing.assert_allclose(found, truth, rtol=0, atol=3e-6 * np.abs(truth).max())
+
+
+def test_what_is_laid_on_grids():
+    assert serves(Sphere(60.0), 1.0, 1.136)
+    assert serves(Sphere(3.0), 1.0, 1.136)
+    assert not serves(Sphere(2.0), 1.0, 1.136)
+    assert not serves(Sphere(60.0, distance=20.0), 1.0, 1.136)
+    assert not serves(Sphere(60.0), 2.0, 1.136)
+    assert not serves(Sphere(60.0), 1.0, 4.0)
+    assert not serves(Cylinder(60.0), 1.0, 1.136)
+    assert [per_px_for(f, 256.0) for f in (0.57, 1.136, 3.25)] == [2, 3, 8]
+    assert per_px_for(1.136, 8.0) == 5
+
+
+def test_derivatives_of_pictures():
+    camera = Camera(DiffractionOptics(*PARTS), BoxPixel(0.5))
+
+    def seen(alpha, lamp, radius):
+        material = Microfacet(GGX(alpha), 1.0, diffuse=0.2)
+        return picture_values(material, Rig(camera, Sphere(radius)), lamp, (5, 47))[2, 41, 0]
+
+    at, step = (0.3, 1.5, 20.0), 1e-4
+    slopes = jax.grad(seen, argnums=(0, 1))(*at)
+    for k, slope in enumerate(slopes):
+        ends = [seen(*(a + sign * step * (n == k) for n, a in enumerate(at))) for sign in (1, -1)]
+        assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_derivatives_of_tables():
+    def mean(alpha, f_number):
+        optics = DiffractionOptics(f_number, 550e-9, 5e-6)
+        values, _ = table_values(Microfacet(GGX(alpha), 1.0), Rig(Camera(optics), Sphere(18.0)))
+        return jnp.mean(values[:6, 40, ::20, 0])
+
+    slopes = jax.grad(mean, argnums=(0, 1))(0.1, 8.0)
+    for k, step in ((0, 1e-5), (1, 1e-3)):
+        at = np.array([0.1, 8.0])
+        ends = [float(mean(*(at + sign * step * (np.arange(2) == k)))) for sign in (1, -1)]
+        assert float(slopes[k]) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
