@@ -74,7 +74,13 @@ class Sphere(Curved):
         )
 
     def facing(self, normal: Vector) -> Element:
-        """Return the piece of surface that faces a direction; its area is per solid angle of the normal, px^2/sr."""
+        """Return the piece of surface that faces a direction.
+
+        Its area is per solid angle of the normal, px^2/sr.
+
+        Args:
+            normal: the direction, a unit vector's three parts; arrays that broadcast.
+        """
         view, length, depth = self.line_of_sight(normal, normal[1])
         scale = self.stretch / depth
         return Element(

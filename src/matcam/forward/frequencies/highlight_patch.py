@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jnp
-from matcam.forward.frequencies.regions import STEEPEST, Borders, Regions, horizon
+from matcam.forward.frequencies.regions import STEEPEST, Regions, RegionWidths, horizon
 from matcam.forward.frequencies.taps import Taps
 from matcam.numerics.approximation import nodes_in_panels
 
@@ -36,11 +36,11 @@ class PatchSize(NamedTuple):
     rows: int
 
 
-def patch_size(borders: Borders, squeezed: float, step: float, taps: Taps, alike: bool, turned: bool) -> PatchSize:
+def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, alike: bool, turned: bool) -> PatchSize:
     """Return the size of the patch about a highlight.
 
     Args:
-        borders: how wide the regions are.
+        widths: how wide the regions are.
         squeezed: cosine of the view at the highlight.
         step: of the grid, px.
         taps: how light is laid on the grid.
@@ -48,10 +48,10 @@ def patch_size(borders: Borders, squeezed: float, step: float, taps: Taps, alike
         turned: whether the sensor is turned against the scene.
     """
     squeezed = max(squeezed, STEEPEST)
-    widest = _WIDEST_PANEL * borders.sigma
-    panels = next(n for n in _TALL if n * widest * squeezed >= borders.around or n == _TALL[-1])
-    most = min(panels * widest, borders.around / STEEPEST)
-    wide = 2 * borders.around if not turned else 2 * np.hypot(borders.around, most)
+    widest = _WIDEST_PANEL * widths.sigma
+    panels = next(n for n in _TALL if n * widest * squeezed >= widths.around or n == _TALL[-1])
+    most = min(panels * widest, widths.around / STEEPEST)
+    wide = 2 * widths.around if not turned else 2 * np.hypot(widths.around, most)
     high = (most if alike else 2 * most) if not turned else wide
     return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))
 
@@ -70,7 +70,7 @@ def lay_highlight(
         taps: how light is laid on the grid.
         alike: whether only the upper half is laid, of light that is the same above and below.
     """
-    scene, around = regions.scene, regions.borders.around
+    scene, around = regions.scene, regions.widths.around
     middle = scene.on_sensor(regions.peak, jnp.zeros(()))
     counts = min(size.columns, x.size), min(size.rows, y.size)
     starts = [_start(line, at, count) for line, at, count in zip((x, y), middle, counts, strict=True)]
@@ -109,7 +109,7 @@ def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
 
 def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return nodes of one latitude in the scene, x and y, px, and the light of each, (nodes, channels), px^2/sr."""
-    scene, around, peak = regions.scene, regions.borders.around, regions.peak
+    scene, around, peak = regions.scene, regions.widths.around, regions.peak
     radius = scene.sample.radius
     cuts = np.concatenate([[0.0], _GRADED, np.arange(1, _PANELS + 1)]) / _PANELS
     cuts = np.concatenate([-cuts[:0:-1], cuts])

@@ -20,7 +20,7 @@ from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.frequencies.highlight_patch import PatchSize, lay_highlight, patch_size
 from matcam.forward.frequencies.limb_lines import LimbLines, lay_limb, limb_lines
-from matcam.forward.frequencies.regions import Borders, Regions
+from matcam.forward.frequencies.regions import Regions, RegionWidths
 from matcam.forward.frequencies.taps import Taps
 from matcam.forward.frequencies.terminator import mend_bend
 from matcam.forward.integral.scene import Scene, highlight_x
@@ -45,14 +45,14 @@ class LightGrid(NamedTuple):
     Attributes:
         x: places of the columns, an even step apart, px.
         y: places of the rows, px; from 0 upwards where they are alike.
-        borders: of the regions.
+        widths: of the regions.
         taps: how single points of light are laid.
         alike: whether only the upper half is laid, of light that is the same above and below.
     """
 
     x: np.ndarray
     y: np.ndarray
-    borders: Borders
+    widths: RegionWidths
     taps: Taps
     alike: bool
 
@@ -60,7 +60,7 @@ class LightGrid(NamedTuple):
     def of(cls, x: np.ndarray, y: np.ndarray, highest: float, *, alike: bool = False) -> LightGrid:
         """Return the grid for what lets pass frequencies up to `highest`, cycles/px."""
         per_px = 1 / abs(x[1] - x[0])
-        return cls(x, y, Borders.above(per_px - highest), Taps.below(highest / per_px), alike)
+        return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), alike)
 
     def laid(self, scene: Scene) -> jax.Array:
         """Return the light of a scene, 1/sr, (rows, columns, channels)."""
@@ -68,13 +68,13 @@ class LightGrid(NamedTuple):
         radius = float(known.sample.radius)
         cosine = np.sqrt(1 - (float(highlight_x(known.sample, known.lamp_angle, known.lamp_nearness)) / radius) ** 2)
         step = abs(self.x[1] - self.x[0])
-        patch = patch_size(self.borders, cosine, step, self.taps, self.alike, scene.turn is not None)
+        patch = patch_size(self.widths, cosine, step, self.taps, self.alike, scene.turn is not None)
         sides = [(False, 1), (False, -1), (True, 1), (True, -1)]
         lines = tuple(
-            limb_lines(self.x if upright else self.y, radius, self.borders.widest_line, self.taps, upright, side)
+            limb_lines(self.x if upright else self.y, radius, self.widths.widest_line, self.taps, upright, side)
             for upright, side in sides[: 3 if self.alike else 4]
         )
-        return _laid(scene, self.x, self.y, (self.borders, self.taps, self.alike), lines, patch)
+        return _laid(scene, self.x, self.y, (self.widths, self.taps, self.alike), lines, patch)
 
 
 def per_px_for(highest: float, radius: float) -> int:
@@ -110,13 +110,13 @@ def _laid(
     scene: Scene,
     x: AnyArray,
     y: AnyArray,
-    kind: tuple[Borders, Taps, bool],
+    kind: tuple[RegionWidths, Taps, bool],
     lines: tuple[LimbLines, ...],
     patch: PatchSize,
 ) -> jax.Array:
-    borders, taps, alike = kind
+    widths, taps, alike = kind
     x, y = jnp.asarray(x), jnp.asarray(y)
-    regions = Regions.of(scene, borders)
+    regions = Regions.of(scene, widths)
     grid = _smooth_part(regions, x, y)
     for served in lines:
         across, along = (x, y) if served.upright else (y, x)

@@ -15,6 +15,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import Scene, highlight_x
+from matcam.numerics.lengths import plane_length
 
 STEEPEST = 0.1
 """Least cosine of the view by which a patch around a highlight is stretched."""
@@ -29,7 +30,7 @@ _MORE = 4.4
 _NO_BORDER = 1e9
 
 
-class Borders(NamedTuple):
+class RegionWidths(NamedTuple):
     """Say how wide the regions are. The numbers are those of a grid, not of a scene.
 
     Attributes:
@@ -39,8 +40,8 @@ class Borders(NamedTuple):
     sigma: float
 
     @classmethod
-    def above(cls, frequency: float) -> Borders:
-        """Return borders that hold hardly anything above a frequency, cycles/px."""
+    def above(cls, frequency: float) -> RegionWidths:
+        """Return regions whose borders hold hardly anything above a frequency, cycles/px."""
         return cls(_SMOOTH / frequency)
 
     @property
@@ -64,7 +65,7 @@ class Regions(NamedTuple):
 
     Attributes:
         scene: a sphere before a distant camera, under one lamp.
-        borders: how wide they are.
+        widths: how wide they are.
         peak: place of the highlight on the scene's x axis, px.
         squeezed: cosine of the view there, but for what is steeper than `STEEPEST`.
         all_limb: whether the light is a crescent so thin that all of it belongs to the limb.
@@ -72,42 +73,42 @@ class Regions(NamedTuple):
     """
 
     scene: Scene
-    borders: Borders
+    widths: RegionWidths
     peak: jax.Array
     squeezed: jax.Array
     all_limb: jax.Array
     depth: jax.Array
 
     @classmethod
-    def of(cls, scene: Scene, borders: Borders) -> Regions:
+    def of(cls, scene: Scene, widths: RegionWidths) -> Regions:
         """Return the regions of a scene."""
         radius = scene.sample.radius
         peak = highlight_x(scene.sample, scene.lamp_angle, scene.lamp_nearness)
         end = jnp.maximum(scene.lamp_angle - jnp.arccos(horizon(scene)), 0.0)
         width = radius * (1 - jnp.sin(end))
-        thin = width < borders.widest_line
+        thin = width < widths.widest_line
         return cls(
             scene,
-            borders,
+            widths,
             peak,
             jnp.maximum(jnp.sqrt(jnp.maximum(1 - (peak / radius) ** 2, 0.0)), STEEPEST),
             thin,
-            jnp.where(thin, width, borders.depth),
+            jnp.where(thin, width, widths.depth),
         )
 
     def limb(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Return the weight of the limb at a place in the scene, px, were there no highlight."""
-        middle = jnp.where(self.all_limb, _NO_BORDER, _ENDS * self.borders.sigma)
+        middle = jnp.where(self.all_limb, _NO_BORDER, _ENDS * self.widths.sigma)
         radius = self.scene.sample.radius
-        return self.fall(radius - jnp.hypot(x, y) - middle)
+        return self.fall(radius - plane_length(x, y) - middle)
 
     def highlight(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Return the weight of the highlight at a place in the scene, px."""
-        return self.fall(jnp.hypot(x - self.peak, self.squeezed * y) - _NEAR * self.borders.sigma)
+        return self.fall(plane_length(x - self.peak, self.squeezed * y) - _NEAR * self.widths.sigma)
 
     def fall(self, at: jax.Array) -> jax.Array:
         """Return a weight that falls from 1 to 0 about 0, px."""
-        return falling(at, self.borders.sigma)
+        return falling(at, self.widths.sigma)
 
     def inside(self, x: jax.Array, y: jax.Array) -> jax.Array:
         """Return the weight of the grid's own points at a place on the sensor, px."""
