@@ -120,6 +120,43 @@ def test_pixels_under_discs_and_far_round(lamp, azimuth, alpha, distance, disc):
     assert under_any_lamp(26.0, lamp, azimuth, alpha, distance, disc, 3) < 1e-6
 
 
+def cells_against(truth, table, slices, count, peak, seed):
+    """Largest difference of cells from `truth(angles)`, the means of both ways, as radiance over the peak's."""
+    grid, rng, worst = merl_grid("centre"), np.random.default_rng(seed), []
+    for j in slices:
+        seen = np.argwhere(np.isfinite(table.values[:, j, :, 0]))
+        for i, k in seen[rng.integers(0, len(seen), count)]:
+            h, d, p = angles = grid.theta_h[i], grid.theta_d[j], grid.phi_d[k]
+            # near the terminator a cell is divided by next to nothing
+            cosine = np.cos(h) * np.cos(d) - np.sin(h) * np.sin(d) * abs(np.cos(p))
+            worst.append((table.values[i, j, k, 0] - truth(angles)) * cosine / peak)
+    return np.abs(worst).max()
+
+
+def test_cells_of_a_gaussian():
+    """Over the whole table: small lamp angles, half moons, and crescents up to their tips."""
+    surface, setup = sphere_record.Surface(0.3, 0.3), sphere_record.Setup(8.0, np.inf, SIGMA)
+    table = measure(Microfacet(GGX(0.3), 1.0, diffuse=0.3), Rig(CAMERA, Sphere(8.0)))
+    assert table.attrs["route"] == "frequencies"
+
+    def truth(angles):
+        return np.mean(sphere_record.recorded_cell(*angles, surface, setup))
+
+    slices = (3, 30, 44, 45, 60, 70, 80, 86)
+    assert cells_against(truth, table, slices, 3, 1 / (4 * np.pi * 0.3**2), 1) < 2e-6
+
+
+@pytest.mark.slow
+def test_cells_under_a_disc():
+    theirs = lamp_record.Rig(8.0, np.inf, np.inf, SIGMA, 0.5, 0.05)
+    table = measure(Microfacet(GGX(0.1), 1.0), Rig(CAMERA, Sphere(8.0), DistantLamp(0.05)))
+
+    def truth(angles):
+        return lamp_record.recorded_cell(angles, 0.0, lamp_record.Surface(0.1), theirs, (6, 24))
+
+    assert cells_against(truth, table, (10, 40, 60), 2, 1 / (4 * np.pi * 0.1**2), 1) < 5e-5
+
+
 COMA = ZernikeOptics(*PARTS, coma=(0.1, 0.06), defocus=0.05)
 PUPIL = aberrated.Pupil(float(COMA.cutoff), 0.05, coma=(0.1, 0.06))
 
@@ -136,28 +173,20 @@ def test_pixels_through_coma(azimuth):
     assert np.abs(image.values[rows, columns, 0] - truth).max() < 1e-5 * float(image.max())
 
 
-def cells_against_the_pupil(radius, alpha, slices, count):
-    """Largest difference of cells through strong coma from sums over normals, over the peak of their slice."""
-    table = measure(Microfacet(GGX(alpha), 1.0), Rig(Camera(COMA), Sphere(radius)))
-    assert table.attrs["route"] == "frequencies"
-    grid, rng, worst = merl_grid("centre"), np.random.default_rng(7), []
-    for j in slices:
-        theta_d, seen = grid.theta_d[j], np.argwhere(np.isfinite(table.values[:, j, :, 0]))
-        for i, k in seen[rng.integers(0, len(seen), count)]:
-            theta_h, phis = grid.theta_h[i], grid.phi_d[k] + np.array([0, np.pi])
-            x, y = (np.array(a) for a in sphere_record.place(theta_h, theta_d, phis, radius))
-            cosine = np.cos(theta_h) * np.cos(theta_d) - np.sin(theta_h) * np.sin(theta_d) * np.cos(phis)
-            lamp = np.sin(2 * theta_d), 0.0, np.cos(2 * theta_d)
-            truth = aberrated.sphere_pixels(x, y, lamp, sphere_record.Surface(alpha), PUPIL, radius)
-            # as radiance: near the terminator a cell is divided by next to nothing
-            worst.append((table.values[i, j, k, 0] - np.mean(truth / cosine)) * cosine.min())
-    return np.abs(worst).max() / (1 / (4 * np.pi * alpha**2))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.1, 0.4])
 def test_cells_through_coma(alpha):
-    assert cells_against_the_pupil(18.0, alpha, (10, 45, 80), 3) < 1e-4
+    radius = 18.0
+    table = measure(Microfacet(GGX(alpha), 1.0), Rig(Camera(COMA), Sphere(radius)))
+
+    def truth(angles):
+        h, d, p = angles[0], angles[1], angles[2] + np.array([0, np.pi])
+        x, y = (np.array(a) for a in sphere_record.place(h, d, p, radius))
+        cosine = np.cos(h) * np.cos(d) - np.sin(h) * np.sin(d) * np.cos(p)
+        lamp = np.sin(2 * d), 0.0, np.cos(2 * d)
+        return np.mean(aberrated.sphere_pixels(x, y, lamp, sphere_record.Surface(alpha), PUPIL, radius) / cosine)
+
+    assert cells_against(truth, table, (10, 45, 80), 3, 1 / (4 * np.pi * alpha**2), 7) < 1e-5
 
 
 @pytest.mark.parametrize("lamp", [0.05, 1.2])

@@ -206,8 +206,13 @@ def _by_frequencies(
     chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
     assert isinstance(rig.sample, Sphere)
     cells = chosen.cells(rig.sample)
-    lamps = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
-    return cell_means(record_by_frequencies(material, rig, lamps, azimuth, cells.places), cells), cells.pixels
+    angles = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
+    fineness = (
+        np.zeros(angles.size) if disc_of(rig.lamp) == 0 else disc_fineness(rig, imaging_of(rig), angles, material)
+    )
+    lamps = [lamp_points(rig.lamp, angle, azimuth, float(fine)) for angle, fine in zip(angles, fineness, strict=True)]
+    recorded = record_by_frequencies(material, rig, lamps, cells.places, alike=azimuth == 0)
+    return cell_means(recorded, cells), cells.pixels
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:

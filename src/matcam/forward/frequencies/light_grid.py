@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.jax import AnyArray, jax, jnp, without_derivatives
 from matcam.core.programs import kept_program
 from matcam.forward.frequencies.highlight_patch import PatchSize, lay_highlight, patch_size
 from matcam.forward.frequencies.limb_lines import LimbLines, lay_limb, limb_lines
@@ -37,6 +37,18 @@ _SMALLEST = 2.5
 """Least radius of a sphere, px."""
 _HIGHEST = 3.3
 """Highest frequency that a lens may pass, cycles/px: 8 points a pixel."""
+
+
+class Laying(NamedTuple):
+    """Say where light is laid that does not belong to the grid's own points. Each kind is a program.
+
+    Attributes:
+        lines: those of the limb.
+        patch: size of that about the highlight.
+    """
+
+    lines: tuple[LimbLines, ...]
+    patch: PatchSize
 
 
 class LightGrid(NamedTuple):
@@ -62,19 +74,23 @@ class LightGrid(NamedTuple):
         per_px = 1 / abs(x[1] - x[0])
         return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), alike)
 
-    def laid(self, scene: Scene) -> jax.Array:
-        """Return the light of a scene, 1/sr, (rows, columns, channels)."""
-        known = jax.lax.stop_gradient(scene)
+    def laying(self, scene: Scene) -> Laying:
+        """Return how the light of a scene is laid; its numbers must be known, but for their derivatives."""
+        known = without_derivatives(scene)
         radius = float(known.sample.radius)
         cosine = np.sqrt(1 - (float(highlight_x(known.sample, known.lamp_angle, known.lamp_nearness)) / radius) ** 2)
         step = abs(self.x[1] - self.x[0])
-        patch = patch_size(self.widths, cosine, step, self.taps, self.alike, scene.turn is not None)
         sides = [(False, 1), (False, -1), (True, 1), (True, -1)]
         lines = tuple(
             limb_lines(self.x if upright else self.y, radius, self.widths.widest_line, self.taps, upright, side)
             for upright, side in sides[: 3 if self.alike else 4]
         )
-        return _laid(scene, self.x, self.y, (self.widths, self.taps, self.alike), lines, patch)
+        turned = scene.turn is not None
+        return Laying(lines, patch_size(self.widths, cosine, step, self.taps, self.alike, turned))
+
+    def laid(self, scene: Scene, laying: Laying | None = None) -> jax.Array:
+        """Return the light of a scene, 1/sr, (rows, columns, channels). laying: how, where its numbers are not known."""
+        return _laid(scene, self.x, self.y, (self.widths, self.taps, self.alike), laying or self.laying(scene))
 
 
 def per_px_for(highest: float, radius: float) -> int:
@@ -111,19 +127,18 @@ def _laid(
     x: AnyArray,
     y: AnyArray,
     kind: tuple[RegionWidths, Taps, bool],
-    lines: tuple[LimbLines, ...],
-    patch: PatchSize,
+    laying: Laying,
 ) -> jax.Array:
     widths, taps, alike = kind
     x, y = jnp.asarray(x), jnp.asarray(y)
     regions = Regions.of(scene, widths)
     grid = _smooth_part(regions, x, y)
-    for served in lines:
+    for served in laying.lines:
         across, along = (x, y) if served.upright else (y, x)
         grid = lay_limb(grid, regions, served, across, along, taps)
     grid = mend_bend(grid, regions, False, y, x)
     grid = mend_bend(grid, regions, True, x, y)
-    return lay_highlight(grid, regions, patch, x, y, taps, alike)
+    return lay_highlight(grid, regions, laying.patch, x, y, taps, alike)
 
 
 def _smooth_part(regions: Regions, x: jax.Array, y: jax.Array) -> jax.Array:
