@@ -77,7 +77,7 @@ def against_quadrature(radius, lamp, alpha, diffuse, seed, count=2):
         pytest.param(30.0, 1.7, 0.3, 0.3, id="all regions"),
         pytest.param(30.0, 2.87, 0.0015, 0.3, id="crescent"),
         pytest.param(30.0, 3.05, 0.1, 0.3, id="thin crescent"),
-        pytest.param(4.0, 0.9, 0.2, 0.3, id="hardly larger than the kernel"),
+        pytest.param(4.0, 0.9, 0.2, 0.3, id="hardly larger than the kernel", marks=pytest.mark.slow),
     ],
 )
 def test_pixels_of_a_gaussian(radius, lamp, alpha, diffuse):
@@ -189,7 +189,9 @@ def test_cells_through_coma(alpha):
     assert cells_against(truth, table, (10, 45, 80), 3, 1 / (4 * np.pi * alpha**2), 7) < 1e-5
 
 
-@pytest.mark.parametrize("lamp", [0.05, 1.2])
+@pytest.mark.parametrize(
+    "lamp", [1.2, pytest.param(0.05, marks=pytest.mark.slow), pytest.param(2.9, marks=pytest.mark.slow)]
+)
 def test_all_light_of_a_matt_sphere_is_on_the_grid(lamp):
     """2 (sin + (pi - a) cos) / (3 pi) of the sphere's area, in closed form."""
     line = np.arange(-90, 91) / 3

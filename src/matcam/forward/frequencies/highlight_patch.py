@@ -51,8 +51,9 @@ def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, a
     widest = _WIDEST_PANEL * widths.sigma
     panels = next(n for n in _TALL if n * widest * squeezed >= widths.around or n == _TALL[-1])
     most = min(panels * widest, widths.around / STEEPEST)
-    wide = 2 * widths.around if not turned else 2 * np.hypot(widths.around, most)
-    high = (most if alike else 2 * most) if not turned else wide
+    wide = 2 * widths.around
+    # turned, each latitude is laid by itself
+    high = wide if turned else most if alike else 2 * most
     return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))
 
 
@@ -71,35 +72,42 @@ def lay_highlight(
         alike: whether only the upper half is laid, of light that is the same above and below.
     """
     scene, around = regions.scene, regions.widths.around
-    middle = scene.on_sensor(regions.peak, jnp.zeros(()))
     counts = min(size.columns, x.size), min(size.rows, y.size)
-    starts = [_start(line, at, count) for line, at, count in zip((x, y), middle, counts, strict=True)]
-    starts[1] = jnp.zeros((), int) if alike else starts[1]
 
-    def shares(line: jax.Array, at: jax.Array, axis: int) -> jax.Array:
+    def shares(line: jax.Array, at: jax.Array, start: jax.Array, count: int) -> jax.Array:
         step = line[1] - line[0]
-        return taps.weights((at - line[0]) / step, starts[axis], counts[axis]) / jnp.abs(step)
+        return taps.weights((at - line[0]) / step, start, count) / jnp.abs(step)
 
     radius = scene.sample.radius
     tall = np.concatenate([[0.0], _GRADED, np.arange(1, size.panels + 1)]) / size.panels
     latitude = jnp.arcsin(jnp.clip(around / regions.squeezed * tall / radius, 0, 1 - 1e-12))
     # all light first: within a loop over what it is laid on it would be asked for again and again
-    at_x, at_y, sent = jax.lax.map(lambda node: _light(regions, *node), nodes_in_panels(latitude, _NODES))
+    nodes = jax.lax.map(lambda node: _light(regions, *node), nodes_in_panels(latitude, _NODES))
     if scene.turn is None:  # one latitude is one height
-        values = jax.lax.map(lambda row: shares(x, row[0], 0) @ row[1], (at_x, sent))
-        total = jnp.einsum("rv,vck->rck", shares(y, at_y[:, 0], 1) + shares(y, -at_y[:, 0], 1), values)
-    else:
+        at_x, at_y, sent = nodes
+        left = _start(x, regions.peak, counts[0])
+        low = jnp.zeros((), int) if alike else _start(y, jnp.zeros(()), counts[1])
+        values = jax.lax.map(lambda row: shares(x, row[0], left, counts[0]) @ row[1], (at_x, sent))
+        rows = sum(shares(y, side * at_y[:, 0], low, counts[1]) for side in (1, -1))
+        return _added(grid, jnp.einsum("rv,vck->rck", rows, values), low, left)
 
-        def both(total: jax.Array, row: tuple[jax.Array, ...]) -> tuple[jax.Array, None]:
-            for side in (1, -1):
-                own = scene.on_sensor(row[0], side * row[1])
-                total += jnp.einsum("rn,cn,nk->rck", shares(y, own[1], 1), shares(x, own[0], 0), row[2])
-            return total, None
+    def lay(grid: jax.Array, row: tuple[jax.Array, ...]) -> tuple[jax.Array, None]:
+        for side in (1, -1):
+            column, line = scene.on_sensor(row[0], side * row[1])
+            left, low = (
+                _start(axis, (jnp.min(at) + jnp.max(at)) / 2, count)
+                for axis, at, count in zip((x, y), (column, line), counts, strict=True)
+            )
+            laid = shares(y, line, low, counts[1]), shares(x, column, left, counts[0]), row[2]
+            grid = _added(grid, jnp.einsum("rn,cn,nk->rck", *laid), low, left)
+        return grid, None
 
-        nothing = jnp.zeros((counts[1], counts[0], grid.shape[-1]))
-        total = jax.lax.scan(both, nothing, (at_x, at_y, sent))[0]
-    at = starts[1], starts[0], jnp.zeros((), int)
-    return jax.lax.dynamic_update_slice(grid, jax.lax.dynamic_slice(grid, at, total.shape) + total, at)
+    return jax.lax.scan(lay, grid, nodes)[0]
+
+
+def _added(grid: jax.Array, part: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
+    at = row, column, jnp.zeros((), row.dtype)
+    return jax.lax.dynamic_update_slice(grid, jax.lax.dynamic_slice(grid, at, part.shape) + part, at)
 
 
 def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
