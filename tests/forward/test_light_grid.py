@@ -73,10 +73,10 @@ def against_quadrature(radius, lamp, alpha, diffuse, seed, count=2):
 @pytest.mark.parametrize(
     ("radius", "lamp", "alpha", "diffuse"),
     [
-        pytest.param(30.0, 0.29, 0.015, 0.3, id="lamp beside the camera"),
+        pytest.param(30.0, 0.29, 0.015, 0.3, id="lamp beside the camera", marks=pytest.mark.slow),
         pytest.param(30.0, 1.7, 0.3, 0.3, id="all regions"),
         pytest.param(30.0, 2.87, 0.0015, 0.3, id="crescent"),
-        pytest.param(30.0, 3.05, 0.1, 0.3, id="thin crescent"),
+        pytest.param(30.0, 3.05, 0.1, 0.3, id="thin crescent", marks=pytest.mark.slow),
         pytest.param(4.0, 0.9, 0.2, 0.3, id="hardly larger than the kernel", marks=pytest.mark.slow),
     ],
 )
@@ -142,8 +142,8 @@ def test_cells_of_a_gaussian():
     def truth(angles):
         return np.mean(sphere_record.recorded_cell(*angles, surface, setup))
 
-    slices = (3, 30, 44, 45, 60, 70, 80, 86)
-    assert cells_against(truth, table, slices, 3, 1 / (4 * np.pi * 0.3**2), 1) < 2e-6
+    slices = (3, 44, 45, 70, 80, 86)
+    assert cells_against(truth, table, slices, 2, 1 / (4 * np.pi * 0.3**2), 1) < 2e-6
 
 
 @pytest.mark.slow
@@ -161,7 +161,8 @@ COMA = ZernikeOptics(*PARTS, coma=(0.1, 0.06), defocus=0.05)
 PUPIL = aberrated.Pupil(float(COMA.cutoff), 0.05, coma=(0.1, 0.06))
 
 
-@pytest.mark.parametrize("azimuth", [0.0, pytest.param(2.2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("azimuth", [0.0, 2.2])
 def test_pixels_through_coma(azimuth):
     """By the pupil's own integral; by the operator for Gaussians strong coma was 2.7e-3 of the peak off."""
     radius, angle = 20.0, 1.4
@@ -239,6 +240,7 @@ def test_what_is_laid_on_grids():
     assert per_px_for(1.136, 8.0) == 5
 
 
+@pytest.mark.slow
 def test_derivatives_of_pictures():
     camera = Camera(DiffractionOptics(*PARTS), BoxPixel(0.5))
 

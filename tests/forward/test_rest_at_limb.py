@@ -37,7 +37,10 @@ def brute(rest, roughness, lamp, x, y):
     return (kernel * light).sum() * 0.01**2
 
 
-@pytest.mark.parametrize(("roughness", "lamp"), [(0.5, 100.0), (0.2, 130.0), (0.5, 20.0)])
+@pytest.mark.parametrize(
+    ("roughness", "lamp"),
+    [(0.5, 100.0), *(pytest.param(*drawn, marks=pytest.mark.slow) for drawn in ((0.2, 130.0), (0.5, 20.0)))],
+)
 def test_few_nodes_hold_the_rings(imaging, roughness, lamp):
     lamp, rest = np.radians(lamp), imaging.blur.rest
     x, y = (np.array([(LIMB - depth) * part(azimuth) for depth, azimuth in PLACES]) for part in (np.cos, np.sin))
