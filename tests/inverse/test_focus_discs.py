@@ -27,7 +27,7 @@ def light(x, y, lamp, alpha):
         return d / (1 + sum(lambdas)) / (4 * n_z), n_z, (cos_i > 0) & (np.hypot(n_x, n_y) < 1)
 
 
-@pytest.mark.parametrize("azimuth", [None, 0.5])
+@pytest.mark.parametrize("azimuth", [None, pytest.param(0.5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("alpha", [pytest.param(0.03, marks=pytest.mark.slow), 0.1])
 def test_records_of_a_lens_out_of_focus_are_means_over_its_pupil(azimuth, alpha):
     rig = replace(RIG, lamp_azimuth=azimuth)
