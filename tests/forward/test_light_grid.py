@@ -146,17 +146,6 @@ def test_cells_of_a_gaussian():
     assert cells_against(truth, table, slices, 2, 1 / (4 * np.pi * 0.3**2), 1) < 2e-6
 
 
-@pytest.mark.slow
-def test_cells_under_a_disc():
-    theirs = lamp_record.Rig(8.0, np.inf, np.inf, SIGMA, 0.5, 0.02)
-    table = measure(Microfacet(GGX(0.1), 1.0), Rig(CAMERA, Sphere(8.0), DistantLamp(0.02)))
-
-    def truth(angles):
-        return lamp_record.recorded_cell(angles, 0.0, lamp_record.Surface(0.1), theirs, (3, 10))
-
-    assert cells_against(truth, table, (10, 40, 60), 1, 1 / (4 * np.pi * 0.1**2), 1) < 5e-5
-
-
 COMA = ZernikeOptics(*PARTS, coma=(0.1, 0.06), defocus=0.05)
 PUPIL = aberrated.Pupil(float(COMA.cutoff), 0.05, coma=(0.1, 0.06))
 

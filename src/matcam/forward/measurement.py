@@ -207,10 +207,7 @@ def _by_frequencies(
     assert isinstance(rig.sample, Sphere)
     cells = chosen.cells(rig.sample)
     angles = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
-    fineness = (
-        np.zeros(angles.size) if disc_of(rig.lamp) == 0 else disc_fineness(rig, imaging_of(rig), angles, material)
-    )
-    lamps = [lamp_points(rig.lamp, angle, azimuth, float(fine)) for angle, fine in zip(angles, fineness, strict=True)]
+    lamps = [lamp_points(rig.lamp, angle, azimuth, 0.0) for angle in angles]
     recorded = record_by_frequencies(material, rig, lamps, cells.places, alike=azimuth == 0)
     return cell_means(recorded, cells), cells.pixels
 

@@ -63,13 +63,15 @@ class _Frame(NamedTuple):
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
     """Tell whether a table is recorded so: through a lens that is no sum of Gaussians, where camera and lamp are distant.
 
-    A lens may end at a frequency as its derivatives are asked for, not where its numbers are not known yet.
+    The lamp must be a point: under a disc each slice would take as many pictures as the disc has points. A lens may be
+    differentiated, but its numbers must be known.
     """
     optics = rig.camera.optics
     known = without_derivatives((rig, material))
     if isinstance(optics, SeidelOptics) or not all(map(is_concrete, jax.tree.leaves(known))):
         return False
-    if not isinstance(rig.sample, Sphere) or rig.lamp.nearness is not None or float(known[0].aperture) > 0:
+    distant = rig.lamp.nearness is None and float(known[0].lamp_radius) == 0
+    if not isinstance(rig.sample, Sphere) or not distant or float(known[0].aperture) > 0:
         return False
     if not serves(rig.sample, material.elongation, optics_band(optics)):
         return False
