@@ -13,7 +13,6 @@ from matcam import (
     Cylinder,
     DiffractionOptics,
     DistantLamp,
-    MeasuredOptics,
     Microfacet,
     NearLamp,
     Rig,
@@ -29,18 +28,14 @@ from matcam.forward.frequencies.light_grid import LightGrid, per_px_for, serves
 from matcam.forward.frequencies.reading import Reading
 from matcam.forward.frequencies.taps import Taps
 from matcam.forward.integral.scene import Scene
+from tests.forward.test_band_limited import gaussian_curve
 from tests.oracle import aberrated, lamp_record, sphere_record
 
 SIGMA = 0.6
 PARTS = (8.0, 550e-9, 5e-6)
 
 
-def gaussian_curve(sigma=SIGMA):
-    f = np.linspace(0, 1.1 / sigma, 400)
-    return MeasuredOptics(f, np.where(f < f[-1], np.exp(-2 * (np.pi * f * sigma) ** 2), 0.0))
-
-
-CAMERA = Camera(gaussian_curve(), BoxPixel(0.5))
+CAMERA = Camera(gaussian_curve(SIGMA), BoxPixel(0.5))
 
 
 def pixels(image, radius, lamp, count, rng):

@@ -106,15 +106,15 @@ def measure(
             f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
         )
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
+    lenses = [one for one, _ in _colours(rig)]
+    by_frequencies = [served_by_frequencies(one, material) for one in lenses]
     written = "centre" if rig.cell_value == UNKNOWN else rig.cell_value
     attrs = {
         "cell_value": written,
         "sample": rig.sample.kind,
         "rig": repr(rig),
-        "kernel_error": max(
-            EXACT if served_by_frequencies(one, material) else kernel_error(one) for one, _ in _colours(rig)
-        ),
-        "route": "frequencies" if served_by_frequencies(_colours(rig)[0][0], material) else "space",
+        "kernel_error": max(EXACT if by else kernel_error(one) for one, by in zip(lenses, by_frequencies, strict=True)),
+        "route": "frequencies" if all(by_frequencies) else "space",
     }
     attrs["lamp_azimuth"] = _azimuth(rig, azimuth)
     if rig.pixel_phase is not None:
@@ -207,9 +207,7 @@ def _by_frequencies(
     assert isinstance(rig.sample, Sphere)
     cells = chosen.cells(rig.sample)
     angles = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
-    lamps = [lamp_points(rig.lamp, angle, azimuth, 0.0) for angle in angles]
-    recorded = record_by_frequencies(material, rig, lamps, cells.places, alike=azimuth == 0)
-    return cell_means(recorded, cells), cells.pixels
+    return cell_means(record_by_frequencies(material, rig, angles, azimuth, cells.places), cells), cells.pixels
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:

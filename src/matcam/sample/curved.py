@@ -61,17 +61,8 @@ class Sphere(Curved):
         """
         cos_v, sin_u = jnp.cos(v), sine(u)
         cos_u = jnp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
-        normal = cos_v * sin_u, jnp.sin(v), cos_v * cos_u
-        view, length, depth = self.line_of_sight(normal, normal[1])
-        scale = self.stretch / depth
-        return Element(
-            normal=normal,
-            tangent=(cos_u, jnp.zeros(()), -sin_u),
-            view=view,
-            x=scale * normal[0],
-            y=scale * normal[1],
-            area=scale**2 * length / depth * cos_v,
-        )
+        element = self.facing((cos_v * sin_u, jnp.sin(v), cos_v * cos_u))
+        return element._replace(tangent=(cos_u, jnp.zeros(()), -sin_u), area=element.area * cos_v)
 
     def facing(self, normal: Vector) -> Element:
         """Return the piece of surface that faces a direction.

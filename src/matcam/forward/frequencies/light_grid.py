@@ -109,7 +109,7 @@ def margin_of(per_px: int, highest: float) -> float:
 
 
 def serves(sample: Curved, elongation: float, highest: float) -> bool:
-    """Tell whether light is laid on grids: a sphere's , before a distant camera, of round lobes.
+    """Tell whether light is laid on grids: a sphere's before a distant camera, of round lobes.
 
     Args:
         sample: what is photographed.

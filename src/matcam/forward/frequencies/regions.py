@@ -116,7 +116,7 @@ class Regions(NamedTuple):
         return (1 - self.limb(*at)) * (1 - self.highlight(*at))
 
     def lit(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Tell whether places on the sensor, px, show the sample and light falls there."""
+        """Tell whether places on the sensor, px, show the sample and light falls there, without asking for all angles."""
         radius, angle = self.scene.sample.radius, self.scene.lamp_angle
         n_x, n_y = (at / radius for at in self.scene.from_sensor(x, y))
         depth2 = 1 - n_x**2 - n_y**2

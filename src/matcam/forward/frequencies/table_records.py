@@ -2,13 +2,13 @@
 
 One picture of the sphere is one theta_d slice of a table. Its light is laid on a grid (`light_grid.py`), the grid's transform
 multiplied by that of lens and pixel, and what comes back is read off at the cells. A Gaussian is no detour, and the lens is
-its transfer function, aberrations and all. It takes a distant camera and a distant lamp: all cells of a slice then lie in one
-picture.
+its transfer function, aberrations and all. It takes a distant camera and a distant point lamp: all cells of a slice then lie in
+one picture.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -25,7 +25,6 @@ from matcam.forward.frequencies.light_grid import Laying, LightGrid, margin_of, 
 from matcam.forward.frequencies.reading import Reading
 from matcam.forward.integral.plan import RecordPlaces
 from matcam.forward.integral.scene import Scene, Turn
-from matcam.lamp.lamps import LampPoint
 from matcam.material.material import Material
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -35,29 +34,18 @@ class _Frame(NamedTuple):
     """A picture's grid and frequencies, and what a lens lets pass of each.
 
     Attributes:
-        x: places of the grid's columns, px.
-        y: places of its rows, px.
-        highest: frequency that the lens lets pass, cycles/px.
-        upper_half: whether the rows are those from 0 upwards, and what lies below is their mirror image.
+        grid: where light is laid; where it is alike above and below, the lower half is the mirror image.
         transfer: of lens, pixel and the reading, (rows, columns of half the plane), no unit.
         sides: rows and columns of the periodic picture.
         per_px: its points a pixel.
         reading: how values are read off it.
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    highest: float
-    upper_half: bool
+    grid: LightGrid
     transfer: jax.Array
     sides: tuple[int, int]
     per_px: int
     reading: Reading
-
-    def grid(self, point: LampPoint) -> LightGrid:
-        """Return the grid on which light from a point of a lamp is laid."""
-        alike = self.upper_half and float(point.azimuth) == 0
-        return LightGrid.of(self.x, self.y, self.highest, alike=alike)
 
 
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
@@ -79,77 +67,61 @@ def served_by_frequencies(rig: Rig, material: Material) -> bool:
 
 
 def record_by_frequencies(
-    material: Material, rig: Rig, lamps: Sequence[list[LampPoint]], places: RecordPlaces, *, alike: bool
+    material: Material, rig: Rig, lamps: np.ndarray, azimuth: float, places: RecordPlaces
 ) -> jax.Array:
     """Record a material at places in the pictures of a sphere.
 
     Args:
         material: the material.
         rig: camera and sphere; see `served_by_frequencies`.
-        lamps: the points of each picture's lamp.
+        lamps: of each picture, the angle between its lamp and the optical axis, rad.
+        azimuth: of all lamps, rad.
         places: in ascending order of their pictures.
-        alike: whether light is the same above and below.
 
     Returns:
         Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sample and lens.
     """
     sample = rig.sample
     assert isinstance(sample, Sphere)
-    counts = np.bincount(places.picture, minlength=len(lamps))
+    turn = Turn(placed(np.cos(azimuth)), placed(np.sin(azimuth))) if azimuth else None
+    counts = np.bincount(places.picture, minlength=lamps.size)
     ends = np.cumsum(counts)
-    records = [jnp.zeros((0, 1))] * len(lamps)
-    for right_half, pictures in _by_lit_half(lamps):
-        if not counts[pictures].any():
+    records = [jnp.zeros((0, 1))] * lamps.size
+    dark_left = (lamps >= np.pi / 2) & (turn is None)
+    for right_half in (True, False):
+        pictures = np.flatnonzero((dark_left == right_half) & (counts > 0))
+        if not pictures.size:
             continue
-        frame = _frame(rig, sample, right_half=right_half, upper_half=alike)
+        frame = _frame(rig, sample, right_half=right_half, alike=turn is None)
         most = int(counts[pictures].max())
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
-        for k in pictures[counts[pictures] > 0]:
+        for k in pictures:
             # one program for all pictures: of as many places
             index = np.minimum(np.arange(ends[k] - counts[k], ends[k] - counts[k] + most), ends[k] - 1)
             at = placed(places.x[index]), placed(places.y[index])
-            scenes = [_under(material, sample, point) for point in lamps[k]]
-            grids = [frame.grid(point) for point in lamps[k]]
-            layings = [grid.laying(scene) for grid, scene in zip(grids, scenes, strict=True)]
-            shares = [point.weight for point in lamps[k]]
-            recorded: Callable[..., jax.Array] = partial(_recorded, list(zip(grids, layings, shares, strict=True)), at)
+            scene = Scene(material, sample, placed(lamps[k]), None, turn)
+            recorded: Callable[..., jax.Array] = partial(_recorded, frame.grid, frame.grid.laying(scene), at)
             if not known:
                 recorded = eqx.filter_checkpoint(recorded)  # what each picture needs for derivatives is made again
-            records[k] = recorded(scenes, frame)[: counts[k]]
+            records[k] = recorded(scene, frame)[: counts[k]]
     return jnp.concatenate([record for record, count in zip(records, counts, strict=True) if count])
 
 
 def _recorded(
-    laid_by: list[tuple[LightGrid, Laying, float]],
-    at: tuple[jax.Array, jax.Array],
-    scenes: list[Scene],
-    frame: _Frame,
+    grid: LightGrid, laying: Laying, at: tuple[jax.Array, jax.Array], scene: Scene, frame: _Frame
 ) -> jax.Array:
-    """Return what places on the sensor, px, show of scenes under the points of one lamp: 1/sr, (places, channels)."""
-    lit = [share * grid.laid(scene, how) for (grid, how, share), scene in zip(laid_by, scenes, strict=True)]
-    return _read(sum(lit[1:], lit[0]), frame, at)
+    """Return what places on the sensor, px, show of a scene: 1/sr, (places, channels)."""
+    return _read(grid.laid(scene, laying), frame, at)
 
 
-def _under(material: Material, sample: Sphere, point: LampPoint) -> Scene:
-    """Return the scene under one point of a lamp."""
-    turn = Turn(placed(np.cos(point.azimuth)), placed(np.sin(point.azimuth))) if float(point.azimuth) else None
-    return Scene(material, sample, placed(point.angle), None, turn)
-
-
-def _by_lit_half(lamps: Sequence[list[LampPoint]]) -> list[tuple[bool, np.ndarray]]:
-    """Return which pictures are dark left of the axis, and the others."""
-    right = np.array([all(point.azimuth == 0 and point.angle >= np.pi / 2 for point in points) for points in lamps])
-    return [(True, np.flatnonzero(right)), (False, np.flatnonzero(~right))]
-
-
-def _frame(rig: Rig, sample: Sphere, *, right_half: bool, upper_half: bool) -> _Frame:
+def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame:
     """Return the grid of all pictures whose light lies in a half or all of the sphere, and what the lens lets pass there."""
     optics, pixel = rig.camera.optics, rig.camera.pixel
     highest, radius = optics_band(optics), float(jax.lax.stop_gradient(sample.radius))
     per_px = per_px_for(highest, radius)
     margin = int(np.ceil(margin_of(per_px, highest) * per_px))
     line = np.arange(-int(np.ceil(radius * per_px)) - margin, int(np.ceil(radius * per_px)) + margin + 1) / per_px
-    x, y = line[line.size // 2 - margin :] if right_half else line, line[line.size // 2 :] if upper_half else line
+    x, y = line[line.size // 2 - margin :] if right_half else line, line[line.size // 2 :] if alike else line
     high, wide = (next_fast_len(size + APART * per_px, real=True) for size in (line.size, x.size))
     fx, fy = np.fft.rfftfreq(wide, 1 / per_px), np.fft.fftfreq(high, 1 / per_px)
     known = fy[: high // 2 + 1] if optics.isotropic else fy
@@ -164,7 +136,8 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, upper_half: bool) -> _
     whole = jnp.zeros((known.size, fx.size), passed.dtype).at[rows, columns].set(passed)
     if optics.isotropic:  # the same below as above
         whole = whole[np.minimum(np.arange(high), high - np.arange(high))]
-    return _Frame(x, y, highest, upper_half, whole * lines[0] * lines[1][:, None], (high, wide), per_px, reading)
+    grid = LightGrid.of(x, y, highest, alike=alike)
+    return _Frame(grid, whole * lines[0] * lines[1][:, None], (high, wide), per_px, reading)
 
 
 @kept_program
@@ -173,9 +146,11 @@ def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> j
     height, width, channels = light.shape
     # the picture goes on after its last row with its first: what lies below the axis stands there
     whole = jnp.zeros((*frame.sides, channels)).at[:height, :width].set(light)
-    if frame.upper_half:
+    if frame.grid.alike:
         whole = whole.at[1 - height :, :width].set(light[:0:-1])
     spectrum = jnp.fft.rfft2(whole, axes=(0, 1)) * frame.transfer[..., None]
     seen = jnp.fft.irfft2(spectrum, frame.sides, axes=(0, 1))
-    column, row = ((place - line[0]) * frame.per_px for place, line in zip(at, (frame.x, frame.y), strict=True))
+    column, row = (
+        (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
+    )
     return frame.reading.values(seen, row, column)
