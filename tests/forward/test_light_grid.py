@@ -25,6 +25,7 @@ from matcam.core.grid import merl_grid
 from matcam.core.jax import jnp
 from matcam.forward import picture_values, table_values
 from matcam.forward.frequencies.light_grid import LightGrid, per_px_for, serves
+from matcam.forward.frequencies.mirrored import MirroredTransfer
 from matcam.forward.frequencies.reading import Reading
 from matcam.forward.frequencies.taps import Taps
 from matcam.forward.integral.scene import Scene
@@ -252,3 +253,16 @@ def test_derivatives_of_tables():
         at = np.array([0.1, 8.0])
         ends = [float(mean(*(at + sign * step * (np.arange(2) == k)))) for sign in (1, -1)]
         assert float(slopes[k]) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
+
+
+@pytest.mark.parametrize("rows", [2, 24, 30])
+def test_half_a_picture_is_seen_as_the_whole_is(rows):
+    rng = np.random.default_rng(rows)
+    light, across = rng.normal(size=(rows - rows // 4, 13, 2)), np.fft.rfftfreq(16)
+    transfer = np.exp(-3 * np.hypot(across, np.arange(rows + 1)[:, None] / (2 * rows)))
+    whole = np.zeros((2 * rows, 16, 2))
+    whole[: len(light), :13], whole[-len(light) :, :13] = light, light[::-1]
+    passed = np.fft.rfft2(whole, axes=(0, 1)) * np.concatenate([transfer, transfer[-2:0:-1]])[..., None]
+    seen = np.fft.irfft2(passed, (2 * rows, 16), axes=(0, 1))[:rows]
+    half = MirroredTransfer.of(jnp.asarray(transfer[:-1]), 16).seen(jnp.asarray(light))
+    np.testing.assert_allclose(half, seen, atol=1e-14)

@@ -56,7 +56,7 @@ class LightGrid(NamedTuple):
 
     Attributes:
         x: places of the columns, an even step apart, px.
-        y: places of the rows, px; from 0 upwards where they are alike.
+        y: places of the rows, px; from half a step upwards where they are alike.
         widths: of the regions.
         taps: how single points of light are laid.
         alike: whether only the upper half is laid, of light that is the same above and below.

@@ -43,13 +43,25 @@ class Reading(NamedTuple):
         window = np.exp(self.steepness * (np.sqrt(1 - unit**2) - 1)) * weight * _REACH
         return np.cos(2 * np.pi * np.multiply.outer(frequency, _REACH * unit)) @ window
 
-    def values(self, grid: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
-        """Return values of a periodic grid, (rows, columns, channels), at places counted in steps: (places, channels)."""
+    def values(self, grid: jax.Array, row: jax.Array, column: jax.Array, *, mirrored: bool = False) -> jax.Array:
+        """Return values between a grid's points.
+
+        Args:
+            grid: periodic, (rows, columns, channels).
+            row: places, counted in steps from the first row.
+            column: the same from the first column.
+            mirrored: whether the grid's mirror image follows on its last row, and stands before its first. Default: False.
+
+        Returns:
+            (places, channels).
+        """
         taps, shares = [], []
-        for at, size in ((row, grid.shape[0]), (column, grid.shape[1])):
+        for at in (row, column):
             first = jnp.floor(jax.lax.stop_gradient(at)).astype(int) - (_REACH - 1)
-            numbers = first[:, None] + np.arange(2 * _REACH)
-            taps.append(numbers % size)
-            shares.append(self.window(at[:, None] - numbers))
-        found = grid[taps[0][:, :, None], taps[1][:, None, :]]
+            taps.append(first[:, None] + np.arange(2 * _REACH))
+            shares.append(self.window(at[:, None] - taps[-1]))
+        rows, columns = grid.shape[:2]
+        down = taps[0] % (2 * rows if mirrored else rows)
+        down = jnp.where(down < rows, down, 2 * rows - 1 - down)
+        found = grid[down[:, :, None], (taps[1] % columns)[:, None, :]]
         return jnp.einsum("prck,pr,pc->pk", found, *shares)

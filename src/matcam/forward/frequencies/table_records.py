@@ -22,6 +22,7 @@ from matcam.core.jax import is_concrete, jax, jnp, placed, without_derivatives
 from matcam.core.programs import kept_program
 from matcam.forward.frequencies.band_limited import APART, optics_band
 from matcam.forward.frequencies.light_grid import Laying, LightGrid, margin_of, per_px_for, serves
+from matcam.forward.frequencies.mirrored import MirroredTransfer
 from matcam.forward.frequencies.reading import Reading
 from matcam.forward.integral.plan import RecordPlaces
 from matcam.forward.integral.scene import Scene, Turn
@@ -35,14 +36,15 @@ class _Frame(NamedTuple):
 
     Attributes:
         grid: where light is laid; where it is alike above and below, the lower half is the mirror image.
-        transfer: of lens, pixel and the reading, (rows, columns of half the plane), no unit.
+        transfer: of lens, pixel and the reading, (rows, columns of half the plane), no unit; of half a picture, where the lens
+            too is alike above and below.
         sides: rows and columns of the periodic picture.
         per_px: its points a pixel.
         reading: how values are read off it.
     """
 
     grid: LightGrid
-    transfer: jax.Array
+    transfer: jax.Array | MirroredTransfer
     sides: tuple[int, int]
     per_px: int
     reading: Reading
@@ -121,36 +123,41 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     per_px = per_px_for(highest, radius)
     margin = int(np.ceil(margin_of(per_px, highest) * per_px))
     line = np.arange(-int(np.ceil(radius * per_px)) - margin, int(np.ceil(radius * per_px)) + margin + 1) / per_px
-    x, y = line[line.size // 2 - margin :] if right_half else line, line[line.size // 2 :] if alike else line
-    high, wide = (next_fast_len(size + APART * per_px, real=True) for size in (line.size, x.size))
+    x = line[line.size // 2 - margin :] if right_half else line
+    y = line[line.size // 2 : -1] + 0.5 / per_px if alike else line
+    wide = next_fast_len(x.size + APART * per_px, real=True)
+    high = 4 * next_fast_len(-(-(line.size + APART * per_px) // 4))
     fx, fy = np.fft.rfftfreq(wide, 1 / per_px), np.fft.fftfreq(high, 1 / per_px)
-    known = fy[: high // 2 + 1] if optics.isotropic else fy
-    rows, columns = np.nonzero(np.hypot(fx, known[:, None]) <= highest)
-    passed = optics.otf(fx[columns], known[rows])
     gaussian, reading = (jnp.pi * rig.jitter) ** 2, Reading.below(highest / per_px)
     lines = [
         jnp.where(np.abs(f) <= highest, pixel.mtf(f) * jnp.exp(-2 * gaussian * f**2), 0.0)
         / reading.transfer(np.minimum(np.abs(f), highest) / per_px)
         for f in (fx, fy)
     ]
-    whole = jnp.zeros((known.size, fx.size), passed.dtype).at[rows, columns].set(passed)
+    known = fy[: high // 2 + 1] if optics.isotropic else fy
+    rows, columns = np.nonzero(np.hypot(fx, known[:, None]) <= highest)
+    passed = optics.otf(fx[columns], known[rows])
+    whole = jnp.zeros((known.size, fx.size), passed.dtype).at[rows, columns].set(passed) * lines[0]
+    grid, transfer = LightGrid.of(x, y, highest, alike=alike), lines[1][: known.size, None] * whole
+    if alike and optics.isotropic:
+        return _Frame(grid, MirroredTransfer.of(transfer[:-1], wide), (high, wide), per_px, reading)
     if optics.isotropic:  # the same below as above
-        whole = whole[np.minimum(np.arange(high), high - np.arange(high))]
-    grid = LightGrid.of(x, y, highest, alike=alike)
-    return _Frame(grid, whole * lines[0] * lines[1][:, None], (high, wide), per_px, reading)
+        transfer = transfer[np.minimum(np.arange(high), high - np.arange(high))]
+    return _Frame(grid, transfer, (high, wide), per_px, reading)
 
 
 @kept_program
 def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> jax.Array:
     """Return what is seen at places on the sensor, px: 1/sr, (places, channels)."""
+    column, row = (
+        (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
+    )
+    if isinstance(frame.transfer, MirroredTransfer):
+        return frame.reading.values(frame.transfer.seen(light), row, column, mirrored=True)
     height, width, channels = light.shape
     # the picture goes on after its last row with its first: what lies below the axis stands there
     whole = jnp.zeros((*frame.sides, channels)).at[:height, :width].set(light)
     if frame.grid.alike:
-        whole = whole.at[1 - height :, :width].set(light[:0:-1])
+        whole = whole.at[-height:, :width].set(light[::-1])
     spectrum = jnp.fft.rfft2(whole, axes=(0, 1)) * frame.transfer[..., None]
-    seen = jnp.fft.irfft2(spectrum, frame.sides, axes=(0, 1))
-    column, row = (
-        (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
-    )
-    return frame.reading.values(seen, row, column)
+    return frame.reading.values(jnp.fft.irfft2(spectrum, frame.sides, axes=(0, 1)), row, column)
