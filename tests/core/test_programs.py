@@ -49,6 +49,24 @@ def test_another_process_does_not_trace(folder):
     assert traces == [3]
 
 
+def test_what_was_not_used_for_long_is_read_again(folder, monkeypatch):
+    traces, read = [], []
+    unpack = programs.unpack_program
+    monkeypatch.setattr(programs, "unpack_program", lambda packed: read.append(len(packed)) or unpack(packed))
+    monkeypatch.setattr(programs, "_held", programs._HeldPrograms())
+    power = counted(traces)
+    power(X, 2)
+    (path,) = folder.iterdir()
+    monkeypatch.setattr(programs, "_MOST_HELD", int(2.5 * path.stat().st_size))
+    for exponent in (3, 2, 4, 2, 5, 2):  # no more than two are held, and 2 is one of them
+        np.testing.assert_allclose(power(X, exponent)[0], X**exponent)
+    assert traces == [2, 3, 4, 5]
+    assert not read
+    np.testing.assert_allclose(power(X, 3)[0], X**3)
+    assert traces == [2, 3, 4, 5]
+    assert len(read) == 1
+
+
 class Pair(NamedTuple):
     """Two arrays of a result."""
 

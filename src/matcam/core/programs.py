@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import cache, partial, wraps
 from pathlib import Path
@@ -28,6 +30,8 @@ T = TypeVar("T")
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 _CPU_INFO = Path("/proc/cpuinfo")
+_MOST_HELD = 30 << 20
+"""Bytes of programs that a process holds, as they are stored. Ready to run each takes twenty times as much."""
 _log = logging.getLogger("matcam")
 
 
@@ -64,7 +68,7 @@ def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some",
 def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Callable[P, T]:
     """Return a function that is compiled and kept."""
     compiled = eqx.filter_jit(function)
-    ready: dict[Hashable, Callable[..., Any] | None] = {}
+    ready: dict[Hashable, _Program] = {}
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -75,13 +79,15 @@ def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Call
         kinds = tuple(_kind(leaf) for leaf in leaves)
         if _TRACED in kinds:
             return compiled(*args, **kwargs)
-        key = tree, kinds
-        if key not in ready:
-            ready[key], result = _Kept(function, leaves, tree, kinds, runs, returns).program(folder)
-            if result is not None:
-                return result
-        program = ready[key]
-        return compiled(*args, **kwargs) if program is None else program(*_arrays(leaves))
+        key, result = (tree, kinds), None
+        found = ready.get(key)
+        if found is None:
+            found, result = _Kept(function, leaves, tree, kinds, runs, returns).program(folder)
+            ready[key] = found
+        _held.use(ready, key, found.size)
+        if result is not None:
+            return result
+        return compiled(*args, **kwargs) if found.run is None else found.run(*_arrays(leaves))
 
     return call
 
@@ -107,6 +113,42 @@ def _one_processor() -> bool:
     return jax.default_backend() == "cpu" and jax.device_count() == 1
 
 
+class _Program(NamedTuple):
+    """Hold a program that is ready to run.
+
+    Attributes:
+        run: takes the arrays among a function's arguments; None: the program cannot be named.
+        size: bytes of it on disk; 0: it is not there.
+    """
+
+    run: Callable[..., Any] | None
+    size: int = 0
+
+
+class _HeldPrograms:
+    """Hold the programs that were used last; what there is no room for is read from disk when it is wanted again."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._last: OrderedDict[tuple[int, Hashable], tuple[dict[Hashable, _Program], int]] = OrderedDict()
+
+    def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
+        """Count a program of a function as the last that was used. ready: all programs of the function, by their keys."""
+        if not size:
+            return
+        with self._lock:
+            self._last[id(ready), key] = ready, size
+            self._last.move_to_end((id(ready), key))
+            total = sum(one for _, one in self._last.values())
+            while total > _MOST_HELD and len(self._last) > 1:
+                (_, unused), (others, freed) = self._last.popitem(last=False)
+                others.pop(unused, None)
+                total -= freed
+
+
+_held = _HeldPrograms()
+
+
 class _Kept(NamedTuple):
     """Hold a function and what is known of its arguments: their leaves, their tree, and the kind of each leaf.
 
@@ -120,12 +162,12 @@ class _Kept(NamedTuple):
     runs: Runs
     returns: Any
 
-    def program(self, folder: Path) -> tuple[Callable[..., Any] | None, Any]:
-        """Return the program from disk with its first result, or make and keep it; None where it cannot be named."""
+    def program(self, folder: Path) -> tuple[_Program, Any]:
+        """Return the program from disk with its first result, or make and keep it, without one."""
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
         if " at 0x" in description or (made_of := _surroundings()) is None:
-            return None, None
+            return _Program(None), None
         key = f"{made_of}\n{description}".encode()
         path = folder / f"{hashlib.sha256(key).hexdigest()[:40]}.program"
         stored = read_sealed(path, key)
@@ -136,15 +178,18 @@ class _Kept(NamedTuple):
             except Exception as error:  # whatever a backend may find wrong
                 _log.warning("matcam: %s in the cache cannot be used (%s): it is made again", path.name, error)
             else:
-                return program, result
+                return _Program(program, len(stored)), result
         with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
             options = plainly_compiled(self.runs)
             program = jax.jit(self._of_arrays(), compiler_options=options).lower(*_arrays(self.leaves)).compile()
+        size = 0
         try:
-            write_sealed(path, key, pack_program(program))
+            packed = pack_program(program)
+            write_sealed(path, key, packed)
+            size = len(packed) if path.exists() else 0  # a full disk stops nothing
         except Exception as error:  # what cannot be written down can be run
             _log.debug("matcam: %s is not kept: %s", name, error)
-        return self._of_its_kind(program), None
+        return _Program(self._of_its_kind(program), size), None
 
     def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:
         """Return a program whose flat results are put together again."""

@@ -27,7 +27,7 @@ from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.jax import use_compilation_cache
-from matcam.core.memory import give_back_memory
+from matcam.core.memory import free_for_the_next
 from matcam.core.workspace import Workspace
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
@@ -225,4 +225,4 @@ def _attempt_on_worker(job: Job) -> Outcome:
     try:
         return attempt(job, Workspace.user())
     finally:
-        give_back_memory()
+        free_for_the_next()

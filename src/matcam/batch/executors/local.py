@@ -28,7 +28,7 @@ from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import MatcamError
 from matcam.core.jax import jax
-from matcam.core.memory import give_back_memory
+from matcam.core.memory import free_for_the_next
 from matcam.core.workspace import default_workspace
 from matcam.inverse.fit.lobe_slopes import RecordBatch
 
@@ -239,7 +239,7 @@ def _serve(pipe: connection.Connection) -> None:
         if job is None:
             return
         pipe.send(attempt(job, workspace))
-        give_back_memory()
+        free_for_the_next()
 
 
 def _end_with_parent() -> None:

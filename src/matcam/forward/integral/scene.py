@@ -111,8 +111,13 @@ class Scene(eqx.Module):
 
     def channels(self) -> int:
         """Return the count of channels."""
-        at_centre = Scene(self.material, self.sample, jnp.zeros(()), self.lamp_nearness)
-        return jax.eval_shape(lambda: at_centre.sent(self.sample.surface(jnp.zeros(()), jnp.zeros(())))).shape[-1]
+        return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]
+
+
+def _sent_at_centre(material: Material, sample: Curved, lamp_nearness: jax.Array | None) -> jax.Array:
+    # a function that always is the same: JAX traces it once for each kind of scene
+    middle = jnp.zeros(())
+    return Scene(material, sample, middle, lamp_nearness).sent(sample.surface(middle, middle))
 
 
 @jax.jit
