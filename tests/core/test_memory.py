@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from matcam.batch.executors import one_core_environment
+from matcam.core import memory
 from matcam.core.memory import free_for_the_next
 
 _SCRIPT = """
@@ -36,6 +37,7 @@ class Ring:
 def unfrozen():
     frozen = gc.get_freeze_count()
     gc.unfreeze()
+    memory._freeze.cache_clear()
     yield
     gc.unfreeze()
     if frozen:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from functools import cache
 from pathlib import Path
 
 from matcam.core.errors import ArgumentError
@@ -50,8 +51,12 @@ def free_for_the_next() -> None:
     is freed stays with the process: see `one_core_environment`.
     """
     gc.collect()
-    if not gc.get_freeze_count():
-        gc.freeze()
+    _freeze()
+
+
+@cache
+def _freeze() -> None:
+    gc.freeze()
 
 
 def _physical() -> int:

@@ -131,19 +131,20 @@ class _HeldPrograms:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._last: OrderedDict[tuple[int, Hashable], tuple[dict[Hashable, _Program], int]] = OrderedDict()
+        self._total = 0
 
     def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
         """Count a program of a function as the last that was used. ready: all programs of the function, by their keys."""
         if not size:
             return
         with self._lock:
+            _, before = self._last.pop((id(ready), key), (ready, 0))
             self._last[id(ready), key] = ready, size
-            self._last.move_to_end((id(ready), key))
-            total = sum(one for _, one in self._last.values())
-            while total > _MOST_HELD and len(self._last) > 1:
+            self._total += size - before
+            while self._total > _MOST_HELD and len(self._last) > 1:
                 (_, unused), (others, freed) = self._last.popitem(last=False)
                 others.pop(unused, None)
-                total -= freed
+                self._total -= freed
 
 
 _held = _HeldPrograms()

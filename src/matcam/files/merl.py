@@ -105,14 +105,14 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     brdf = checked_table(brdf)
     if brdf.sizes["channel"] != len(CHANNELS):
         raise ArgumentError(f"a MERL file takes the channels R, G, B; this table has {brdf.sizes['channel']}")
-    values = np.moveaxis(np.asarray(brdf.values, dtype=np.float64), -1, 0)
-    lowest = np.nanmin(values, initial=np.inf)
+    stored = np.array(np.moveaxis(brdf.values, -1, 0), dtype=np.float64, order="C")
+    lowest, highest = np.fmin.reduce(stored, axis=None), np.fmax.reduce(stored, axis=None)
     if lowest < 0:
         raise ArgumentError(f"a MERL file cannot hold negative values (they mean missing), got {lowest:g} 1/sr")
     with np.errstate(over="ignore"):
-        stored = values / SCALE[:, None, None, None]
+        stored /= SCALE[:, None, None, None]
     if np.isinf(stored).any():
-        raise ArgumentError(f"a MERL file cannot hold {np.nanmax(values):g} 1/sr: its stored value would overflow")
+        raise ArgumentError(f"a MERL file cannot hold {highest:g} 1/sr: its stored value would overflow")
     stored[np.isnan(stored)] = _MISSING
     with replacing(path, force=force) as temporary, temporary.open("wb") as file:
         np.array(GRID_SHAPE, dtype=_HEADER).tofile(file)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.linalg import lstsq
 from scipy.optimize import OptimizeResult, minimize
 
 from matcam.core.errors import FitError
@@ -297,10 +298,10 @@ def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, 
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
     number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
     pixels, index = np.unique(number, return_inverse=True)
-    matrix = np.zeros((len(values), pixels.size))
-    rows = np.broadcast_to(np.arange(len(values))[:, None, None], number.shape)
-    np.add.at(matrix, (rows.ravel(), index.ravel()), found.weight.ravel() / 2)
-    best, *_ = np.linalg.lstsq(matrix, values, rcond=1e-10)
+    shape = len(values), pixels.size
+    entry = index.reshape(len(values), -1) + np.arange(len(values))[:, None] * pixels.size
+    matrix = np.bincount(entry.ravel(), found.weight.ravel() / 2, shape[0] * shape[1]).reshape(shape)
+    best, *_ = lstsq(matrix, values, cond=1e-10, lapack_driver="gelsy", check_finite=False)
     left, own = values - matrix @ best, values - values.mean()
     if (own**2).mean() < _FLAT * values.mean() ** 2:  # anything interpolates a constant
         return 1.0
