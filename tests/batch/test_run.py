@@ -191,6 +191,7 @@ def test_other_settings_and_changed_inputs(tmp_path, here):
         ({"glare": 2e-3}, "its glare is 0.001, this run's is 0.002"),
         ({"masking": None}, 'its masking is "smith", this run\'s is "none"'),
         ({"pages": False}, "its pages is true"),
+        ({"compress": True}, "its compress is false"),
         ({"corrector": simple.deadly}, "its corrector is"),
     ):
         with pytest.raises(OutputError, match=words):
@@ -466,7 +467,7 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "correct_all", record)
     options = (
         "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --no-pages --zarr --fit-camera "
-        "--anyway --time-limit 60"
+        "--anyway --time-limit 60 --compress"
     )
     done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
     assert done.exit_code == 0, done.output
@@ -475,7 +476,7 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     assert asked == {
         "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "anyway": True, "masking": None, "radius": 100.0,
         "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True, "time_limit": 60.0,
-        "force": True,
+        "force": True, "compress": True,
     }  # fmt: skip
 
 

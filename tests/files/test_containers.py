@@ -45,6 +45,20 @@ def test_what_it_is_not(tmp_path, suffix):
         assert str(caught.value).startswith(str(path))
 
 
+def test_a_compressed_table_is_smaller_and_the_same(result, tmp_path):
+    rng = np.random.default_rng(0)
+    values = rng.random((90, 9, 20, 3))
+    values[10:] = np.nan  # mostly missing
+    table = result.assign(
+        brdf=(("theta_h", "slice", "phi_d", "colour"), values), known=(("theta_h",), values[:, 0, 0, 0] > 0)
+    )
+    for compress in (False, True):
+        write_netcdf(tmp_path / f"{compress}.nc", table, compress=compress)
+    xr.testing.assert_identical(read_netcdf(tmp_path / "True.nc"), read_netcdf(tmp_path / "False.nc"))
+    np.testing.assert_array_equal(read_netcdf(tmp_path / "True.nc")["brdf"].values, values)
+    assert (tmp_path / "True.nc").stat().st_size < 0.4 * (tmp_path / "False.nc").stat().st_size
+
+
 def test_arrays_that_cannot_be_in_there_are_not_asked_for(result, tmp_path):
     """A store that says it holds 8 TB; every chunk that is not there would be filled."""
     write_zarr(tmp_path / "a.zarr.zip", result)

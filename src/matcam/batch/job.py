@@ -177,7 +177,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     done = job.recipe.corrector(table, job.recipe.rig, options)
     with _WRITING, all_or_nothing():
         write_merl(job.output, supported_values(done.table, table), force=job.force)
-        write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force)
+        write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force, compress=job.recipe.compress)
         if job.recipe.page:
             done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)
         if job.key is not None:

@@ -103,6 +103,7 @@ class Recipe:
         options: options of the correction.
         sampling: where in its cell a value was sampled.
         page: whether each table gets a page to read.
+        compress: whether its NetCDF is compressed.
         corrector: does the work.
         version: version of matcam that made the recipe; a worker of another version refuses it.
     """
@@ -111,6 +112,7 @@ class Recipe:
     options: Options
     sampling: Sampling = "centre"
     page: bool = True
+    compress: bool = False
     corrector: Corrector = correct_table
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 
@@ -128,6 +130,7 @@ class Recipe:
                 "anyway": self.options.anyway,
                 "sampling": self.sampling,
                 "pages": self.page,
+                "compress": self.compress,
                 "fit_camera": fit_camera,
             }
         )

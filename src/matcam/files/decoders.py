@@ -1,7 +1,7 @@
 """Decode labelled arrays, apart: what runs in a process of its own (apart.py) to read NetCDF-4 and Zarr.
 
 Nothing here trusts its file. Before any value is read, these are refused by name: links and storage in other files, groups,
-filters and codecs beyond a short list (others are loaded as plugins), and arrays larger than four times the file.
+filters and codecs beyond a short list (others are loaded as plugins), and arrays larger than 16 times the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError, FileFormatError
 
-_MOST_TIMES, _MOST_VARIABLES, _SPARE = 4, 256, 1 << 16
+_MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
 """HDF5's own filters by number. Any other is a plugin."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
@@ -40,7 +40,7 @@ _LOCAL_HEADER = 30  # bytes, without its name and extra field
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
     """Refuse arrays that are larger than their file could hold.
 
-    FileFormatError where arrays of these shapes and types take more than four times the file's bytes together: damaged, or
+    FileFormatError where arrays of these shapes and types take more than 16 times the file's bytes together: damaged, or
     compressed beyond what is trusted.
     """
     if len(variables) > _MOST_VARIABLES:
