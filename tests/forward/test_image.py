@@ -276,6 +276,21 @@ def test_the_lamp_s_angle_has_a_derivative_under_a_point_alone():
         jax.grad(lambda angle: jnp.sum(picture_values(Microfacet(GGX(0.1), 1.0), rig, angle)))(1.0)
 
 
+@pytest.mark.parametrize(
+    ("radius", "lamp", "azimuth", "error"),
+    [
+        pytest.param(20.0, 3.0, 0.0, 1e-2, id="a crescent between the centres of pixels"),
+        pytest.param(60.0, 2.4, 0.7, 1e-5, id="its tips"),
+        pytest.param(60.0, 3.1, 0.0, 1e-3, id="a thinner one", marks=pytest.mark.slow),
+    ],
+)
+def test_a_crescent_does_not_hide_between_pixels(radius, lamp, azimuth, error):
+    rig, surface = Rig(Camera(GaussianOptics(0.4)), Sphere(radius)), Microfacet(GGX(0.3), 1.0, 0.3)
+    exact = np.asarray(picture_values(surface, rig, lamp, azimuth=azimuth))
+    missed = np.abs(picture(surface, rig, lamp, azimuth, error=error).values - exact).max()
+    assert missed < error * exact.max()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("alpha", [0.002, 0.05])
 def test_a_picture_within_an_error_is_within_it(alpha):

@@ -31,7 +31,7 @@ T = TypeVar("T")
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 _CPU_INFO = Path("/proc/cpuinfo")
 _MOST_HELD = 30 << 20
-"""Bytes of programs that a process holds, as they are stored. Ready to run each takes twenty times as much."""
+"""Bytes of programs that a process holds, as they are on disk: ready to run each takes twenty times as much."""
 _log = logging.getLogger("matcam")
 
 

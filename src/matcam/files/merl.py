@@ -85,11 +85,11 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
     Args:
         path: file to write (.binary).
-        brdf: table in 1/sr as from `read_merl`, three channels, nowhere negative, shape (90, 90, 180, 3).
+        brdf: table in 1/sr as from `read_merl`, three channels, nowhere negative, not all missing, shape (90, 90, 180, 3).
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the format cannot hold the table: it has other than three channels, or negative values.
+        ArgumentError: the format cannot hold the table: it has other than three channels, negative values, or none.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -107,6 +107,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
         raise ArgumentError(f"a MERL file takes the channels R, G, B; this table has {brdf.sizes['channel']}")
     stored = np.array(np.moveaxis(brdf.values, -1, 0), dtype=np.float64, order="C")
     lowest, highest = np.fmin.reduce(stored, axis=None), np.fmax.reduce(stored, axis=None)
+    if np.isnan(lowest):
+        raise ArgumentError("a MERL file must hold a value: every one of this table is missing")
     if lowest < 0:
         raise ArgumentError(f"a MERL file cannot hold negative values (they mean missing), got {lowest:g} 1/sr")
     with np.errstate(over="ignore"):

@@ -2,7 +2,8 @@
 
 A picture within a stated error is exact only where it has to be: most of a sample is smooth, or dark beside its highlight. A
 pixel records a value between the least and the largest radiance within its kernel's reach. Where these differ by less than
-the error, the radiance at its centre will do. A highlight can hide between the centres, so all around it is exact.
+the error, the radiance at its centre will do. A highlight can hide between the centres, so all around it is exact. So can a
+crescent, or its tips: light is asked for along the limb, too.
 """
 
 from __future__ import annotations
@@ -173,15 +174,16 @@ def _record_within(error: float, material: Material, view: View) -> jax.Array:
         )
     )
     x, y = np.meshgrid(view.x, view.y)
-    centres, near = np.zeros((*wide[0].shape, 1)), np.zeros(x.shape, dtype=bool)
+    centres = most = np.zeros((*wide[0].shape, 1))
+    near = np.zeros(x.shape, dtype=bool)
     for point in view.points:
-        light, highlight = (_on_cylinder if isinstance(view.imaging.sample, Cylinder) else _on_sphere)(
+        light, brightest, highlight = (_on_cylinder if isinstance(view.imaging.sample, Cylinder) else _on_sphere)(
             material, view, point, wide, (x, y)
         )
-        centres = centres + point.weight * light
+        centres, most = centres + point.weight * light, most + point.weight * brightest
         near |= highlight
     neighbourhood = (2 * around + 1, 2 * around + 1, 1)
-    span = (maximum_filter(centres, neighbourhood) - minimum_filter(centres, neighbourhood)).max(axis=-1)
+    span = (maximum_filter(most, neighbourhood) - minimum_filter(centres, neighbourhood)).max(axis=-1)
     height, width = view.y.size, view.x.size
     span, centres = (a[around : around + height, around : around + width] for a in (span, centres))
     values = centres.copy()
@@ -205,12 +207,16 @@ def _turned(view: View) -> bool:
 
 _Places = Sequence[np.ndarray]
 """x and y, px."""
+_ALONG = 0.5
+"""Step along the limb at which light is asked for, px."""
+_BELOW_LIMB = 1.5 * 3.0 ** -np.arange(16)
+"""Distances from the limb there, px: one lies in a crescent however thin."""
 
 
 def _on_sphere(
     material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the light of a point of the lamp at centres of pixels, and which pixels may see its highlight."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the light of a point of the lamp at centres of pixels, the most about each, and which may see its highlight."""
     imaging, sample = nearer(view.imaging, point.distance), view.imaging.sample
     turned = _turned(view)
     turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
@@ -218,12 +224,31 @@ def _on_sphere(
     peak = scene.on_sensor(highlight_x(sample, scene.lamp_angle, scene.lamp_nearness), jnp.zeros(()))
     side = max(group.scale.near for group in groups_of(imaging.blur, sample, turned))
     near = [np.abs(at - float(middle)) < side for at, middle in zip(pixels, peak, strict=True)]
-    return np.asarray(_at_centres(scene, *wide)), near[0] & near[1]
+    light = np.asarray(_at_centres(scene, *wide))
+    return light, _most_at_limb(scene, float(sample.radius), light, wide), near[0] & near[1]
+
+
+def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places) -> np.ndarray:
+    """Return the light at centres, or what of the limb lies nearest to each where that is brighter."""
+    count = _round_up(int(np.ceil(2 * np.pi * radius / _ALONG)))
+    azimuth = 2 * np.pi * np.arange(count) / count
+    depth = radius - np.minimum(_BELOW_LIMB, radius / 2)[:, None]
+    x, y = depth * np.cos(azimuth), depth * np.sin(azimuth)
+    found = np.asarray(_at_centres(scene, x, y))
+    column, row = np.rint(x - wide[0][0, 0]).astype(int), np.rint(wide[1][0, 0] - y).astype(int)
+    shown = (column >= 0) & (column < light.shape[1]) & (row >= 0) & (row < light.shape[0]) & np.any(found > 0, axis=-1)
+    most = light.copy()
+    np.maximum.at(most, (row[shown], column[shown]), found[shown])
+    return most
+
+
+def _round_up(count: int) -> int:
+    return 1 << (count - 1).bit_length()  # few lengths: each is a program
 
 
 def _on_cylinder(
     material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the same before a cylinder; its limbs count as highlights, too."""
     sample, blur, nearness = view.imaging
     assert isinstance(sample, Cylinder)
@@ -232,7 +257,7 @@ def _on_cylinder(
     near = np.zeros(own.x.shape, dtype=bool)
     for terms, _ in groups_of(blur, sample):
         near |= ~np.logical_and(*smooth_places(sample, blur, terms, own, float(material.elongation)))
-    return light, near.reshape(pixels[0].shape)
+    return light, light, near.reshape(pixels[0].shape)
 
 
 @jax.jit

@@ -9,15 +9,15 @@ from collections.abc import Generator, Sequence
 from matcam.batch.job import Job, Outcome
 from matcam.core.threads import ONE_BLAS_THREAD
 
-_ONE_CORE = {
-    **ONE_BLAS_THREAD,
-    "NPROC": "1",  # the size of XLA's pool of threads
+_ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # NPROC is the size of XLA's pool of threads
+"""Read by NumPy's BLAS and by XLA when a process loads them."""
+_KEPT_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
     # the next table needs what this one has freed: from the system each page comes cleared, a tenth of a worker's time
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
 }
-"""Read by NumPy's BLAS, by XLA and by the C library when a process loads them."""
+"""Read by the C library; what the user has set stays."""
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _XLA = "--xla_cpu_multi_thread_eigen=false"
 
@@ -34,9 +34,15 @@ class Executor(ABC):
 
 
 def one_core_environment() -> dict[str, str]:
-    """Return variables that keep a new process to one core, and keep what the user has set for XLA.
+    """Return variables that keep a new process to one core, and keep what the user has set for XLA and memory.
 
     Workers side by side must not each start a thread for every core.
     """
     shared = os.environ.get(_PREALLOCATE, "false")  # a GPU that workers share must not be taken whole by the first
-    return {**_ONE_CORE, _PREALLOCATE: shared, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip()}
+    memory = {name: os.environ.get(name, value) for name, value in _KEPT_MEMORY.items()}
+    return {
+        **_ONE_CORE,
+        **memory,
+        _PREALLOCATE: shared,
+        "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip(),
+    }
