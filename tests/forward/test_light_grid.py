@@ -264,5 +264,5 @@ def test_half_a_picture_is_seen_as_the_whole_is(rows):
     whole[: len(light), :13], whole[-len(light) :, :13] = light, light[::-1]
     passed = np.fft.rfft2(whole, axes=(0, 1)) * np.concatenate([transfer, transfer[-2:0:-1]])[..., None]
     seen = np.fft.irfft2(passed, (2 * rows, 16), axes=(0, 1))[:rows]
-    half = MirroredTransfer.of(jnp.asarray(transfer[:-1]), 16).seen(jnp.asarray(light))
+    half = MirroredTransfer.of(jnp.asarray(transfer[:-1])).seen(jnp.asarray(light), 16)
     np.testing.assert_allclose(half, seen, atol=1e-14)

@@ -24,7 +24,7 @@ from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import places_under
 from matcam.forward.integral.cylinder_record import light_at, smooth_places
 from matcam.forward.integral.discs import nearer
-from matcam.forward.integral.plan import pad_indices
+from matcam.forward.integral.plan import few_lengths, pad_indices
 from matcam.forward.integral.scene import Scene, Turn, highlight_x
 from matcam.forward.view import View, exact_record, record_pixels, view_of
 from matcam.lamp.lamps import LampPoint
@@ -230,7 +230,7 @@ def _on_sphere(
 
 def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places) -> np.ndarray:
     """Return the light at centres, or what of the limb lies nearest to each where that is brighter."""
-    count = _round_up(int(np.ceil(2 * np.pi * radius / _ALONG)))
+    count = few_lengths(int(np.ceil(2 * np.pi * radius / _ALONG)))
     azimuth = 2 * np.pi * np.arange(count) / count
     depth = radius - np.minimum(_BELOW_LIMB, radius / 2)[:, None]
     x, y = depth * np.cos(azimuth), depth * np.sin(azimuth)
@@ -240,10 +240,6 @@ def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places)
     most = light.copy()
     np.maximum.at(most, (row[shown], column[shown]), found[shown])
     return most
-
-
-def _round_up(count: int) -> int:
-    return 1 << (count - 1).bit_length()  # few lengths: each is a program
 
 
 def _on_cylinder(

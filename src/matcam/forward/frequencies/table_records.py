@@ -126,6 +126,7 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     x = line[line.size // 2 - margin :] if right_half else line
     y = line[line.size // 2 : -1] + 0.5 / per_px if alike else line
     wide = next_fast_len(x.size + APART * per_px, real=True)
+    # half of the rows, too, are an even number
     high = 4 * next_fast_len(-(-(line.size + APART * per_px) // 4))
     fx, fy = np.fft.rfftfreq(wide, 1 / per_px), np.fft.fftfreq(high, 1 / per_px)
     gaussian, reading = (jnp.pi * rig.jitter) ** 2, Reading.below(highest / per_px)
@@ -140,7 +141,7 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     whole = jnp.zeros((known.size, fx.size), passed.dtype).at[rows, columns].set(passed) * lines[0]
     grid, transfer = LightGrid.of(x, y, highest, alike=alike), lines[1][: known.size, None] * whole
     if alike and optics.isotropic:
-        return _Frame(grid, MirroredTransfer.of(transfer[:-1], wide), (high, wide), per_px, reading)
+        return _Frame(grid, MirroredTransfer.of(transfer[:-1]), (high, wide), per_px, reading)
     if optics.isotropic:  # the same below as above
         transfer = transfer[np.minimum(np.arange(high), high - np.arange(high))]
     return _Frame(grid, transfer, (high, wide), per_px, reading)
@@ -153,7 +154,7 @@ def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> j
         (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
     )
     if isinstance(frame.transfer, MirroredTransfer):
-        return frame.reading.values(frame.transfer.seen(light), row, column, mirrored=True)
+        return frame.reading.values(frame.transfer.seen(light, frame.sides[1]), row, column, mirrored=True)
     height, width, channels = light.shape
     # the picture goes on after its last row with its first: what lies below the axis stands there
     whole = jnp.zeros((*frame.sides, channels)).at[:height, :width].set(light)
