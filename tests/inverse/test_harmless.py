@@ -13,7 +13,15 @@ from matcam.core.jax import jnp
 from matcam.inverse import Correction
 from matcam.inverse.correction.correction import supported_values
 from matcam.inverse.correction.explanation import Explanation
-from matcam.inverse.correction.harmless import LobeRatio, albedo, shrunk, withheld, within_energy
+from matcam.inverse.correction.harmless import (
+    ROWS,
+    LobeRatio,
+    above_noise,
+    albedo,
+    energy_limit,
+    shrunk,
+    withheld,
+)
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from matcam.inverse.operator.rig_axes import LENS, SHAPE, known_lens, shape_axis
 from tests.inverse import recorded
@@ -73,10 +81,19 @@ def test_albedo_is_the_light_sent(body, peak, width):
         assert found[degrees, 0] == pytest.approx(sent(body, peak, width, np.radians(degrees + 0.5)), rel=0.01)
 
 
+def limited(before, wanted, std):
+    limit = energy_limit(before, wanted, std, "centre")
+    return limit, np.concatenate([limit.of(rows, before[rows], wanted[rows], std[rows]) for rows in ROWS])
+
+
 def test_no_direction_reflects_more_than_it_gets():
+    """A correction that is known to 40 % is lowered to an albedo of 1."""
     before, wanted = lit(0.5, 10.0), lit(0.5, 20.0)
     assert albedo(before).max() < 1 < albedo(wanted).max()
-    kept = within_energy(before, wanted, "centre")
+    limit, kept = limited(before, wanted, 0.4 * wanted)
+    assert limit.acts
+    assert "albedo" not in limit.remark.text
+    assert limit.excess.max() == 0
     assert albedo(kept).max() <= 1 + 1e-9
     assert np.all((kept >= before - 1e-12) & (kept <= wanted + 1e-12))
     assert kept[0, 0, 0, 0] > 1.2 * before[0, 0, 0, 0]
@@ -84,8 +101,42 @@ def test_no_direction_reflects_more_than_it_gets():
     np.testing.assert_allclose(kept, kept[:, :, ::-1], rtol=1e-12)
     # a table that breaks it by itself is not made worse, and one within it is not touched
     too_bright = lit(1.2)
-    np.testing.assert_array_equal(within_energy(too_bright, too_bright * 1.1, "centre").max(), too_bright.max())
-    np.testing.assert_array_equal(within_energy(before, before * 1.01, "centre"), before * 1.01)
+    _, same = limited(too_bright, too_bright * 1.1, 0.2 * too_bright)
+    np.testing.assert_allclose(same, too_bright, rtol=1e-9)
+    assert not limited(before, before * 1.01, 0.01 * before)[0].acts
+
+
+def test_energy_does_not_lower_what_is_determined():
+    """A correction that is known to 0.5 % stays within 1 %, and the remark names the excess."""
+    before, wanted = lit(0.5, 10.0), lit(0.5, 20.0)
+    limit, kept = limited(before, wanted, 0.005 * wanted)
+    np.testing.assert_allclose(kept, wanted, rtol=0.011)
+    assert limit.acts
+    assert "check the absolute scale" in limit.remark.text
+
+
+def test_noise_of_either_sign_does_not_look_like_added_light():
+    """Clipping the noise of a dark surround would raise the albedo above 1; the limit sees the noise unclipped."""
+    random = np.random.default_rng(1)
+    before = lit(0.0, 14.0)
+    wanted = lit(0.0, 15.0)
+    noise = 0.5 * random.standard_normal(before.shape)
+    clipped = np.maximum(wanted + noise, 0)
+    assert albedo(clipped).max() > 1.05
+    assert albedo(wanted).max() < 0.97
+    assert not limited(before + noise, wanted + noise, 0.01 * wanted)[0].acts
+
+
+def test_a_ratio_below_the_noise_multiplies_nothing():
+    """Where the recorded lobe is 1e-20 of the peak the ratio goes to 1; where it stands out of the noise it stays."""
+    shape = (90, 90, 180)
+    recorded = np.ones(shape)
+    recorded[50:] = 1e-20
+    ratio = LobeRatio(np.full(shape, np.log(4e15)), np.full(shape, 0.01), recorded)
+    found = above_noise(ratio, np.full(90, 1e-6))
+    np.testing.assert_allclose(found.log[:50], np.log(4e15), rtol=1e-11)
+    assert np.abs(found.log[50:]).max() < 1e-20
+    assert found.std[50:].min() > 1e15
 
 
 def test_a_file_that_cannot_say_what_is_supported_keeps_the_recorded_value():

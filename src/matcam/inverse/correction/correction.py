@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
+from matcam.core.grid import Grid, Sampling, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.threads import done_behind
@@ -20,9 +20,18 @@ from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
 from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.correction.farthest_glare import FarthestGlare, farthest_glare
-from matcam.inverse.correction.harmless import ROWS, LobeRatio, energy_limit, shrunk, withheld, within_energy
+from matcam.inverse.correction.harmless import (
+    ROWS,
+    EnergyLimit,
+    LobeRatio,
+    above_noise,
+    energy_limit,
+    shrunk,
+    withheld,
+)
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead, lobe_ratio
 from matcam.inverse.correction.other_maskings import other_maskings
+from matcam.inverse.correction.other_body import other_body
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -61,6 +70,11 @@ _UNSEEN = Remark(
     "the lens is a guess, and the data do not show whether it blurs: the table stays as it is, and what the rig would have "
     "changed is the standard deviation of the correction; state the lens, or anyway=True corrects it",
 )
+OPERATOR_ACCURACY = 1e-6
+"""Error of the modelled record of a lobe, as a share of the slice's largest value (docs/correct.md, Claims): a recorded lobe
+fainter than that is not known, whatever the noise."""
+_LEAST_CONTRAST = 1e-3
+"""Least share of a slice's peak that counts as the lobe, so that the noise floor stays finite where only the body shows."""
 _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""
 
@@ -71,6 +85,7 @@ class Correction:
 
     Attributes:
         table: Dataset as from `correct`.
+        recorded: the table that was corrected, 1/sr.
         fit: fit of the lobe through the camera.
         doubts: the same fit with a parameter of the rig free, one for each parameter.
         shape: what was changed of the family's lobe.
@@ -84,10 +99,11 @@ class Correction:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
-        ['table', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld']
+        ['table', 'recorded', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld']
     """
 
     table: xr.Dataset
+    recorded: xr.DataArray
     fit: MaterialFit
     doubts: tuple[Doubt, ...]
     shape: ShapeCorrection
@@ -160,8 +176,10 @@ class Correction:
             lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
         shares = noise_shares(rig_behind(brdf, rig), sampling)
-        table = _corrected_table(brdf, best, left, shares, ratio, scattered, glare)
+        table, limit = _corrected_table(brdf, best, left, shares, ratio, scattered, glare)
         remarks = found.remarks
+        if limit.acts:
+            remarks = (*remarks, limit.remark)
         if noise is None:
             remarks = (*remarks, *gain_remarks(left.picture_gain))
         if found.no_blur and _matters(fitted):
@@ -175,7 +193,7 @@ class Correction:
             sampling=sampling, source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
-        return cls(table, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said)
+        return cls(table, brdf, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said)
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
         """Return the share of the highlight's peak that the camera lost.
@@ -193,8 +211,8 @@ class Correction:
 
     @property
     def supported_share(self) -> float:
-        """Return the share of the table's entries that are supported (no unit)."""
-        return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
+        """Share of supported entries (no unit) among those that can be judged, which have a standard deviation."""
+        return float(self.table["supported"].values[np.isfinite(self.table["brdf_std"].values)].mean())
 
     @property
     def determination(self) -> str:
@@ -254,8 +272,12 @@ class Correction:
         }
 
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
-        """Return recorded over true peak, across the plane of incidence."""
-        return self.table["response"].values[self._peak(theta_d)]
+        """Recorded over corrected peak across the plane of incidence, the mean of the channels."""
+        at = self._peak(theta_d)
+        recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            response = np.where(corrected > 0, recorded / corrected, 1.0)
+        return np.mean(response, axis=-1)
 
     def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
         """Return the index of the peak across the plane of incidence."""
@@ -332,46 +354,49 @@ def _corrected_table(
     ratio_of_lobes: LobeRatio,
     scattered: FarthestGlare,
     glare: float,
-) -> xr.Dataset:
-    """Return the corrected table.
+) -> tuple[xr.Dataset, EnergyLimit]:
+    """Correct a table; the energy limit says whether and how it acted.
 
     noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
     """
     data, sampling = brdf.values, sampling_of(brdf)
-    body, body_std = found.diffuse / np.pi, found.diffuse_std / np.pi
+    body, body_std = np.maximum(found.diffuse, 0) / np.pi, found.diffuse_std / np.pi
+    peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
+    ratio_of_lobes = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
     seen = seen_cells(sampling)
     ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
-    corrected = np.empty_like(data)
+    corrected, camera_std = np.empty_like(data), np.empty_like(data)
+    bodies = other_body(sampling)
     for rows in ROWS:
-        above = data[rows] - body
-        raised = np.where(above > 0, body + above * ratio[rows, ..., None], data[rows])
-        corrected[rows] = np.maximum(raised, 0.0)
-    limit = energy_limit(data, corrected, sampling)
+        above, factor = data[rows] - body, ratio[rows, ..., None]
+        corrected[rows] = body + above * factor
+        variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
+        variance += (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2
+        variance += (body_std**2 + (body * bodies[rows, ..., None]) ** 2) * (factor - 1) ** 2
+        camera_std[rows] = np.where(seen[rows, ..., None], np.sqrt(variance), np.nan)
+    limit = energy_limit(data, corrected, camera_std, sampling)
 
-    peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))[None, :, None, :]
     total, correction_std, noise_std = (np.empty_like(data) for _ in range(3))
     supported = np.empty(data.shape, dtype=bool)
     for rows in ROWS:
         recorded, known = data[rows], seen[rows, ..., None] & np.isfinite(data[rows])
-        above = recorded - body
-        lobe = above > 0
-        factor = np.where(lobe, ratio[rows, ..., None], 1.0)
-        camera = np.where(lobe, above * factor * ratio_of_lobes.std[rows, ..., None], 0.0) ** 2
-        camera += (scattered.of(rows) ** 2 + (glare * recorded) ** 2) * factor**2
-        camera += (body_std * (factor - 1)) ** 2
-        if not limit.none:
+        camera, factor = camera_std[rows], ratio[rows, ..., None]
+        if limit.acts:
             wanted = corrected[rows].copy()
-            corrected[rows] = limit.of(rows, recorded, wanted)
-            camera += (wanted - corrected[rows]) ** 2
-        pixels = noise_share[rows, ..., None] * ((noise.relative * recorded) ** 2 + (noise.floor * peak) ** 2)
+            corrected[rows] = limit.of(rows, recorded, wanted, np.nan_to_num(camera))
+            camera = np.hypot(camera, wanted - corrected[rows])
+        corrected[rows] = np.maximum(corrected[rows], 0.0)
+        pixels = noise_share[rows, ..., None] * (
+            (noise.relative * recorded) ** 2 + (noise.floor * peak[None, :, None, :]) ** 2
+        )
         pixels = (pixels + (noise.picture_gain * recorded) ** 2) * factor**2
-        camera_std, noise_std[rows] = (np.where(known, np.sqrt(variance), np.nan) for variance in (camera, pixels))
+        camera, noise_std[rows] = (np.where(known, std, np.nan) for std in (camera, np.sqrt(pixels)))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            supported[rows] = known & (camera_std < SUPPORTED * corrected[rows])
-            correction_std[rows] = np.where(recorded > 0, camera_std / recorded, np.nan)
-        total[rows] = np.hypot(camera_std, noise_std[rows])
+            supported[rows] = known & (camera < SUPPORTED * corrected[rows])
+            correction_std[rows] = np.where(recorded > 0, camera / recorded, np.nan)
+        total[rows] = np.hypot(camera, noise_std[rows])
     first = brdf.dims[:3]
-    return xr.Dataset(
+    table = xr.Dataset(
         {
             "brdf": (brdf.dims, corrected, {**brdf.attrs, **TABLE_ATTRIBUTES["brdf"], _CORRECTED: 1}),
             **{
@@ -386,14 +411,25 @@ def _corrected_table(
             "response": (first, np.exp(-ratio_of_lobes.log), TABLE_ATTRIBUTES["response"]),
         },
         coords=brdf.coords,
+        attrs={"body": body.tolist()},
     )
+    return table, limit
+
+
+def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:
+    """Compute the noise floor of a pixel over the largest recorded lobe of each slice, (90,), of the noisiest channel.
+
+    peak: (90, channels), largest value of each slice, 1/sr.
+    """
+    lobe = np.maximum(peak - np.maximum(found.diffuse, 0) / np.pi, _LEAST_CONTRAST * peak)
+    share = np.divide(peak, lobe, out=np.ones_like(peak), where=peak > 0).max(axis=1)
+    return max(noise.floor, OPERATOR_ACCURACY) * share
 
 
 def recorded_table(table: xr.Dataset) -> xr.DataArray:
-    """Return the table as it was recorded, from its correction.
+    """Recover the recorded table from its correction.
 
-    The standard deviations say it: `correction_std` is the camera's share of `brdf_std` over what was recorded. Where that
-    share has no digits, an entry is taken as corrected times the response.
+    Entries that were lowered to satisfy energy, or raised to 0, differ from what was recorded.
 
     Args:
         table: from `correct`.
@@ -401,14 +437,10 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
     Returns:
         The recorded table, 1/sr, NaN where it was missing.
     """
-    corrected, share = table["brdf"].values, table["correction_std"].values
-    camera = np.sqrt(np.maximum(table["brdf_std"].values ** 2 - table["noise_std"].values ** 2, 0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        recorded = camera / share
-    # beside a much larger noise the difference of squares has lost its digits
-    lost = ~(camera > 1e-6 * table["noise_std"].values) | ~np.isfinite(recorded)
-    recorded = np.where(lost, corrected * table["response"].values[..., None], recorded)
-    return table["brdf"].copy(data=recorded)
+    body = np.asarray(table.attrs["body"])
+    changed = np.isfinite(table["brdf_std"].values)
+    response = np.where(changed, table["response"].values[..., None], 1.0)
+    return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)
 
 
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
@@ -419,16 +451,12 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
         recorded: the table that was corrected, 1/sr.
 
     Returns:
-        Table of the same dims, 1/sr, within the energy that the corrected one keeps to.
+        Table of the same dims, 1/sr.
 
     Example:
         >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP
     """
-    before, supported = recorded.values, table["supported"].values
-    if (supported | np.isnan(before)).all():
-        return table["brdf"]
-    chosen = np.where(supported, table["brdf"].values, before)
-    return table["brdf"].copy(data=within_energy(before, chosen, sampling_of(recorded)))
+    return table["brdf"].copy(data=np.where(table["supported"].values, table["brdf"].values, recorded.values))
 
 
 def _matters(ratio: LobeRatio) -> bool:

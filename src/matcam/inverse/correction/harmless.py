@@ -3,8 +3,8 @@
 - The ratio of true over recorded lobe shrinks to 1 by its own variance: the logarithm L, of standard deviation s, becomes
   L (1 - s^2 / L^2), and 0 where s exceeds |L| (the positive part of James & Stein's estimate). What is well known stays.
 - Where rig and data contradict each other the ratio is 1, and what it would have been is its standard deviation.
-- The light that leaves a surface in all directions is at most the light that falls on it (albedo, docs/model.md 1): what the
-  correction adds is cut down where it would break that. A table that breaks it by itself does not get worse.
+- The light that leaves a surface in all directions is at most the light that falls on it (albedo, docs/model.md 1). Where a
+  correction would break that, its additions are lowered within their standard deviation.
 """
 
 from __future__ import annotations
@@ -16,10 +16,15 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
+from matcam.core.remark import Remark
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
 """Rows of a table that are worked on at a time: all at once would need several times the table's memory."""
 _AZIMUTHS = 72
+_MOST_STEPS = 2.0
+"""Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the table's absolute scale is
+the likelier cause of an albedo above 1 than the correction."""
+_TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _DIRECTIONS = np.radians(np.arange(90) + 0.5)
 
 
@@ -29,16 +34,20 @@ class LobeRatio(NamedTuple):
     Attributes:
         log: ln(true / recorded).
         std: standard deviation of the ratio over its value: fitted parameters, shape, rig and doubts.
+        recorded: recorded lobe over the largest one of its slice (no unit): where it is below the noise, a ratio that multiplies
+            the data means nothing. Default: None, not known.
     """
 
     log: np.ndarray
     std: np.ndarray
+    recorded: np.ndarray | None = None
 
 
 def withheld(ratio: LobeRatio) -> LobeRatio:
     """Return no correction: what it would have been is uncertainty."""
-    return LobeRatio(
-        np.zeros_like(ratio.log), np.hypot(np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1) * ratio.std)
+    return ratio._replace(
+        log=np.zeros_like(ratio.log),
+        std=np.hypot(np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1) * ratio.std),
     )
 
 
@@ -49,61 +58,89 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     known = ~(variance >= mean**2)  # what is missing stays missing
     share = 1 - np.divide(variance, mean**2, out=np.ones_like(mean), where=known)
     lost = np.expm1(mean * (1 - share))
-    return LobeRatio(mean * share, np.sqrt(variance + lost**2))
+    return ratio._replace(log=mean * share, std=np.sqrt(variance + lost**2))
+
+
+def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
+    """Limit a ratio to where the recorded lobe stands out of the noise.
+
+    A recorded value is the lobe m plus noise n. The linear estimate of least error multiplies the logarithm of the ratio by
+    m^2 / (m^2 + n^2) (Wiener's weight). What it gives up is added to the standard deviation.
+
+    floor: (90,), noise floor of a pixel over the largest recorded lobe of each slice, no unit.
+    """
+    assert ratio.recorded is not None
+    share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None] ** 2)
+    log = share * ratio.log
+    return ratio._replace(log=log, std=np.hypot(ratio.std, np.abs(np.expm1(ratio.log - log))))
 
 
 class EnergyLimit(NamedTuple):
-    """Hold by how much what a correction adds is cut down, for light and view alike: the result is as reciprocal as it was.
+    """Reduction of what a correction adds, the same for light and view, so that the result stays as reciprocal as it was.
 
     Attributes:
-        share: (directions, channels), share that stays of what is added in directions beside the normal.
-        light: (90, 90, 180), direction of each entry's light.
-        view: the same of its view.
+        steps: (directions, channels), standard deviations of the correction by which additions are lowered.
+        excess: (directions, channels), albedo above the limit that remains.
+        light: (90, 90, 180), index of the direction of each entry's light.
+        view: (90, 90, 180), index of the direction of each entry's view.
     """
 
-    share: np.ndarray
+    steps: np.ndarray
+    excess: np.ndarray
     light: np.ndarray
     view: np.ndarray
 
     @property
-    def none(self) -> bool:
-        """Say whether nothing is cut down."""
-        return bool((self.share == 1).all())
+    def acts(self) -> bool:
+        """Whether any entry is lowered."""
+        return bool((self.steps > 0).any())
 
-    def of(self, rows: slice, recorded: np.ndarray, corrected: np.ndarray) -> np.ndarray:
-        """Return some rows of a corrected table as far as energy allows, (rows, 90, 180, channels)."""
-        change = corrected - recorded
-        allowed = np.minimum(self.share[self.light[rows]], self.share[self.view[rows]])
-        return np.where(change > 0, recorded + change * allowed, corrected)
+    @property
+    def remark(self) -> Remark:
+        """Size and extent of the reduction."""
+        limited = int((self.steps > 0).any(axis=1).sum())
+        text = (
+            f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
+            f"the entries there were lowered by up to {self.steps.max():.1f} standard deviations of the correction"
+        )
+        if self.excess.max() > 0:
+            text += (
+                f"; an excess of up to {self.excess.max():.1%} remains, because the correction is better known than that: "
+                "check the absolute scale of the table"
+            )
+        return Remark("energy-limit", text)
+
+    def of(self, rows: slice, recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray) -> np.ndarray:
+        """Lower some rows of a corrected table, (rows, 90, 180, channels). No entry falls below its recorded value."""
+        steps = np.maximum(self.steps[self.light[rows]], self.steps[self.view[rows]])
+        return np.where(corrected > recorded, np.maximum(corrected - steps * std, recorded), corrected)
 
 
-def energy_limit(recorded: np.ndarray, corrected: np.ndarray, sampling: Sampling) -> EnergyLimit:
-    """Return what keeps the albedo of a corrected table at 1 at most, or the recorded one's, in each direction and channel.
+def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, sampling: Sampling) -> EnergyLimit:
+    """Compute the reduction that keeps the albedo of each direction and channel at 1, or at the recorded one if that is larger.
 
-    Both are (90, 90, 180, channels), 1/sr; missing entries send nothing.
+    The errors of a correction are correlated over a direction, because one fit made them. The projection on the limit then moves
+    every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`: what is determined
+    stays. Negative noise must not be clipped beforehand, as clipping adds light.
+
+    recorded, corrected: (90, 90, 180, channels), 1/sr; missing entries send nothing. std: of the correction, 1/sr; NaN of an entry
+    that is not corrected: it may be as dark as 0.
     """
     cells, weight = _albedo_rule()
-    there = [table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected)]
-    change = np.nan_to_num(there[1] - there[0])
-    before = albedo(recorded)
-    added, taken = (weight @ np.maximum(side * change, 0) for side in (1, -1))
-    room = np.maximum(1.0, before) - before + taken
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.where(added > room, room / added, 1.0)
-    # of the directions on either side of an entry's own, the stricter
-    share = np.minimum(share, np.minimum(np.r_[share[1:], share[-1:]], np.r_[share[:1], share[:-1]]))
-    return EnergyLimit(share, *_directions(sampling))
-
-
-def within_energy(recorded: np.ndarray, corrected: np.ndarray, sampling: Sampling) -> np.ndarray:
-    """Return a corrected table as far as energy allows (`energy_limit`)."""
-    limit = energy_limit(recorded, corrected, sampling)
-    if limit.none:
-        return corrected
-    limited = np.empty_like(corrected)
-    for rows in ROWS:
-        limited[rows] = limit.of(rows, recorded[rows], corrected[rows])
-    return limited
+    before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))
+    known = np.isfinite(after) & np.isfinite(error)
+    sent = weight @ np.nan_to_num(before)
+    before, after, error = (np.where(known, part, 0.0) for part in (before, after, error))
+    excess = weight @ after - np.maximum(1.0, sent)
+    added = np.maximum(after - before, 0)
+    steps, left = np.zeros_like(excess), np.maximum(excess, 0)
+    for tried in _TRIED_STEPS if (excess > 0).any() else ():
+        now = excess - weight @ np.minimum(tried * error, added)
+        better = left > 0
+        steps[better], left[better] = tried, np.maximum(now, 0)[better]
+    # an entry lies between two directions: the larger reduction applies
+    steps = np.maximum(steps, np.maximum(np.r_[steps[1:], steps[-1:]], np.r_[steps[:1], steps[:-1]]))
+    return EnergyLimit(steps, left, *_directions(sampling))
 
 
 def albedo(table: np.ndarray) -> np.ndarray:

@@ -94,7 +94,10 @@ def lobe_ratio(
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
     fitted = at.rig @ axis_selection(at.axes, axes)
 
-    log = on_table(_shaped(fine, at, fits.shape), fine)
+    log_ratio, log_recorded = _shaped(fine, at, fits.shape)
+    log = on_table(log_ratio, fine)
+    recorded = on_table(log_recorded, fine)
+    recorded = np.exp(recorded - recorded.max(axis=(0, 2), keepdims=True))
     here = _plain(coarse, at, fitted)
     if fitted.any():
         log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
@@ -107,7 +110,7 @@ def lobe_ratio(
         lattices = Lattices(fine, coarse, fitted)
         moved, by_phase = pixel_log_ratio(lattices, at, fits.shape, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
-    return LobeRatio(log, np.sqrt(variance))
+    return LobeRatio(log, np.sqrt(variance), recorded)
 
 
 @kept_program
@@ -160,11 +163,12 @@ def _shares(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> _
     return _Shares(lobes, [np.asarray(parts) / lobe for (_, parts), lobe in zip(pairs, lobes, strict=True)])
 
 
-def _shaped(where: ResponseLattice, at: FitCoordinates, shape: ShapeCorrection) -> np.ndarray:
-    """Return ln(true / recorded) with the shape's correction, the rig as given."""
+def _shaped(where: ResponseLattice, at: FitCoordinates, shape: ShapeCorrection) -> tuple[np.ndarray, np.ndarray]:
+    """Compute ln(true / recorded) and ln(recorded) with the shape's correction, the rig as given."""
     both = _shares(where, at, np.zeros(len(where.recorded.axes)))
     (recorded, true), (lift_recorded, lift_true) = both.lobes, both.lifts(shape)
-    return np.where(where.cells.valid, np.log(true / recorded) + np.log(lift_true / lift_recorded), 0.0)
+    log_recorded = np.where(where.cells.valid, np.log(recorded * lift_recorded), np.log(VANISHED))
+    return np.where(where.cells.valid, np.log(true * lift_true) - log_recorded, 0.0), log_recorded
 
 
 def _variance(where: ResponseLattice, at: FitCoordinates, shape: ShapeCorrection, shifts: np.ndarray) -> np.ndarray:

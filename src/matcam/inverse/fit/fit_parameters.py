@@ -197,7 +197,7 @@ class Layout(NamedTuple):
     def unit_bounds(self) -> list[tuple[float, float]]:
         """Bound the coordinates of one unit."""
         bounds = [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[self.fresnel]]
-        return bounds + ([(-0.05, 1.0)] if self.diffuse else [])
+        return bounds + ([(0.0, 1.0)] if self.diffuse else [])
 
 
 def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:

@@ -1,0 +1,29 @@
+"""Difference between a Lambertian body and the diffuse light that leaves through a dielectric surface.
+
+A correction assumes a Lambertian body under the lobe. Diffuse light of a dielectric is transmitted twice and carries
+(1 - F(theta_i)) (1 - F(theta_o)) (Shirley et al. 1997; Burley 2012, 5.3). The data rarely tell the two apart under a lobe, so the
+difference is uncertainty wherever a correction replaces recorded light by the body.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from matcam.core.grid import Sampling, merl_grid
+from matcam.inverse.correction.response_lattice import seen_cells
+
+_F0 = 0.04
+"""Reflectance at normal incidence of an index of 1.5, which most coatings and plastics have."""
+
+
+@cache
+def other_body(sampling: Sampling) -> np.ndarray:
+    """Compute the relative difference of a dielectric's body from the Lambertian one of the same mean; (90, 90, 180), no unit."""
+    grid = merl_grid(sampling)
+    th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
+    mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)
+    # Schlick's F: 1 - F = (1 - f0) (1 - (1 - cos)^5)
+    passed = np.prod([1 - (1 - np.clip(cos, 0, 1)) ** 5 for cos in (mean - half, mean + half)], axis=0)
+    return np.abs(passed / passed[seen_cells(sampling)].mean() - 1)
