@@ -138,16 +138,17 @@ def fresnel(
     if explained.no_camera > _NEGLIGIBLE or held_back:
         blind = explained.blind_setup.with_(every=every).solve(start=explained.blind)
         terms.append(_FresnelTerm(blind, normalise))
-    others = [
-        (_FresnelTerm(other.setup.with_(every=every).solve(start=other.fit), normalise), other.weight)
+    members = [
+        (_FresnelTerm(other.setup.with_(every=every).solve(start=other.fit), normalise), other.probability)
         for other in explained.others
     ]
+    others = []
     for doubt in explained.doubts:
         if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
             free = explained.setup.with_(every=every, also=(doubt.axis.name,)).solve(start=doubt.fit)
             others.append((_FresnelTerm(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
-    term = _average(terms, others, weight, held_back=held_back)
+    term = _average(terms, members, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)
     term = term.with_gain(gain)
     remarks = (*explained.remarks, *gain_remarks(gain))
@@ -331,13 +332,27 @@ class _FresnelTerm:
 
 
 def _average(
-    terms: list[_FresnelTerm], others: list[tuple[_FresnelTerm, float]], weight: float, *, held_back: bool
+    terms: list[_FresnelTerm],
+    members: list[tuple[_FresnelTerm, float]],
+    others: list[tuple[_FresnelTerm, float]],
+    weight: float,
+    *,
+    held_back: bool,
 ) -> _FresnelTerm:
     """Return F through the camera, or its mean with that of no camera, which has this weight.
 
-    What they differ in is uncertainty, as is what other lobes, each with its weight, would make of it.
+    members: other lobes and their probabilities, over which F is averaged. others: alternatives whose difference is
+        uncertainty, each with its factor.
     """
     camera, *blind = terms
+    shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
+    for other, share in members:
+        apart, aside = other.normalised - camera.normalised, np.nan_to_num(other.absolute - camera.absolute)
+        shift, spread = shift + share * apart, spread + share * apart**2
+        moved, scatter = moved + share * aside, scatter + share * aside**2
+    camera.normalised, camera.absolute = camera.normalised + shift, camera.absolute + moved
+    camera.std_camera = np.sqrt(camera.std_camera**2 + spread - shift**2)
+    camera.absolute_std = np.sqrt(camera.absolute_std**2 + scatter - moved**2)
     result = blind[0] if held_back else camera
     variance = result.std_camera**2
     absolute = result.absolute_std**2

@@ -18,6 +18,7 @@ from matcam.core.remark import Remark, to_attribute
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
+from matcam.inverse.correction.evidence import UNKNOWN_SHARE
 from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.correction.farthest_glare import FarthestGlare, farthest_glare
 from matcam.inverse.correction.harmless import (
@@ -161,7 +162,8 @@ class Correction:
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
-        fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, other_maskings(best), expected)
+        maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
+        fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)

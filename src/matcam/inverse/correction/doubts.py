@@ -98,17 +98,17 @@ class Doubt(NamedTuple):
 
 
 class OtherLobe(NamedTuple):
-    """Hold another lobe through the same camera, whose difference counts as uncertainty.
+    """Another lobe through the same camera.
 
     Attributes:
         fit: of it.
         setup: of `fit`.
-        weight: how often the difference counts; the root of its probability where another lobe is likelier.
+        probability: that it, of all lobes, made the table (no unit).
     """
 
     fit: MaterialFit
     setup: FitSetup
-    weight: float
+    probability: float
 
 
 def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = DOUBTED) -> tuple[Doubt, ...]:
@@ -194,14 +194,12 @@ class ShapeCorrection(NamedTuple):
         """Say whether the lobe's family does not explain the data."""
         return self.scale > FAMILY_FAILS
 
-    def remark(self, family: str, *, bent: bool) -> Remark:
-        """Say what a reader should know of a family that does not explain the data. bent: whether a bent lobe does."""
-        said = "its shape was bent, and what the pixels do not resolve of that shape counts as uncertainty"
-        if not bent:
-            said = "a bent one does not, either, so that what bending changes counts as uncertainty"
+    def remark(self, family: str) -> Remark:
+        """State that a family does not explain the data and its lobe was corrected."""
         return Remark(
             "family-fails",
-            f"no {family} lobe explains the data (scale {self.scale:g}): {said}",
+            f"no {family} lobe explains the data (scale {self.scale:g}): its shape was corrected by a smooth factor, and what "
+            "the pixels do not resolve of that shape counts as uncertainty",
         )
 
 

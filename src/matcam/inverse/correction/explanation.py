@@ -1,22 +1,20 @@
-"""What explains a table best: a lobe through the rig's camera, bent or not, or no camera at all (docs/correct.md).
+"""Explanations of a table, weighed by their evidence (docs/correct.md).
 
-`correct` and `fresnel` read the same explanation, so they cannot contradict each other. Everything is fitted to the same
-cells with F free in every slice and a Lambertian part.
+`correct` and `fresnel` read the same explanation, so they cannot contradict each other. Every member of the list is fitted to
+the same cells with F free in every slice and a Lambertian part:
 
-- The camera: its lens as the profile states it or as assumed, the shape of the lens's kernel uncertain, too.
-- Where no family explains the data Student's t may, whose tails are of any length; and then two lobes: a coat over a base,
-  facets of two finishes.
-- A lobe that fails, too, is bent, where that explains the noise. Elsewhere what bending would change is uncertainty. What
-  Student's t or two lobes in place of the bent one would change is uncertainty as far as they are probable.
-- No camera: the same lobe as a perfect camera would have recorded it. If it makes the data clearly more probable, the data
-  show no blur by this camera, whatever the rig says.
-- Shadowing: where no lobe explains the noise, neither with a camera nor without, each colour has a lobe of its own, and masking
-  is any smooth function of the angle. Of F it says nothing, but whether there is a camera, and what a pixel's noise is.
+- a lobe of each family through the camera, whose lens is uncertain as the profile states, in width and shape;
+- where the best of them leaves more than pixel noise: Student's t, whose tails are of any length, two lobes, and a lobe with a
+  smooth correction ("bent");
+- the best lobe as a perfect camera would have recorded it, and, where the list does not explain the data, a lobe of each
+  channel with any smooth masking.
+
+A few slices rank the members; those that may matter are fitted to more. The result is the mean over the members, by their
+posterior probabilities (`evidence`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +33,9 @@ from matcam.inverse.correction.doubts import (
     rig_doubts,
     shape_correction,
 )
-from matcam.inverse.correction.other_maskings import EVIDENCE
+from matcam.inverse.correction.evidence import Weighing, noise_without_model
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY, FitSetup, candidate_fits, free_setup, likeliest
+from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_EVERY, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig
 from matcam.inverse.operator.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
@@ -46,41 +44,50 @@ from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
 _MOST_BEND = 1.0
-"""How far a lobe whose family fails may leave it at most (`fit`, bend): as far as the data ask, up to this."""
+"""Standard deviation of the second differences of ln D of a lobe that is as free as no family at all."""
 _STIFF = 0.125
-"""Share of a lobe's half width below which a bend is stiff: a broad lobe has no fine structure."""
-_BEND_EVERY = 3 * SEARCH_EVERY
-_SMOOTH_CORE = "ggx"
-"""Family that is bent if it was tried: unlike EPD's it has no cusp, of which no pixel could say whether it is there. Student's
-t, which has none either, is bent where it asks for less."""
-_MOST_NOISE = 0.05
-"""Noise of a pixel, estimated, up to which a lobe explains its data."""
-_MOST_MISFIT = 2.0
-"""Misfit up to which a lobe explains its data, where the noise was given."""
+"""Share of a lobe's half width below which its correction is stiff: a broad lobe has no fine structure."""
+_RANKED_EVERY = 3 * SEARCH_EVERY
+"""Spacing of the slices in which the members are ranked."""
+_SMOOTH_CORES = ("ggx", STUDENT)
+"""Families that a correction may start from: unlike EPD's they have no cusp, which no pixel could resolve."""
+_HOPELESS = 15.0
+"""Difference of log evidence in the ranking slices from which a member is left out: a probability of 3e-7, to which more
+slices would only add."""
 _PROBABLE = 0.5
-"""Probability from which something is taken to be so."""
+"""Probability from which a statement is made."""
 _UNLIKELY = 0.05
 """Probability of no camera down to which a lens that is a guess moves nothing."""
 _NEGLIGIBLE = 1e-3
 """Probability below which another lobe counts for nothing."""
+_MOSTLY_MISFIT = 0.5
+"""Share of pixel noise in the residual variance below which the list does not explain the data."""
+
+
+class Member(NamedTuple):
+    """One explanation of a table: a fit and its setup."""
+
+    setup: FitSetup
+    fit: MaterialFit
 
 
 class Explanation(NamedTuple):
-    """Hold the fits of a table and what they say together.
+    """The explanations of a table and their probabilities.
 
     Attributes:
-        located: the rig, which says what cells stand for.
+        located: the rig, with the rule of its cells.
         setup: of `fit`.
-        candidates: fits of each family through the camera.
-        fit: the lobe through the camera that explains the data best.
+        candidates: fits of the lobes through the camera that may matter.
+        fit: the most probable of them.
         shape: what is changed of its shape.
-        base: the same lobe in those slices that doubts are fitted to: they differ from it.
-        others: other lobes through the same camera, whose difference is uncertainty.
+        base: the same lobe in the slices that doubts are fitted to.
+        others: the other lobes through the same camera, with their probabilities.
         doubts: fits with a parameter of the rig free.
         blind_setup: of `blind`.
         blind: the lobe without a camera.
         no_camera: probability that no camera, rather than this one, made the table.
-        shadowed: a lobe of each colour with free masking, without a camera; None where nothing asks for it.
+        shadowed: a lobe of each channel with free masking, without a camera; None where the list explains the data.
+        weighing: how residuals were weighed.
     """
 
     located: LocatedRig
@@ -95,6 +102,7 @@ class Explanation(NamedTuple):
     blind: MaterialFit
     no_camera: float
     shadowed: MaterialFit | None
+    weighing: Weighing
 
     @property
     def without_camera(self) -> MaterialFit:
@@ -146,8 +154,16 @@ class Explanation(NamedTuple):
     def remarks(self) -> tuple[Remark, ...]:
         """Say what a reader should know of it."""
         remarks = [*self.fit.remarks, *self.located.remarks]
-        if self.shape.family_fails:
-            remarks.append(self.shape.remark(self.fit.family, bent=self.fit.is_bent))
+        if self.fit.is_bent:
+            remarks.append(self.shape.remark(self.fit.family))
+        if self.weighing.known and self.weighing.kappa < _MOSTLY_MISFIT:
+            remarks.append(
+                Remark(
+                    "unexplained",
+                    f"{1 - self.weighing.kappa:.0%} of the variance of the residuals is more than pixel noise "
+                    f"({self.weighing.noise.relative:.1%}): no lobe of the list explains the data fully",
+                )
+            )
         return (*remarks, *(doubt.remark for doubt in self.doubts if doubt.contradicts))
 
 
@@ -176,113 +192,104 @@ def first_setup(
 
 
 def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
-    """Return the explanation of a table.
+    """Fit and weigh the explanations of a table.
 
     Args:
         setup: its `first_setup`.
         located: the setup's rig.
         ndf: family of the lobe, or "auto".
     """
-    rig, noise, every = located.rig, setup.noise, setup.every
-    candidates = candidate_fits(setup, ndf)
-    found = likeliest(candidates)
-    setup = setup.with_(ndf=found.family)
-    blind_setup = FitSetup(
-        setup.tables, None, found.family, fresnel="free", diffuse=True, masking=setup.masking, noise=noise, every=every,
-        view=sample_view(rig), pixels=grid_of(rig), workspace=setup.workspace,
-    )  # fmt: skip
-    shape = shape_correction(found, noise)
-    refused: list[OtherLobe] = []
-    smooth, bend = next((one for one in candidates if one.family == _SMOOTH_CORE), found), shape.scale
-    for name in (STUDENT, TWO_LOBES) if shape.family_fails and ndf == AUTO else ():
-        few_of_it = _few_slices(setup.with_(ndf=name))
-        asked = shape_correction(few_of_it.fit, noise)  # it refuses most tables that fail
-        if not asked.family_fails:
-            whole = setup.with_(ndf=name).solve(start=few_of_it.fit)
-            asked = shape_correction(whole, noise)
-            likelier = whole.log_likelihood > found.log_likelihood
-            # free in two widths and a share, they bend to a lens that is wrong: what is left then is no pixel's noise
-            if likelier and _explains(whole, noise) and not asked.family_fails:
-                found, shape, candidates = whole, asked, [*candidates, whole]
-                setup, blind_setup = setup.with_(ndf=name), blind_setup.with_(ndf=name)
-                break
-        refused.append(few_of_it)
-        if name == STUDENT and asked.scale < bend:
-            smooth, bend = few_of_it.fit, asked.scale
-    others: tuple[OtherLobe, ...] = ()
-    base, base_setup = found, setup
-    if not shape.family_fails:
-        blind, through_camera = blind_setup.solve(), found
-    else:
-        few = setup.with_(every=max(_BEND_EVERY, every))
-        bend = min(bend, _MOST_BEND)
-        stiff = _STIFF * smooth.hwhm if np.isfinite(smooth.hwhm) else 0.0
-        bent_setup = few.with_(bend=bend, stiff_below=stiff, ndf=smooth.family)
-        through_camera = bent_setup.solve(start=smooth)
-        blind_setup = blind_setup.with_(every=few.every, ndf=smooth.family)
-        plain = blind_setup.solve()
-        blind_setup = blind_setup.with_(bend=bend, stiff_below=stiff)
-        blind = blind_setup.solve(start=plain)
-        if _explains(through_camera, noise):
-            base, base_setup = through_camera, bent_setup
-            found, setup = in_all_slices(through_camera, bent_setup, every)
-            shape = no_correction(found, shape.scale)
-            rivals = [_whole(other, every) for other in _as_probable(refused, through_camera)]
-            others = _as_probable(rivals, found)
-        else:
-            others, shape = (OtherLobe(through_camera, bent_setup, 1.0),), no_correction(found, shape.scale)
-    no_camera = _probability(blind, through_camera)
-    shadowed = None
-    if not _explains(blind, noise) and (no_camera > _PROBABLE or not _explains(through_camera, noise)):
-        shadowed = _shadowed(blind_setup, blind)
-    if shadowed is not None and not _explains(through_camera, noise):
-        no_camera = max(no_camera, _probability(shadowed, through_camera))
-    doubts = rig_doubts(base_setup, rig, base)
-    return Explanation(
-        located, setup, candidates, found, shape, base, others, doubts, blind_setup, blind, no_camera, shadowed
+    rig, every = located.rig, setup.every
+    few = setup.with_(every=max(_RANKED_EVERY, every))
+    ranked = [_solved(few.with_(ndf=family)) for family in (CANDIDATES if ndf == AUTO else (ndf,))]
+    noise = noise_without_model(setup, ranked[0].fit)
+    weighing = _weighing(ranked, noise)
+    if not any(weighing.complete(one.fit) for one in ranked):
+        ranked += [_solved(few.with_(ndf=family)) for family in ((STUDENT, TWO_LOBES) if ndf == AUTO else ())]
+        cores = [one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked
+        ranked.append(_bent(max(cores, key=lambda one: weighing.log_evidence(one.fit))))
+        weighing = _weighing(ranked, noise)
+    logs = [weighing.log_evidence(one.fit) for one in ranked]
+    best = ranked[int(np.argmax(logs))]
+
+    blind = _without_camera(best, rig)
+    blinds = [blind]
+    if weighing.kappa < _MOSTLY_MISFIT:
+        blinds.append(_shadowed(blind))
+    by_camera = np.logaddexp.reduce(logs)
+    by_none = np.logaddexp.reduce([weighing.log_evidence(one.fit) for one in blinds])
+    no_camera = float(1 / (1 + np.exp(np.clip(by_camera - by_none, -500, 500))))
+    shadowed = blinds[-1].fit if len(blinds) > 1 else None
+    if shadowed is not None and weighing.log_evidence(shadowed) < weighing.log_evidence(blind.fit):
+        shadowed = None
+
+    kept = [one for one, log in zip(ranked, logs, strict=True) if log > max(logs) - _HOPELESS]
+    whole = [_in_more_slices(one, every) for one in kept]
+    weighing = _weighing(whole, noise)
+    shares = weighing.probabilities([one.fit for one in whole])
+    first = int(np.argmax(shares))
+    found = whole[first]
+    others = tuple(
+        OtherLobe(one.fit, one.setup, float(share))
+        for n, (one, share) in enumerate(zip(whole, shares, strict=True))
+        if n != first and share > _NEGLIGIBLE
     )
+    if found.fit.is_bent:
+        shape = no_correction(found.fit, found.setup.bend)
+    else:
+        shape = shape_correction(found.fit, setup.noise)
+        if shape.family_fails:  # the corrected lobe is a member of its own
+            shape = no_correction(found.fit, shape.scale)
+    base = kept[first] if found.fit.is_bent else found
+    return Explanation(
+        located=located, setup=found.setup, candidates=[one.fit for one in whole], fit=found.fit, shape=shape,
+        base=base.fit, others=others, doubts=rig_doubts(base.setup, rig, base.fit), blind_setup=blind.setup,
+        blind=blind.fit, no_camera=no_camera, shadowed=shadowed, weighing=weighing,
+    )  # fmt: skip
 
 
-def _few_slices(setup: FitSetup) -> OtherLobe:
-    """Return the fit of a lobe to a few slices."""
-    few = setup.with_(every=max(_BEND_EVERY, setup.every))
-    return OtherLobe(few.solve(), few, 1.0)
+def _weighing(members: list[Member], noise: PixelNoise | None) -> Weighing:
+    return Weighing.of([one.fit for one in members], noise)
 
 
-def _whole(other: OtherLobe, every: int) -> OtherLobe:
-    """Return a lobe that was fitted to a few slices in every `every`-th."""
-    setup = other.setup.with_(every=every)
-    return other._replace(fit=setup.solve(start=other.fit), setup=setup)
+def _solved(setup: FitSetup) -> Member:
+    return Member(setup, setup.solve())
 
 
-def _as_probable(others: Sequence[OtherLobe], found: MaterialFit) -> tuple[OtherLobe, ...]:
-    """Weigh other lobes by their probabilities, of all and the one that is corrected for; all are fits of the same slices."""
-    if not others:
-        return ()
-    odds = EVIDENCE * np.array([0.0, *(other.fit.log_likelihood - found.log_likelihood for other in others)])
-    shares = np.exp(odds - odds.max())
-    shares = shares[1:] / shares.sum()
-    pairs = zip(others, shares, strict=True)
-    return tuple(other._replace(weight=float(np.sqrt(share))) for other, share in pairs if share > _NEGLIGIBLE)
+def _bent(core: Member) -> Member:
+    """Return a lobe with a smooth correction, as free as its family's residuals suggest."""
+    bend = min(shape_correction(core.fit, core.setup.noise).scale, _MOST_BEND)
+    stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
+    setup = core.setup.with_(bend=bend, stiff_below=stiff)
+    return Member(setup, setup.solve(start=core.fit))
 
 
-def _shadowed(blind_setup: FitSetup, blind: MaterialFit) -> MaterialFit | None:
-    """Return the fit with free masking and a lobe for each colour, if it makes the data clearly more probable."""
-    setup = blind_setup.with_(masking="smith-separable", per_channel=True, free_masking=True, bend=_MOST_BEND)
-    found = setup.solve(start=blind, weights="start")
-    return found if _probability(found, blind) > _PROBABLE else None
+def _without_camera(best: Member, rig: Rig) -> Member:
+    """Return the same lobe as a perfect camera would have recorded it, in the same cells."""
+    own = best.setup
+    setup = FitSetup(
+        own.tables, None, own.ndf, fresnel="free", diffuse=True, masking=own.masking, noise=own.noise, every=own.every,
+        view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
+    )  # fmt: skip
+    plain = _solved(setup)
+    if not own.bend:
+        return plain
+    bent = setup.with_(bend=own.bend, stiff_below=own.stiff_below)
+    return Member(bent, bent.solve(start=plain.fit))
 
 
-def _probability(one: MaterialFit, other: MaterialFit) -> float:
-    """Return the probability of one explanation of some cells against another; parameters of free masking count (Akaike)."""
-    difference = EVIDENCE * (one.log_likelihood - other.log_likelihood)
-    if one.coordinates.kind.shadows:
-        difference -= one.effective_parameters() - other.effective_parameters()
-    return float(1 / (1 + np.exp(-np.clip(difference, -500, 500))))
+def _shadowed(blind: Member) -> Member:
+    """Return the fit with free masking and a lobe for each channel."""
+    setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True, bend=_MOST_BEND)
+    return Member(setup, setup.solve(start=blind.fit, weights="start"))
 
 
-def _explains(found: MaterialFit, noise: PixelNoise | None) -> bool:
-    """Say whether a fit leaves no more than a pixel's noise."""
-    if noise is not None:
-        return found.misfit < _MOST_MISFIT
-    return max(found.noise.relative, 20 * found.noise.floor) < _MOST_NOISE
+def _in_more_slices(member: Member, every: int) -> Member:
+    """Return the same lobe in every `every`-th slice; how smooth a correction is where it is shown is learned on the way."""
+    if member.setup.every == every:
+        return member
+    if member.setup.bend:
+        fit, setup = in_all_slices(member.fit, member.setup, every)
+        return Member(setup, fit)
+    setup = member.setup.with_(every=every)
+    return Member(setup, setup.solve(start=member.fit))

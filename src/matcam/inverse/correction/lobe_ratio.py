@@ -41,8 +41,8 @@ class CorrectionFits(NamedTuple):
         shape: what was changed of its shape.
         base: the same lobe in those slices that doubts were fitted to: they differ from it.
         doubts: fits with a parameter of the rig free.
-        others: other lobes through the same camera, whose difference counts as uncertainty.
-        maskings: what other maskings would make of `fit`; the same.
+        others: other lobes through the same camera, over which the ratio is averaged.
+        maskings: what other maskings would make of `fit`, whose difference counts as uncertainty.
         expected: parameters of the rig that such fits have, of which `lattices_ahead` was told.
     """
 
@@ -60,14 +60,17 @@ class CorrectionFits(NamedTuple):
         at, base = self.fit.coordinates, self.base.coordinates
         return [
             *((base, doubt.fit.coordinates, doubt.counted) for doubt in self.doubts if doubt.counted),
-            *((at, other.fit.coordinates, other.weight) for other in self.others),
             *((at, other.coordinates, other.weight) for other in self.maskings),
         ]
 
     @property
     def axes(self) -> tuple[Axis, ...]:
         """Return the parameters of the rig that any of the fits has, or may be expected to have."""
-        fitted = (self.fit.coordinates, *(there for _, there, _ in self.alternatives))
+        fitted = (
+            self.fit.coordinates,
+            *(there for _, there, _ in self.alternatives),
+            *(other.fit.coordinates for other in self.others),
+        )
         return tuple(dict.fromkeys((*self.expected, *(axis for one in fitted for axis in one.axes))))
 
 
@@ -105,6 +108,12 @@ def lobe_ratio(
     for from_, there, weight in fits.alternatives:
         change = _at(coarse, there) - (here if from_ is at else _at(coarse, from_))
         variance += (weight * on_table(change, coarse)) ** 2
+    shift, spread = np.zeros(log.shape), np.zeros(log.shape)
+    for other in fits.others:
+        change = on_table(_at(coarse, other.fit.coordinates) - here, coarse)
+        shift += other.probability * change
+        spread += other.probability * change**2
+    log, variance = log + shift, variance + spread - shift**2  # mean and variance of the mixture
     pixels = grid_of(rig)
     if pixels is not None:
         lattices = Lattices(fine, coarse, fitted)

@@ -18,9 +18,6 @@ from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.material.masking import MASKINGS
 from matcam.numerics.linalg import scaled_inverse
 
-EVIDENCE = 0.1
-"""Share of a difference of log likelihoods that is believed: what a model misses is the same in neighbouring cells."""
-
 
 class OtherMasking(NamedTuple):
     """Hold the lobe and rig that another masking would have been fitted by.
@@ -34,8 +31,11 @@ class OtherMasking(NamedTuple):
     weight: float
 
 
-def other_maskings(found: MaterialFit) -> tuple[OtherMasking, ...]:
-    """Return what a fit of one lobe with free strengths would have been with each other masking."""
+def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]:
+    """Return what a fit of one lobe with free strengths would have been with each other masking.
+
+    kappa: share of a difference of log likelihoods that counts (`evidence`).
+    """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates
     problem, model = solution.problem, solution.model
@@ -55,7 +55,7 @@ def other_maskings(found: MaterialFit) -> tuple[OtherMasking, ...]:
         change = -inverse @ (flat @ added)
         gains.append(float(added @ rest) - 0.5 * float(added @ (added + change @ flat)))
         moved.append(change[:own])
-    tempered = EVIDENCE * (np.array(gains) - max(gains))
+    tempered = kappa * (np.array(gains) - max(gains))
     share = np.exp(tempered) / np.exp(tempered).sum()
     size = len(at.lobe)
     return tuple(

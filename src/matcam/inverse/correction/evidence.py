@@ -1,0 +1,234 @@
+"""Evidence of the explanations of a table: how probable each makes the data, on one scale for all of them.
+
+The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the peak of
+the slice), with exponential priors on tau and tau_f. Laplace's approximation gives
+
+    ln E = kappa ln L + ln p(tau, tau_f) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
+
+H the information of the data about the k parameters theta, Q that of their prior, q_s the information about the free strength of
+slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so cells count only by the share of pixel noise in the
+variance of the best explanation: kappa = min(1, 1 / chi^2), chi^2 the mean squared residual of that explanation in standard
+deviations of pixel noise. This is a tempered likelihood (Gruenwald 2012).
+
+V0 is estimated without any model: from cells that mirror each other, or from the differences between channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.camera.sensor import PixelNoise
+from matcam.core.grid import merl_grid, sampling_of
+from matcam.inverse.fit.fit_data import (
+    INITIAL_NOISE,
+    FitData,
+    cell_variance,
+    estimate_noise,
+    standardised_residual,
+    whitening,
+)
+from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES, Layout
+from matcam.inverse.fit.fit_setup import FitSetup
+from matcam.inverse.fit.material_fit import MaterialFit
+
+LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
+"""Least noise of a pixel that is believed: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record. A
+table that was made symmetric shows no noise in mirrored cells, and has it all the same."""
+UNKNOWN_SHARE = 0.1
+"""kappa where nothing distinguishes pixel noise from misfit, as in a table of one channel whose cells have no mirror images: cells
+of one ring, about ten, then share one error."""
+_MISFIT_SCALES = 1e-2, 1e-4
+"""Means of the exponential priors of tau and tau_f: a model that is off by much more is not an explanation."""
+_FEWEST_PAIRS = 100
+"""Pairs of cells from which a noise is estimated to 7 % or better."""
+_HUBER = 3.0
+_PRIORS = {
+    "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
+    "spline": (0.0, 2.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
+}  # fmt: skip
+"""Mean and standard deviation of each kind of parameter, in the coordinates of a fit: widths from 0.001 to 0.1 rad, powers from 1/2
+to 2, any share, strengths of a diffuse part up to 0.5. Differences of evidence depend on their logarithm only."""
+
+
+def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | None:
+    """Estimate the noise of a pixel without a model of the lobe; None where nothing shows it.
+
+    Each of two estimates is an upper bound: mirrored cells differ through an aberrated lens, too, and channels in what only
+    one of them shows. The smaller one is returned.
+
+    setup: whose cells are compared with their mirror images. found: a fit, whose residuals are compared between channels.
+    """
+    if setup.noise is not None:
+        return setup.noise
+    bounds = [one for one in (_mirrored_noise(setup), _channel_noise(found)) if one is not None]
+    if not bounds:
+        return None
+    least = PixelNoise(min(one.relative for one in bounds), min(one.floor for one in bounds), 0.0)
+    return _at_least(least, LEAST_NOISE)
+
+
+def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
+    return noise._replace(relative=max(noise.relative, least.relative), floor=max(noise.floor, least.floor))
+
+
+def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
+    """Estimate noise from cells at phi_d and pi - phi_d, which a camera without aberrations records alike (docs/model.md 3)."""
+    problem = setup.problem
+    cells, data, (table,) = problem.cells, problem.data, setup.tables
+    if cells.real is not None or (setup.rig is not None and not setup.rig.camera.optics.isotropic):
+        return None
+    mirrored = merl_grid(sampling_of(table)).index(phi_d=np.mod(np.pi - cells.phi_d, np.pi))[2]
+    others = table.values[cells.i_theta_h, cells.slices[:, None], mirrored].transpose(2, 0, 1)
+    apart = (np.abs(cells.y) >= 0.5).all(axis=-1)  # two pixels
+    used = data.used & np.isfinite(others) & apart
+    if used.sum() < _FEWEST_PAIRS:
+        return None
+    others = np.where(used, others, 0.0)
+    pairs = data._replace(used=used)
+    return estimate_noise(pairs, (data.values - others) / np.sqrt(2), (data.values + others) / 2, 0, INITIAL_NOISE)
+
+
+def _channel_noise(found: MaterialFit) -> PixelNoise | None:
+    """Estimate noise from the differences of relative residuals between channels: what a model misses they have in common."""
+    problem, model = found._solution.problem, found._solution.model
+    data, residual = problem.data, problem.residual(model)
+    units = len(data.labels)
+    if units < 2:
+        return None
+    other = np.roll(np.arange(units), 1)
+    used = data.used & data.used[other] & (model.value > 0) & (model.value[other] > 0)
+    if used.sum() < _FEWEST_PAIRS:
+        return None
+    scale = np.where(used, model.value / np.where(used, model.value[other], 1.0), 0.0)
+    difference = np.where(used, residual - scale * residual[other], 0.0) / np.sqrt(2)
+    return estimate_noise(data._replace(used=used), difference, model.value, 0, INITIAL_NOISE)
+
+
+class Explained(NamedTuple):
+    """How well a fit explains the data, before cells are weighed.
+
+    Attributes:
+        log_likelihood: logarithm of the likelihood with its misfit as noise.
+        log_misfit: logarithm of the prior of that misfit.
+        log_prior: logarithm of the prior of the parameters, but for powers of 2 pi.
+        chi2: mean squared residual in standard deviations of pixel noise, robust.
+        freedom: degrees of freedom.
+        information: (parameters, parameters), of the data.
+        prior: (parameters, parameters), information of the prior.
+        of_strengths: (strengths,), information about each free strength.
+    """
+
+    log_likelihood: float
+    log_misfit: float
+    log_prior: float
+    chi2: float
+    freedom: int
+    information: np.ndarray
+    prior: np.ndarray
+    of_strengths: np.ndarray
+
+    def log_evidence(self, kappa: float) -> float:
+        """Compute the logarithm of the evidence. kappa: share of pixel noise in the variance."""
+        posterior = kappa * self.information + self.prior
+        strengths = 0.5 * np.log(2 * np.pi / (kappa * self.of_strengths)).sum()
+        volume = 0.5 * (np.linalg.slogdet(self.prior)[1] - np.linalg.slogdet(posterior)[1])
+        return kappa * self.log_likelihood + self.log_misfit + self.log_prior + float(volume + strengths)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the residuals are no larger than pixel noise makes them, so that a richer model has nothing to explain."""
+        return self.chi2 < 1 + 3 * np.sqrt(2 / self.freedom)
+
+
+def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
+    """Judge a fit with free strengths. noise: of a pixel."""
+    solution = found._solution
+    problem, model = solution.problem, solution.model
+    data, residual = problem.data, problem.residual(model)
+    whole = _at_least(found.noise, noise)
+    u0 = standardised_residual(data, residual, model.value, noise, np.inf)[data.used]
+    u = standardised_residual(data, residual, model.value, whole, np.inf)[data.used]
+    variance = cell_variance(data, model.value, whole)
+    misfit = np.sqrt([whole.relative**2 - noise.relative**2, whole.floor**2 - noise.floor**2])
+    white = whitening(data, 1 / variance, model.lobe, np.inf)
+    flat = white(model.derivative).reshape(solution.p.size, -1)
+    mean, std = _priors(problem.layout)
+    rows = problem.prior.rows(problem.layout)
+    prior = rows.T @ rows + np.diag(1 / std**2)
+    off = solution.p - mean
+    distance = float(((rows @ solution.p) ** 2).sum() + (off**2 / std**2).sum())
+    power = (np.where(data.used, 1 / variance, 0.0) * model.lobe**2).sum(-1)
+    return Explained(
+        log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
+        log_misfit=-float((misfit / _MISFIT_SCALES).sum()),
+        log_prior=-0.5 * distance,
+        chi2=float(_robust(u0).sum() / max(solution.freedom, 1)),
+        freedom=max(solution.freedom, 1),
+        information=flat @ flat.T,
+        prior=prior,
+        of_strengths=power[power > 0],
+    )
+
+
+class Weighing(NamedTuple):
+    """How residuals of a table's explanations are weighed.
+
+    Attributes:
+        noise: of a pixel.
+        kappa: share of pixel noise in the variance of the best explanation.
+        known: whether the data show the noise of a pixel without a model.
+    """
+
+    noise: PixelNoise
+    kappa: float
+    known: bool
+
+    @classmethod
+    def of(cls, fits: Sequence[MaterialFit], noise: PixelNoise | None) -> Weighing:
+        """Weigh the residuals of some fits of the same cells. noise: of a pixel; None: the least that any of them leaves."""
+        if noise is None:
+            left = [fit.noise for fit in fits]
+            least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)
+            return cls(_at_least(least, LEAST_NOISE), UNKNOWN_SHARE, known=False)
+        chi2 = min(explained(fit, noise).chi2 for fit in fits)
+        return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), known=True)
+
+    def complete(self, fit: MaterialFit) -> bool:
+        """Whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""
+        return self.known and explained(fit, self.noise).complete
+
+    def log_evidence(self, fit: MaterialFit) -> float:
+        """Compute the logarithm of the evidence of a fit."""
+        return explained(fit, self.noise).log_evidence(self.kappa)
+
+    def probabilities(self, fits: Sequence[MaterialFit]) -> np.ndarray:
+        """Compute the posterior probability of each fit of the same cells; all are equally probable before the data."""
+        logs = np.array([self.log_evidence(fit) for fit in fits])
+        shares = np.exp(logs - logs.max())
+        return shares / shares.sum()
+
+
+def _robust(u: np.ndarray) -> np.ndarray:
+    """Return squared residuals, which grow linearly beyond 3 standard deviations (Huber 1964)."""
+    size = np.abs(u)
+    return np.where(size < _HUBER, size**2, _HUBER * (2 * size - _HUBER))
+
+
+def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of every parameter of a fit."""
+    kind = layout.kind
+    if kind.family == TWO_LOBES:
+        own = ["width", "width", "share", "tail", "tail"]
+    else:
+        second = STUDENT if kind.family == STUDENT else "power"
+        own = ["width", *[second] * (len(kind.family_names) - 1)]
+    lobe = own + ["spline"] * (kind.bends + kind.shadows)
+    unit = ["fresnel"] * layout.fresnel_size + ["diffuse"] * layout.diffuse
+    names = lobe * layout.lobes + ["rig"] * layout.axes + unit * layout.units
+    mean, std = np.array([_PRIORS[name] for name in names]).T
+    return mean, std
+
+
