@@ -31,8 +31,8 @@ from matcam.inverse.correction.harmless import (
     withheld,
 )
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead, lobe_ratio
-from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.correction.other_body import other_body
+from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -179,6 +179,8 @@ class Correction:
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
         shares = noise_shares(rig_behind(brdf, rig), sampling)
         table, limit = _corrected_table(brdf, best, left, shares, ratio, scattered, glare)
+        if said:  # what the rejected rig would have changed is uncertain everywhere
+            table["supported"].values[:] = False
         remarks = found.remarks
         if limit.acts:
             remarks = (*remarks, limit.remark)

@@ -23,8 +23,6 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.inverse.fit.fit_data import (
-    INITIAL_NOISE,
-    FitData,
     cell_variance,
     estimate_noise,
     standardised_residual,
@@ -63,7 +61,7 @@ def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | Non
     """
     if setup.noise is not None:
         return setup.noise
-    bounds = [one for one in (_mirrored_noise(setup), _channel_noise(found)) if one is not None]
+    bounds = [one for one in (_mirrored_noise(setup, found.noise), _channel_noise(found)) if one is not None]
     if not bounds:
         return None
     least = PixelNoise(min(one.relative for one in bounds), min(one.floor for one in bounds), 0.0)
@@ -74,7 +72,7 @@ def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
     return noise._replace(relative=max(noise.relative, least.relative), floor=max(noise.floor, least.floor))
 
 
-def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
+def _mirrored_noise(setup: FitSetup, start: PixelNoise) -> PixelNoise | None:
     """Estimate noise from cells at phi_d and pi - phi_d, which a camera without aberrations records alike (docs/model.md 3)."""
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
@@ -88,7 +86,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
         return None
     others = np.where(used, others, 0.0)
     pairs = data._replace(used=used)
-    return estimate_noise(pairs, (data.values - others) / np.sqrt(2), (data.values + others) / 2, 0, INITIAL_NOISE)
+    return estimate_noise(pairs, (data.values - others) / np.sqrt(2), (data.values + others) / 2, 0, start)
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
@@ -104,7 +102,7 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
         return None
     scale = np.where(used, model.value / np.where(used, model.value[other], 1.0), 0.0)
     difference = np.where(used, residual - scale * residual[other], 0.0) / np.sqrt(2)
-    return estimate_noise(data._replace(used=used), difference, model.value, 0, INITIAL_NOISE)
+    return estimate_noise(data._replace(used=used), difference, model.value, 0, found.noise)
 
 
 class Explained(NamedTuple):
@@ -230,5 +228,3 @@ def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     names = lobe * layout.lobes + ["rig"] * layout.axes + unit * layout.units
     mean, std = np.array([_PRIORS[name] for name in names]).T
     return mean, std
-
-
