@@ -1,4 +1,4 @@
-"""Whole tables of the oracle, stored under build/whole-tables because one takes half a minute."""
+"""Whole tables of the oracle, stored under build/whole-tables because a simulation takes 20 to 60 s."""
 
 import hashlib
 import os

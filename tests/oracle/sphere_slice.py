@@ -35,6 +35,8 @@ BULK_LONGEST, BULK_OF_POINTS = 0.4, 0.3
 """Longest step of the first grid, px, and its step for a lens of points, whose shape is wider than one point's Gaussian."""
 REACH = 7.5
 """Standard deviations of a Gaussian up to which it is followed."""
+TILE = 8
+"""Steps of the fine grid in a tile whose nodes are distributed together: larger tiles are slower."""
 _GREGORY = np.array([3 / 8, 7 / 6, 23 / 24])
 _UNIT, _SHARE = np.polynomial.legendre.leggauss(6)
 _EDGE = np.array([0, 0.004, 0.02, 0.08, 0.3, 1.0])
@@ -162,27 +164,26 @@ class Slices:
         """Grid of nodes with y >= 0 and their mirror images."""
         sigma, step = self.near_kernel.sigma, NEAR_STEP * self.setup.sigma
         half = int(np.ceil(REACH * sigma / step))
-        pad = half + int(np.ceil(self.near_kernel.reach / step)) + 2
+        pad = half + TILE + int(np.ceil(self.near_kernel.reach / step)) + 2
         left, right = int(np.floor(x.min() / step)) - pad, int(np.ceil(x.max() / step)) + pad
         bottom = int(np.floor(y.min() / step)) - pad
         mirrored = bottom <= pad
         bottom = -pad if mirrored else bottom
         rows, columns = int(np.ceil(y.max() / step)) + 1 + pad - bottom, right - left + 1
-        grid, offsets = np.zeros((len(light), rows * columns)), np.arange(-half, half + 1)
-        size = _CHUNK // offsets.size**2
-        for begin in range(0, x.size, size):
-            part = slice(begin, begin + size)
-            column, row = np.rint(x[part] / step).astype(int), np.rint(y[part] / step).astype(int)
-            over = _gaussian((column[:, None] + offsets) * step - x[part, None], sigma)
-            down = _gaussian((row[:, None] + offsets) * step - y[part, None], sigma)
-            index = (row[:, None] + offsets - bottom)[:, :, None] * columns
-            index = index + (column[:, None] + offsets - left)[:, None, :]
-            low, high = index.min(), index.max() + 1
-            index = (index - low).ravel()
-            for k, values in enumerate(light):
-                spread = (down * (values[part] * step**2)[:, None])[:, :, None] * over[:, None, :]
-                grid[k, low:high] += np.bincount(index, spread.ravel(), high - low)
-        grid = grid.reshape(-1, rows, columns)
+        grid = np.zeros((len(light), rows, columns))
+        # nodes of one tile of the grid are distributed together, by a matrix product
+        at_column, at_row = (np.rint(u / step).astype(int) // TILE * TILE for u in (x, y))
+        order = np.lexsort((at_column, at_row))
+        tile = at_row[order] * columns + at_column[order]
+        size = np.arange(-half, TILE + half + 1)
+        for part in np.split(order, np.flatnonzero(np.diff(tile)) + 1):
+            column, row = at_column[part[0]], at_row[part[0]]
+            over = _gaussian((column + size) * step - x[part, None], sigma) * step
+            down = _gaussian((row + size) * step - y[part, None], sigma) * step
+            left_end, low_end = column - half - left, row - half - bottom
+            block = grid[:, low_end : low_end + size.size, left_end : left_end + size.size]
+            for values, target in zip(light, block, strict=True):
+                target += (down * values[part, None]).T @ over
         if mirrored:
             upper = grid[:, pad:].copy()
             upper[:, : pad + 1] += grid[:, pad::-1]
