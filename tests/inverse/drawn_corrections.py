@@ -52,6 +52,9 @@ def cells_of(draw):
     for one in some:  # what fills up a slice is read at the top
         rings.append(np.where(one.valid, one.i_theta_h, 0))
         around.append(np.where(one.valid, one.i_phi_d, 90))
+    if draw.rule == "centre":  # and the cells that mirror them, as a whole table has
+        rings.append(rings[0])
+        around.append(179 - around[0])
     return slices, np.concatenate([*rings, i], 1), np.concatenate([*around, k], 1), kind
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from matcam.inverse import FitSetup
 from matcam.inverse.correction.bent_lobe import in_all_slices, learned_bend
-from matcam.inverse.correction.other_maskings import EVIDENCE, other_maskings
+from matcam.inverse.correction.evidence import UNKNOWN_SHARE as KAPPA
+from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.material.masking import MASKINGS
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -23,7 +24,7 @@ def fitted(lobe, every=18, **more):
 def test_a_narrow_lobe_does_not_show_its_masking():
     """Its facets hide none: every masking is as probable as the others, and none changes the lobe."""
     _, found = fitted(oracle.GGX(0.003))
-    others = other_maskings(found)
+    others = other_maskings(found, KAPPA)
     assert len(others) == len(MASKINGS) - 1
     for other in others:
         assert other.weight**2 == pytest.approx(1 / len(MASKINGS), abs=0.01)
@@ -36,12 +37,12 @@ def test_other_maskings_are_what_fits_with_them_find(alpha):
     """The linear problem against a search of its own: the lobe, and by how much the data become less probable."""
     setup, found = fitted(oracle.GGX(alpha))
     shares = [1.0]
-    for other in other_maskings(found):
+    for other in other_maskings(found, KAPPA):
         masking = other.coordinates.kind.masking
         searched = setup.with_(masking=masking, noise=found.noise).solve(start=found, weights="start")
         given = setup.with_(noise=found.noise).solve(start=found, weights="start")
         moved, asked = (one.lobe[0] - found.coordinates.lobe[0] for one in (other.coordinates, searched.coordinates))
-        less = EVIDENCE * (searched.misfit * searched.freedom - given.misfit * given.freedom) / 2
+        less = KAPPA * (searched.misfit * searched.freedom - given.misfit * given.freedom) / 2
         print(
             f"{masking}, alpha {alpha}: ln alpha moves by {moved:.5f}, a search's by {asked:.5f}; {less:.3f} less probable"
         )
@@ -49,7 +50,9 @@ def test_other_maskings_are_what_fits_with_them_find(alpha):
             assert moved == pytest.approx(asked, rel=0.15, abs=0.2 * found.std["alpha"] / alpha)
         shares.append(np.exp(-less))
     expected = np.array(shares) / sum(shares)
-    np.testing.assert_allclose([other.weight**2 for other in other_maskings(found)], expected[1:], rtol=0.3, atol=0.03)
+    np.testing.assert_allclose(
+        [other.weight**2 for other in other_maskings(found, KAPPA)], expected[1:], rtol=0.3, atol=0.03
+    )
 
 
 @pytest.mark.slow

@@ -226,7 +226,7 @@ class Correction:
         """
         if self.withheld:
             return "withheld"
-        if self.shape.family_fails:
+        if self.fit.is_bent:
             return "family fails: bent"
         return "determined" if self.fit.determined else "not determined"
 

@@ -1,16 +1,16 @@
 """Evidence of the explanations of a table: how probable each makes the data, on one scale for all of them.
 
-The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the peak of
-the slice), with exponential priors on tau and tau_f. Laplace's approximation gives
+The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the peak
+of the slice), with exponential priors on tau and tau_f. Laplace's approximation gives
 
     ln E = kappa ln L + ln p(tau, tau_f) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
 
-H the information of the data about the k parameters theta, Q that of their prior, q_s the information about the free strength of
-slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so cells count only by the share of pixel noise in the
+H the information of the data about the k parameters theta, Q that of their prior, q_s the information about the free strength
+of slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so cells count only by the share of pixel noise in the
 variance of the best explanation: kappa = min(1, 1 / chi^2), chi^2 the mean squared residual of that explanation in standard
 deviations of pixel noise. This is a tempered likelihood (Gruenwald 2012).
 
-V0 is estimated without any model: from cells that mirror each other, or from the differences between channels.
+V0 is estimated without a model of the lobe: from cells that mirror each other, or from the differences between channels.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.inverse.fit.fit_data import (
+    FitData,
     cell_variance,
     estimate_noise,
     standardised_residual,
@@ -33,13 +34,15 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
 LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
-"""Least noise of a pixel that is believed: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record. A
-table that was made symmetric shows no noise in mirrored cells, and has it all the same."""
+"""Least noise of a pixel that is assumed: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record.
+A table that was made symmetric shows no noise in mirrored cells, and has it all the same."""
 UNKNOWN_SHARE = 0.1
-"""kappa where nothing distinguishes pixel noise from misfit, as in a table of one channel whose cells have no mirror images: cells
-of one ring, about ten, then share one error."""
+"""kappa where nothing distinguishes pixel noise from misfit, as in a table of one channel whose cells have no mirror images:
+about ten cells, those of two rings, then share one error."""
 _MISFIT_SCALES = 1e-2, 1e-4
 """Means of the exponential priors of tau and tau_f: a model that is off by much more is not an explanation."""
+_TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
+"""Noise of a pixel from which its estimate starts."""
 _FEWEST_PAIRS = 100
 """Pairs of cells from which a noise is estimated to 7 % or better."""
 _HUBER = 3.0
@@ -47,32 +50,36 @@ _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 2.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
 }  # fmt: skip
-"""Mean and standard deviation of each kind of parameter, in the coordinates of a fit: widths from 0.001 to 0.1 rad, powers from 1/2
-to 2, any share, strengths of a diffuse part up to 0.5. Differences of evidence depend on their logarithm only."""
+"""Mean and standard deviation of each kind of parameter, in the coordinates of a fit: widths from 0.001 to 0.1 rad, powers from
+1/2 to 2, any share, albedos of a diffuse part up to 0.5. Differences of evidence depend on their logarithm only."""
 
 
 def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | None:
     """Estimate the noise of a pixel without a model of the lobe; None where nothing shows it.
 
     Each of two estimates is an upper bound: mirrored cells differ through an aberrated lens, too, and channels in what only
-    one of them shows. The smaller one is returned.
+    one of them shows. The one with the smaller variance is returned.
 
     setup: whose cells are compared with their mirror images. found: a fit, whose residuals are compared between channels.
     """
     if setup.noise is not None:
         return setup.noise
-    bounds = [one for one in (_mirrored_noise(setup, found.noise), _channel_noise(found)) if one is not None]
-    if not bounds:
+    estimates = [one for one in (_mirrored_noise(setup), _channel_noise(found)) if one is not None]
+    if not estimates:
         return None
-    least = PixelNoise(min(one.relative for one in bounds), min(one.floor for one in bounds), 0.0)
-    return _at_least(least, LEAST_NOISE)
+    data, value = found._solution.problem.data, found._solution.model.value
+
+    def mean_log_variance(noise: PixelNoise) -> float:
+        return float(np.log(cell_variance(data, value, noise)[data.used]).mean())
+
+    return _at_least(min(estimates, key=mean_log_variance), LEAST_NOISE)
 
 
 def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
     return noise._replace(relative=max(noise.relative, least.relative), floor=max(noise.floor, least.floor))
 
 
-def _mirrored_noise(setup: FitSetup, start: PixelNoise) -> PixelNoise | None:
+def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
     """Estimate noise from cells at phi_d and pi - phi_d, which a camera without aberrations records alike (docs/model.md 3)."""
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
@@ -85,24 +92,33 @@ def _mirrored_noise(setup: FitSetup, start: PixelNoise) -> PixelNoise | None:
     if used.sum() < _FEWEST_PAIRS:
         return None
     others = np.where(used, others, 0.0)
-    pairs = data._replace(used=used)
-    return estimate_noise(pairs, (data.values - others) / np.sqrt(2), (data.values + others) / 2, 0, start)
+    return _of_pairs(data._replace(used=used), data.values - others, (data.values + others) / 2)
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from the differences of relative residuals between channels: what a model misses they have in common."""
+    """Estimate noise from the differences of residuals between channels: what a model of the lobe misses they have in common."""
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)
     if units < 2:
         return None
     other = np.roll(np.arange(units), 1)
-    used = data.used & data.used[other] & (model.value > 0) & (model.value[other] > 0)
+    strong = (model.strength > 0) & (model.strength[other] > 0)
+    used = data.used & data.used[other] & strong[..., None]
     if used.sum() < _FEWEST_PAIRS:
         return None
-    scale = np.where(used, model.value / np.where(used, model.value[other], 1.0), 0.0)
-    difference = np.where(used, residual - scale * residual[other], 0.0) / np.sqrt(2)
-    return estimate_noise(data._replace(used=used), difference, model.value, 0, found.noise)
+    scale = np.where(strong, model.strength / np.where(strong, model.strength[other], 1.0), 0.0)
+    difference = np.where(used, residual - scale[..., None] * residual[other], 0.0)
+    return _of_pairs(data._replace(used=used), difference, model.value)
+
+
+def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
+    """Estimate noise from the differences of pairs of cells of one value. The second round starts from the first's result,
+    because gains are taken out by the weights of the start."""
+    noise = _TYPICAL
+    for _ in range(2):
+        noise = estimate_noise(data, difference / np.sqrt(2), value, 0, noise)
+    return noise
 
 
 class Explained(NamedTuple):

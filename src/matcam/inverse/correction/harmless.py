@@ -22,8 +22,8 @@ ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
 """Rows of a table that are worked on at a time: all at once would need several times the table's memory."""
 _AZIMUTHS = 72
 _MOST_STEPS = 2.0
-"""Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the table's absolute scale is
-the likelier cause of an albedo above 1 than the correction."""
+"""Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the table's absolute scale
+is the likelier cause of an albedo above 1 than the correction."""
 _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _DIRECTIONS = np.radians(np.arange(90) + 0.5)
 
@@ -34,8 +34,8 @@ class LobeRatio(NamedTuple):
     Attributes:
         log: ln(true / recorded).
         std: standard deviation of the ratio over its value: fitted parameters, shape, rig and doubts.
-        recorded: recorded lobe over the largest one of its slice (no unit): where it is below the noise, a ratio that multiplies
-            the data means nothing. Default: None, not known.
+        recorded: recorded lobe over the largest one of its slice (no unit): where it is below the noise, a ratio that
+            multiplies the data means nothing. Default: None, not known.
     """
 
     log: np.ndarray
@@ -117,14 +117,14 @@ class EnergyLimit(NamedTuple):
 
 
 def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, sampling: Sampling) -> EnergyLimit:
-    """Compute the reduction that keeps the albedo of each direction and channel at 1, or at the recorded one if that is larger.
+    """Compute the reduction that keeps the albedo of each direction and channel at 1, or at the recorded one if larger.
 
-    The errors of a correction are correlated over a direction, because one fit made them. The projection on the limit then moves
-    every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`: what is determined
-    stays. Negative noise must not be clipped beforehand, as clipping adds light.
+    The errors of a correction are correlated over a direction, because one fit made them. The projection on the limit then
+    moves every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`: what is
+    determined stays. Negative noise must not be clipped beforehand, as clipping adds light.
 
-    recorded, corrected: (90, 90, 180, channels), 1/sr; missing entries send nothing. std: of the correction, 1/sr; NaN of an entry
-    that is not corrected: it may be as dark as 0.
+    recorded, corrected: (90, 90, 180, channels), 1/sr; missing entries send nothing. std: of the correction, 1/sr; NaN of an
+    entry that is not corrected: it may be as dark as 0.
     """
     cells, weight = _albedo_rule()
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))

@@ -1,8 +1,8 @@
 """Difference between a Lambertian body and the diffuse light that leaves through a dielectric surface.
 
 A correction assumes a Lambertian body under the lobe. Diffuse light of a dielectric is transmitted twice and carries
-(1 - F(theta_i)) (1 - F(theta_o)) (Shirley et al. 1997; Burley 2012, 5.3). The data rarely tell the two apart under a lobe, so the
-difference is uncertainty wherever a correction replaces recorded light by the body.
+(1 - F(theta_i)) (1 - F(theta_o)) (Shirley et al. 1997; Burley 2012, 5.3). The data rarely distinguish the two under a lobe, so
+the difference is uncertainty wherever a correction replaces recorded light by the body.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _F0 = 0.04
 
 @cache
 def other_body(sampling: Sampling) -> np.ndarray:
-    """Compute the relative difference of a dielectric's body from the Lambertian one of the same mean; (90, 90, 180), no unit."""
+    """Compute the relative difference of a dielectric's body from the Lambertian one of the same mean; (90, 90, 180)."""
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)

@@ -24,8 +24,8 @@ from matcam.rigs import Rig
 
 _PEAK_RINGS = 4
 _JUDGED_COSINE = 0.12
-"""Least cosine of light and view of an entry that is judged, beyond the rings about the highlight. Down to it the response agrees
-with the oracle's to 0.8 %; the cells that a fit uses end earlier (`FAR_COSINE`)."""
+"""Least cosine of light and view of an entry that is judged, beyond the rings about the highlight. Down to it the response
+agrees with the oracle's to 0.8 %; the cells that a fit uses end earlier (`FAR_COSINE`)."""
 _LATTICES = 4
 """Lattices kept in memory, some ten MB each."""
 VANISHED = 1e-40
