@@ -19,7 +19,7 @@ from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
 from matcam.inverse.correction.evidence import UNKNOWN_SHARE
-from matcam.inverse.correction.explanation import explain, first_setup
+from matcam.inverse.correction.explanation import UNEXPLAINED, explain, first_setup
 from matcam.inverse.correction.farthest_glare import FarthestGlare, farthest_glare
 from matcam.inverse.correction.harmless import (
     ROWS,
@@ -228,29 +228,31 @@ class Correction:
             return "withheld"
         if self.fit.is_bent:
             return "family fails: bent"
-        return "determined" if self.fit.determined else "not determined"
+        return "determined" if self._determined else "not determined"
+
+    @property
+    def _determined(self) -> bool:
+        """Whether the roughness is known, by a lobe that explains the data."""
+        return self.fit.determined and UNEXPLAINED not in (remark.code for remark in self.remarks)
 
     @property
     def verdict(self) -> str:
         """Say in three plain sentences what was found."""
         if self.withheld:
             return (
-                "Rig and data contradict each other, so that the table stays as it is: the data do not show the blur that the "
-                f"rig would have made. What a camera may have taken is known to 5 % in {self.supported_share:.0%} of all "
-                "entries."
+                "Rig and data contradict each other, so the table stays as it is: the data do not show the blur that the rig "
+                "would have made. No entry is supported."
             )
         lost = [
             f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
         ]
-        known = "well determined" if self.fit.determined else "NOT determined by these pictures"
-        if self.fit.determined and self.shape.family_fails:
-            known = f"determined only if its lobe is {self.fit.family}, which does not explain the data"
+        known = "well determined" if self._determined else "NOT determined by these pictures"
         rows = self._grid.index(theta_h=0.0, theta_d=np.radians(np.arange(_ANGLES[0], _ANGLES[-1] + 1)))
         peak = self.table["supported"].values[rows].mean()
         return (
             f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
-            f"correction the peak is supported (known to 5 %) at {peak:.0%} of the angles up to 75°, and "
-            f"{self.supported_share:.0%} of all entries are."
+            f"correction {peak:.0%} of the peaks up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
+            f"{self.supported_share:.0%} of the entries that can be judged."
         )
 
     def to_dict(self) -> dict[str, Any]:

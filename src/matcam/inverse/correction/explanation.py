@@ -60,6 +60,8 @@ _UNLIKELY = 0.05
 """Probability of no camera down to which a lens that is a guess moves nothing."""
 _NEGLIGIBLE = 1e-3
 """Probability below which another lobe counts for nothing."""
+UNEXPLAINED = "unexplained"
+"""Code of the remark that no member of the list explains the data."""
 _MOSTLY_MISFIT = 0.5
 """Share of pixel noise in the residual variance below which the list does not explain the data."""
 
@@ -159,7 +161,7 @@ class Explanation(NamedTuple):
         if self.weighing.known and self.weighing.kappa < _MOSTLY_MISFIT:
             remarks.append(
                 Remark(
-                    "unexplained",
+                    UNEXPLAINED,
                     f"{1 - self.weighing.kappa:.0%} of the variance of the residuals is more than pixel noise "
                     f"({self.weighing.noise.relative:.1%}): no lobe of the list explains the data fully",
                 )
