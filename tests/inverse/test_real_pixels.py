@@ -112,6 +112,19 @@ def test_the_peak_where_pictures_moved():
     assert np.abs(off).max() < 0.06
 
 
+@pytest.mark.slow
+def test_cells_found_to_be_means_have_the_noise_of_means():
+    """A table that shows its rule by itself gets the standard deviations of one whose rule is specified."""
+    table = real_shot("mean", PHASES["mean"], 18).table(oracle.GGX(0.005), seed=1)
+    specified = recorded.rig(std=0.015, cell_value="mean", pixel_phase=PHASES["mean"])
+    by_rig, by_table = (
+        Correction.of(table, rig).table["noise_std"].values
+        for rig in (specified, recorded.rig(std=0.015, cell_value="unknown"))
+    )
+    there = np.isfinite(by_rig)
+    np.testing.assert_allclose(by_table[there], by_rig[there], rtol=0.02)
+
+
 def test_repeats_on_no_known_sphere_are_remarked():
     table = real_shot("nearest", PHASES["nearest"], 30).table(oracle.GGX(0.005), seed=1)
     assert cell_rule(table, 200.0)[:2] == ("nearest", None)

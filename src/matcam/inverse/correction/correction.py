@@ -40,7 +40,6 @@ from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.inverse.operator.sample_view import rig_behind
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
@@ -177,7 +176,7 @@ class Correction:
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
             lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
-        shares = noise_shares(rig_behind(brdf, rig), sampling)
+        shares = noise_shares(located.rig, sampling)
         table, limit = _corrected_table(brdf, best, left, shares, ratio, scattered, glare)
         if said:  # what the rejected rig would have changed is uncertain everywhere
             table["supported"].values[:] = False
