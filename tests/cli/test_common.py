@@ -1,5 +1,6 @@
 """What all commands share: help, rig files, quiet, JSON with a name, the next command, numbers with commas, completion."""
 
+import contextlib
 import json
 import os
 import shlex
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from matcam import BoxPixel, Camera, GaussianOptics
 from matcam.cli import show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
+from matcam.cli.options import Command
 from matcam.cli.rig_file import read_rig_file
+from matcam.core.io import write_json
 from matcam.core.threads import ONE_BLAS_THREAD
 
 RIG = """schema = "matcam-rig-1"
@@ -102,6 +106,22 @@ def test_json_has_a_name_and_arrays_on_one_line(matcam):
     assert next(iter(document.items())) == ("schema", "matcam-predict-1")
     assert '  "roughness": [0.01, 0.02],' in text.splitlines()
     assert json.loads(matcam("data", "merl", "--list", "--json").stdout)["schema"] == "matcam-data-merl-1"
+
+
+@pytest.mark.parametrize(("end", "files"), [(typer.Exit(1), ["a.json"]), (RuntimeError("fault"), [])])
+def test_an_exit_code_publishes_files_and_a_failure_does_not(tmp_path, monkeypatch, end, files):
+    """However a command ends regularly; its files appear together."""
+    monkeypatch.chdir(tmp_path)
+
+    def write():
+        write_json("a.json", {})
+        raise end
+
+    app = typer.Typer()
+    app.command(cls=Command)(write)
+    with contextlib.suppress(RuntimeError):
+        assert app(args=[], standalone_mode=False) == 1
+    assert [path.name for path in tmp_path.iterdir()] == files
 
 
 def test_layout_is_json():

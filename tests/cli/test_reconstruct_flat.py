@@ -58,3 +58,16 @@ def test_what_does_not_suit_a_flat_sample_is_one_line(matcam, tmp_path, change, 
     done = matcam("reconstruct", tmp_path / "cloth", code=2)
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_a_missing_frame_costs_no_results(matcam, tmp_path):
+    """The results are written, the exit code is 1, and the frame is listed with the reason."""
+    diffuse, specular = textures()
+    folder = draw(diffuse, specular, STAND, TILTS, LAMPS, seed=2).write(tmp_path / "cloth")
+    gone = sorted((folder / "frames").iterdir())[1]
+    gone.unlink()
+    done = matcam("reconstruct", folder, "-o", "cloth.binary", code=1)
+    assert {path.name for path in tmp_path.glob("cloth.*")} == {"cloth.nc", "cloth.json"}
+    assert f"left out: {folder / 'frames' / gone.name}: no such file" in done.stdout.replace("\n", " ")
+    found = json.loads((tmp_path / "cloth.json").read_text())
+    assert any(gone.name in one["text"] for one in found["remarks"])

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.grid import merl_grid
-from matcam.core.remark import texts
 from matcam.figures.fitted_windows import fitted_windows, pinhole_slice
 from matcam.figures.strip_profiles import profile_figure
 from matcam.figures.style import BLUE, CYCLE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.reconstruction.picture_rule import WINDOW
+from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
@@ -54,7 +54,7 @@ def write_reconstruction_page(
     content = {
         "name": name,
         "verdict": result.verdict,
-        "remarks": texts(result.remarks),
+        "remarks": [f"left out: {remark}" if remark.code in INCOMPLETE else str(remark) for remark in result.remarks],
         "parameters": [(key, *pair) for key, pair in result.parameters.items()],
         "budget_columns": [words for _, words, _ in columns],
         "budget": [
