@@ -26,7 +26,7 @@ _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Degrees of theta_d: a capture should begin below, end above, and have no larger gap."""
 _MOVED = 1.0  # px
 _OFF = 4.0  # px, and scatters, by which a highlight is off
-HARMLESS = frozenset({"clip-not-seen", "gain-stated", "processed", "times-missing"})
+HARMLESS = frozenset({"clip-by-pile-up", "clip-not-seen", "gain-stated", "processed", "times-missing"})
 """Remarks that a capture may have and still be found good."""
 
 

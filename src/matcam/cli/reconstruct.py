@@ -52,7 +52,8 @@ def command(
 ) -> int:
     """Reconstruct a material from photographs of a sphere, cylinder or flat sample, with its errors.
 
-    Frames that cannot be used are left out; the results are written, what was left out is listed, and the exit code is 1. A run that was cut off goes on where its frames were read.
+    Frames that cannot be used are left out and listed; the results are written, and the exit code is 1. A run that was cut off
+    goes on where its frames were read.
     Of a cylinder there is no pinhole table; an anisotropic material is in the .nc alone, which has the half vector's azimuth.
     Maps of a flat sample are in the .nc.
 

@@ -36,7 +36,15 @@ Progress = Callable[[str, int, int], None]
 
 _SHIFT = 0.3
 """px; how far the sphere may move between pictures where its limb does not say."""
-INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
+INCOMPLETE = (
+    "bad-frame",
+    "bad-line",
+    "missing-frame",
+    "other-size",
+    "frame-clipped",
+    "no-highlight",
+    "picture-left-out",
+)
 """Codes of the remarks on what could not be used."""
 
 
