@@ -32,7 +32,7 @@ from matcam.acquisition.light.pile_up import TopCodes, find_pile_up
 from matcam.acquisition.light.reference_frames import SeenReference, in_own_frames, in_sample_frames, scatter_between
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
+from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks, tone_exponent
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark, some_of
@@ -66,6 +66,8 @@ class Radiometry:
             the sample, relative; 0 where one frame shows both.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
+        tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear frames,
+            NaN where the frames do not determine it.
         misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
         darkness: what is subtracted, by exposure.
         used: files of each lamp position that can be used, the shortest exposure first.
@@ -84,6 +86,7 @@ class Radiometry:
     reference_light: dict[str, tuple[Stated, ...]]
     reference_between: float
     linearity: np.ndarray
+    tone_exponent: Stated
     misfit: float
     darkness: dict[str, Darkness]
     used: dict[str, tuple[CaptureFrame, ...]]
@@ -114,6 +117,7 @@ class Radiometry:
             "lamp_output": {name: list(value) for name, value in self.lamp_output.items()},
             "reference_between": self.reference_between,
             "linearity": self.linearity.tolist(),
+            "tone_exponent": list(self.tone_exponent),
             "misfit": self.misfit,
             "channels": list(self.channels),
             "flat": None if self.flat is None else {"frames": self.flat.frames, "prnu": self.flat.prnu},
@@ -262,6 +266,7 @@ def measure_radiometry(
         seen,
         between,
         ratios.curve,
+        tone_exponent(ratios, nominal),
         ratios.misfit,
         darkness,
         {lamp: tuple(sorted(frames, key=lambda f: names.index(f.exposure))) for lamp, frames in used.items()},
