@@ -148,6 +148,8 @@ def _outline_remarks(capture: Capture) -> list[Remark]:
     """Return whether the dark disc of the outline frames moved."""
     reader = MosaicReader(capture)
     frames = capture.of("outline")
+    if not frames and (capture.circle is not None or capture.mask is not None):
+        return []
     if not frames:
         return [
             Remark(

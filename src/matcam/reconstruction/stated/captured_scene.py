@@ -22,13 +22,14 @@ from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import Known, SphereScene, unstated_distortion
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
-from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
+from matcam.reconstruction.stated.outline_frames import found_outline
 from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
     known_nearness,
     lamp_radius_of,
+    lens_sigma,
 )
 from matcam.reconstruction.stated.undistorted import undistorted_sphere
 
@@ -43,6 +44,7 @@ INCOMPLETE = (
     "other-size",
     "frame-clipped",
     "no-highlight",
+    "outline-left-out",
     "picture-left-out",
 )
 """Codes of the remarks on what could not be used."""
@@ -125,11 +127,7 @@ def captured_scene(
         )
     distance = 1 / camera_nearness.value if camera_nearness.value > 0 else np.inf
     sighting = Sighting(distance=distance)
-    outline, region = None, capture.region
-    if capture.of("outline"):
-        found, shape = (capture.region, ()) if capture.region else about_disc(capture)
-        outline = backlit_outline(capture, sighting, found, remarks)
-        region = capture.region or about_outline(outline, shape)
+    outline, region = found_outline(capture, sighting, lens_sigma(camera), frame, remarks)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     pictures = under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
@@ -138,7 +136,9 @@ def captured_scene(
         try:
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
-            raise FitError(f"{error}; give a frame of the sphere before a bright field, in outline/") from error
+            tried = [one.text for one in remarks if one.code == "outline-left-out"]
+            advice = "give a frame of the sphere before a bright field, in outline/, or state outline.mask or outline.centre_px"
+            raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)

@@ -27,6 +27,11 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
     return Camera(GaussianOptics(value)), std / value
 
 
+def lens_sigma(camera: Camera) -> float:
+    """Return the standard deviation of a camera's lens, px; of one that is no Gaussian, the guess without a profile."""
+    return float(camera.parameters().get("optics.sigma_px", _GUESSED_LENS.value))
+
+
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
     """Return the camera alike everywhere, for a sample with which no field is allowed for; remarked."""
     if camera.field is None:
