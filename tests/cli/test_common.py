@@ -17,7 +17,7 @@ from matcam.cli import show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
 from matcam.cli.options import Command
 from matcam.cli.rig_file import read_rig_file
-from matcam.core.io import write_json
+from matcam.core.io import all_or_nothing, replacing, write_json
 from matcam.core.threads import ONE_BLAS_THREAD
 
 RIG = """schema = "matcam-rig-1"
@@ -136,16 +136,63 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
     matcam("limits", "--help")
     assert "next" not in json.loads(matcam("predict", 0.01, "--json").stdout)
     *_, last = matcam("chart", "squares", "-o", "my chart.svg").stdout.strip().splitlines()
-    assert shlex.split(last) == [
-        "next:",
-        "matcam",
-        "calibrate",
-        "PHOTOGRAPHS",
-        "--chart",
-        "my chart.json",
-        "-o",
-        "camera.json",
-    ]
+    words = shlex.split(last.partition(": ")[2])
+    assert words == ["matcam", "calibrate", "PHOTOGRAPHS", "--chart", "my chart.json"]
+    assert (tmp_path / "my chart.json").exists()
+    assert "next:" not in last  # somebody has to take the photographs first
+
+
+def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):
+    """Of every command that has a next one: nothing where its files were not written, and a file where they were."""
+    monkeypatch.chdir(tmp_path)
+    written = {
+        "output": Path("a.binary"), "capture": None, "camera": None, "folder": Path("shots"), "picture": Path("p.tif"),
+        "file": Path("a.binary"), "files": [Path("a.binary")], "paths": [Path("a.binary")], "target": Path("b.binary"),
+        "materials": ["chrome"], "roughness": None,
+    }  # fmt: skip
+    maker = suggestions._NEXT
+    assert len(maker) > 10
+    for name in set(maker) - {"predict", "inspect"}:  # the former reads nothing, the latter has read its file
+        assert (
+            suggestions.after(name, {**written, "output": Path("folder")} if name == "data merl" else written) is None
+        )
+    Path("shots").mkdir()
+    assert suggestions.after("capture check", written) == "matcam reconstruct shots -o shots.binary"
+    Path("shots.binary").touch()
+    assert suggestions.after("capture check", written) == "matcam reconstruct shots -o shots-2.binary"
+
+
+@pytest.mark.parametrize(
+    ("files", "output", "next_one"),
+    [
+        (["f.binary", "f.nc"], Path("f.binary"), "matcam inspect f.binary"),
+        (["f.nc", "f.json"], Path("f.binary"), "matcam inspect f.nc"),
+        (["shots-reconstructed.nc"], None, "matcam inspect shots-reconstructed.nc"),
+    ],
+)
+def test_what_follows_a_reconstruction_was_written(tmp_path, monkeypatch, files, output, next_one):
+    """Also while the files wait for the end of the command: those of a flat sample have no MERL table."""
+    monkeypatch.chdir(tmp_path)
+    with all_or_nothing():
+        for name in files:
+            with replacing(name) as temporary:
+                temporary.touch()
+        assert suggestions.after("reconstruct", {"output": output, "capture": Path("shots")}) == next_one
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "next_one"),
+    [
+        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,R_per_sr\n1,2,3,4\n", "matcam correct a.csv"),
+        ("a.csv", "frequency,mtf\n0,1\n", None),
+        ("a.json", '{"format": "matcam picture sidecar"}', None),
+        ("a.json", '{"format": "matcam camera profile"}', "matcam predict --camera a.json"),
+    ],
+)
+def test_what_follows_an_inspection_can_read_the_file(tmp_path, monkeypatch, name, text, next_one):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert suggestions.after("inspect", {"file": Path(name)}) == next_one
 
 
 @pytest.mark.parametrize(
@@ -156,7 +203,9 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
         ("flat", "matcam inspect a.binary"),
     ],
 )
-def test_a_table_is_followed_by_a_command_that_takes_it_for_what_it_is(sample, next_one):
+def test_a_table_is_followed_by_a_command_that_takes_it_for_what_it_is(tmp_path, monkeypatch, sample, next_one):
+    monkeypatch.chdir(tmp_path)
+    Path("a.binary").touch()
     values = {"output": Path("a.binary"), "sample": sample, "camera": None}
     assert suggestions.after("simulate", values) == next_one
 

@@ -23,7 +23,8 @@ def test_maps_of_a_tilted_stack(matcam, tmp_path):
     """A fixed lamp, five tilts: theta_d is the same in all, and roughness and maps come out within their errors."""
     diffuse, specular = textures()
     draw(diffuse, specular, STAND, TILTS, LAMPS, seed=2).write(tmp_path / "cloth")
-    matcam("reconstruct", tmp_path / "cloth", "-o", "cloth.binary")
+    done = matcam("reconstruct", tmp_path / "cloth", "-o", "cloth.binary")
+    assert done.stdout.splitlines()[-1] == "next: matcam inspect cloth.nc"
     assert {path.name for path in tmp_path.glob("cloth.*")} == {"cloth.nc", "cloth.json"}
     found = json.loads((tmp_path / "cloth.json").read_text())
     assert found["sample"] == "flat"

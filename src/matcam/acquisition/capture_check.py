@@ -15,6 +15,7 @@ import numpy as np
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
+from matcam.acquisition.unmeasured_lens import unmeasured_lens
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
@@ -69,9 +70,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
         found += [*capture.problems, Remark("no-radiometry", str(error))]
     try:
         if capture_camera(capture) is None:
-            found.append(
-                Remark("no-profile", "capture.toml states no camera.profile: lens and roughness cannot be told apart")
-            )
+            found.append(Remark("no-profile", f"capture.toml states no camera.profile: {unmeasured_lens()}"))
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
     found += coverage_remarks(capture.lamps)
@@ -117,8 +116,6 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
         )
     if theta_d[-1] < _LAST:
         text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: F beyond is not measured"
-        if theta_d[-1] < 30:
-            text += ", and lens and roughness cannot be told apart without a profile"
         found.append(Remark("angles-missed", text))
     for low, high in pairwise(theta_d):
         if high - low > _GAP:

@@ -50,6 +50,7 @@ def write_reconstruction_page(
         force: whether to replace the file. Default: False.
     """
     figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
+    solution = result.fit.solution
     columns = [column for column in _BUDGET if column[0] in result.budget["total"]]
     content = {
         "name": name,
@@ -59,6 +60,13 @@ def write_reconstruction_page(
         "budget_columns": [words for _, words, _ in columns],
         "budget": [
             (source, [scale * parts[key] for key, _, scale in columns]) for source, parts in result.budget.items()
+        ],
+        "lengths": [(key, *pair) for key, pair in result.lengths.items()],
+        "pictures": [
+            (name, np.degrees(theta_d), chi2, left_out)
+            for name, theta_d, chi2, left_out in zip(
+                result.fit.names, solution.theta_d, solution.chi2, solution.left_out, strict=True
+            )
         ],
         "lobes": list(result.tried.items()),
         "not_determined": [(*one.names, one.correlation) for one in result.not_determined],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from matcam.acquisition.radiometry import capture_camera
+from matcam.acquisition.unmeasured_lens import GUESSED_LENS, unmeasured_lens
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.remark import Remark
@@ -11,8 +12,6 @@ from matcam.reconstruction.sphere_scene import Known, lens_std
 
 FEWEST = 3
 """Lamp positions that a reconstruction needs."""
-_GUESSED_LENS = Known(0.5, 0.35)
-"""px; where a capture states no profile."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
 """One over a distance that is not stated, in radii."""
 
@@ -22,14 +21,14 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
     camera = capture_camera(capture)
     if camera is not None:
         return camera, lens_std(camera)
-    value, std = _GUESSED_LENS
-    remarks.append(Remark("lens-guessed", f"no camera profile: the lens is taken as {value:g} +- {std:g} px"))
+    value, std = GUESSED_LENS
+    remarks.append(Remark("lens-guessed", f"no camera profile: {unmeasured_lens()}"))
     return Camera(GaussianOptics(value)), std / value
 
 
 def lens_sigma(camera: Camera) -> float:
     """Return the standard deviation of a camera's lens, px; of one that is no Gaussian, the guess without a profile."""
-    return float(camera.parameters().get("optics.sigma_px", _GUESSED_LENS.value))
+    return float(camera.parameters().get("optics.sigma_px", GUESSED_LENS.value))
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
