@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from matcam.acquisition.capture_check import BY_SHAPE
 from matcam.acquisition.merged_picture import MergedPicture
-from matcam.acquisition.unmeasured_lens import BY_SHAPE
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking

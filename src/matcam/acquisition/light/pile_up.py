@@ -133,12 +133,13 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
             alike = (levels <= level) & (levels > level - (0.5 if exact else 1.0) * widths)
             total = float(np.sum(counts[alike] * log_p[alike]) - log_p[alike].min())
             if total < best:
-                frames, apart = np.flatnonzero(alike), np.flatnonzero(((counts - 1) * log_p < _IMPROBABLE) & ~alike)
+                frames = np.flatnonzero(alike).tolist()
+                apart = np.flatnonzero(((counts - 1) * log_p < _IMPROBABLE) & ~alike).tolist()
                 pixels, spread = int(counts[alike].sum()), 0.0 if exact else noise
                 at = float(np.median([tops[k].level if exact else tops[k].median for k in frames]))
                 std = math.hypot(1.25 * spread / math.sqrt(pixels), 0.29 * tops[frames[0]].unit)
                 best = total
-                found = PileUp(ClipLevel(at, std, spread, pixels), tuple(frames.tolist()), tuple(apart.tolist()))
+                found = PileUp(ClipLevel(at, std, spread, pixels), tuple(frames), tuple(apart))
     return found
 
 

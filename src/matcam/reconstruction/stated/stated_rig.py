@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from matcam.acquisition.capture_check import GUESSED_LENS, unmeasured_lens
 from matcam.acquisition.radiometry import capture_camera
-from matcam.acquisition.unmeasured_lens import GUESSED_LENS, unmeasured_lens
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.remark import Remark
