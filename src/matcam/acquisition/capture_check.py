@@ -21,8 +21,8 @@ from matcam.files.capture import Capture, Stated
 from matcam.files.capture_frames import CaptureFrame, LampGuess
 
 GUESSED_LENS = Stated(0.5, 0.35)
-"""px; standard deviation of the blur that is assumed of a lens without a profile, and its error: it spans lenses of up to 1.2 px
-within two of them."""
+"""px; standard deviation of the blur that is assumed of a lens without a profile, and its error: two of them span lenses of up
+to 1.2 px."""
 BY_SHAPE = 0.01
 """Unexplained share of the light from which the blurs of lens and lobe, which differ in shape only, are not told apart by that
 shape."""

@@ -159,10 +159,10 @@ class Reconstruction:
 
     @property
     def lengths(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of the outline and of both distances, by names with units.
+        """Outline and distances, each with standard deviation.
 
-        They are those of `geometry`: px, radii of the sample, and mm where its radius is stated. A distance beyond what the
-        pictures determine is infinite.
+        They are those of `geometry`, by names with units: px, radii of the sample, and mm where its radius is stated. A distance
+        beyond what the pictures determine is infinite.
         """
         geometry = self.geometry
         (column, row), (column_std, row_std) = geometry["centre_px"]
