@@ -161,8 +161,8 @@ class Reconstruction:
     def lengths(self) -> dict[str, tuple[float, float]]:
         """Outline and distances, each with standard deviation.
 
-        They are those of `geometry`, by names with units: px, radii of the sample, and mm where its radius is stated. A distance
-        beyond what the pictures determine is infinite.
+        They are those of `geometry`, by names with units: px, radii of the sample, and mm where its radius is stated. A
+        distance beyond what the pictures determine is infinite.
         """
         geometry = self.geometry
         (column, row), (column_std, row_std) = geometry["centre_px"]
