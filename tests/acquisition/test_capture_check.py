@@ -70,6 +70,12 @@ def test_check_and_reconstruct_say_the_same_of_a_lens_without_a_profile(tmp_path
     assert not any("told apart" in one.text for one in coverage_remarks({"L0": LampGuess(0.2, 0.0)}))
 
 
+def test_a_steady_lamp_near_a_white_patch_does_not_drift(tmp_path):
+    """At 25 radii its light on a patch beside the sphere differs by 6 % from that of a distant lamp."""
+    capture = read_capture(small(reference="diffuse").write(tmp_path))
+    assert "lamp-drifts" not in {one.code for one in check_capture(capture).findings}
+
+
 def test_azimuths_that_run_the_wrong_way_are_found(good, tmp_path):
     """A flipped y axis: rows run down, azimuths count upwards."""
     drawn = draw(

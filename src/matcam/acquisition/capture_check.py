@@ -12,7 +12,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geometry
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
 from matcam.core.errors import FileFormatError, MatcamError
@@ -79,7 +81,6 @@ def check_capture(capture: Capture) -> CaptureCheck:
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
     found += coverage_remarks(capture.lamps)
-    found += _lamp_remarks(capture, radiometry)
     found += _outline_remarks(capture)
     if radiometry is not None:
         for lamp in radiometry.used:
@@ -91,6 +92,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     found += missing
     centre, off = table_remarks(capture.lamps, highlights, capture)
     found += off
+    found += _lamp_remarks(capture, radiometry, centre)
     unique = list(dict.fromkeys(found))
     return CaptureCheck(
         tuple(one for one in unique if one.code not in HARMLESS),
@@ -138,20 +140,47 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     return found
 
 
-def _lamp_remarks(capture: Capture, radiometry: Radiometry | None) -> list[Remark]:
-    """Return whether the lamp's light scatters more than is stated, by the reference."""
+def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sphere: tuple[float, float, float]) -> list[Remark]:
+    """Return whether the lamp's light scatters more than is stated, by the reference.
+
+    Args:
+        capture: what is stated of the lamps.
+        radiometry: the light of the reference.
+        sphere: column, row and radius, px, from which the place of a diffuse reference is counted; NaN: not known.
+    """
     if radiometry is None or capture.reference_place is None:
         return []
-    values = {lamp: out.value for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
-    if len(values) < 2:
+    seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
+    if len(seen) < 2:
         return [Remark("no-reference", "the reference is dark, clipped or not there: lamp drift is not measured")]
+    light = np.array([out.value for out in seen.values()]) / _nearer(capture, list(seen), sphere)
+    light /= light.mean()
+    values = dict(zip(seen, light.tolist(), strict=True))
     stated = capture.settings["lamp"]["gain_std"]
-    scatter = float(np.std(list(values.values()), ddof=1))
+    # what is not known of the lamps' directions scatters the light on a diffuse reference, too
+    unknown = float(np.mean([(out.std / out.value) ** 2 for out in seen.values()]))
+    scatter = math.sqrt(max(float(np.var(light, ddof=1)) - unknown, 0.0))
     if scatter <= 2 * stated + 0.002:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
     text = f"lamp {worst}: the reference is {values[worst] - 1:+.1%} off the mean of all; they scatter by {scatter:.1%}, and "
     return [Remark("lamp-drifts", f"{text}lamp.gain_std states {stated:.1%}")]
+
+
+def _nearer(capture: Capture, lamps: Sequence[str], sphere: tuple[float, float, float]) -> np.ndarray:
+    """Return the irradiance of near lamps on a diffuse reference over that of distant ones; 1 where it is not determined."""
+    reference, region, distance = capture.settings["reference"], capture.reference_place, capture.lamp_radii
+    directions = np.array([capture.lamps[lamp].direction for lamp in lamps])
+    if reference["kind"] != "diffuse" or region is None or distance is None:
+        return np.ones(len(lamps))
+    if not (np.isfinite(sphere).all() and np.isfinite(directions).all()):
+        return np.ones(len(lamps))
+    camera = capture.camera_radii
+    ball = MirrorBall(sphere[1], sphere[0], sphere[2], math.inf if camera is None else camera.value)
+    depth = 0.0 if reference["depth_mm"] is None or capture.radius_mm is None else reference["depth_mm"][0]
+    depth /= 1.0 if capture.radius_mm is None else capture.radius_mm.value
+    near, _ = patch_geometry(directions, 1 / distance.value, ReferencePatch(region).place(ball, depth))
+    return np.asarray(near / directions[:, 2])
 
 
 def _outline_remarks(capture: Capture) -> list[Remark]:
