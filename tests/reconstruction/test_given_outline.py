@@ -110,12 +110,31 @@ def test_an_outline_frame_without_a_sphere_is_left_out_with_its_true_reason(draw
     assert "no sphere dark before a bright field is seen" in remarks[0].text
 
 
-def test_check_accepts_a_mask_for_outline_frames(drawn, tmp_path):
+@pytest.mark.parametrize(
+    ("outline", "mask", "codes"),
+    [
+        ({}, False, {"no-outline"}),
+        ({"mask": "mask.tif"}, True, set()),
+        ({"mask": "mask.tif"}, False, {"no-outline", "outline-left-out"}),
+        ({"centre_px": [VIEW.column, VIEW.row], "radius_px": 70.0}, False, set()),
+    ],
+)
+def test_check_takes_what_reconstruct_takes(drawn, tmp_path, outline, mask, codes):
     rows = [row for row in drawn.rows if not row["file"].startswith("outline")]
-    for name, outline in (("none", {}), ("mask", {"mask": "mask.tif"})):
-        folder = changed(drawn, rows=rows, settings={**drawn.settings, "outline": outline}).write(tmp_path / name)
-        codes = {one.code for one in check_capture(read_capture(folder)).findings}
-        assert ("no-outline" in codes) == (name == "none")
+    folder = changed(drawn, rows=rows, settings={**drawn.settings, "outline": outline}).write(tmp_path)
+    if mask:
+        row, column = np.indices(VIEW.shape)
+        write_tiff(folder / "mask.tif", 255 * (np.hypot(row - 110, column - 110) < 70).astype(np.uint8))
+    found = {one.code for one in check_capture(read_capture(folder)).findings}
+    assert found & {"no-outline", "outline-left-out"} == codes
+
+
+def test_check_finds_a_clipped_field(drawn, tmp_path):
+    bright = drawn.frames["outline/O0.tif"].astype(int) * 2
+    folder = changed(drawn, frames={**drawn.frames, "outline/O0.tif": np.minimum(bright, 15256).astype(np.uint16)})
+    found = {one.code for one in check_capture(read_capture(folder.write(tmp_path))).findings}
+    assert "outline-clipped" in found
+    assert "outline-clipped" not in {one.code for one in check_capture(read_capture(drawn.write(tmp_path))).findings}
 
 
 @pytest.mark.parametrize(

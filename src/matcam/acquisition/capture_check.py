@@ -13,9 +13,11 @@ from itertools import pairwise
 import numpy as np
 
 from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geometry
+from matcam.acquisition.limb.given_outline import mask_outline
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.outline import Sighting
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.core.remark import Remark
@@ -28,6 +30,8 @@ to 1.2 px."""
 BY_SHAPE = 0.01
 """Unexplained share of the light from which the blurs of lens and lobe, which differ in shape only, are not told apart by that
 shape."""
+_EVEN = 0.05
+"""Share of the pixels at the largest code from which a field may be clipped; noise puts a few pixels of a frame there."""
 _WHOLE = 4
 """Lamp positions of which all exposures are read."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
@@ -187,21 +191,30 @@ def _outline_remarks(capture: Capture) -> list[Remark]:
     """Return whether the dark disc of the outline frames moved."""
     reader = MosaicReader(capture)
     frames = capture.of("outline")
-    if not frames and (capture.circle is not None or capture.mask is not None):
-        return []
+    found: list[Remark] = []
+    given = capture.circle is not None
+    if capture.mask is not None and not given:
+        try:
+            mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], Sighting(), GUESSED_LENS.value)
+            given = True
+        except MatcamError as error:
+            found.append(Remark("outline-left-out", str(error)))
+    if not frames and given:
+        return found
     if not frames:
-        return [
-            Remark(
-                "no-outline", "there is no outline frame: the sphere's radius comes from lit limbs or highlights alone"
-            )
-        ]
+        text = "there is no outline frame: the sphere's radius comes from lit limbs or highlights alone"
+        return [*found, Remark("no-outline", text)]
     places = []
-    found = []
     for frame in frames:
         try:
-            places.append((frame, *dark_disc(reader.read(frame, capture.region))))
+            codes = reader.read(frame, capture.region)
         except FileFormatError as error:
             found.append(Remark("bad-frame", str(error)))
+            continue
+        places.append((frame, *dark_disc(codes)))
+        if field_is_clipped(codes, reader.saturation):
+            text = f"{capture.folder / frame.file}: the bright field is clipped, and the sphere looks up to a pixel too small"
+            found.append(Remark("outline-clipped", f"{text}; expose outline frames less"))
     for frame, column, row, radius in places:
         path = capture.folder / frame.file
         if not math.isfinite(radius):
@@ -237,6 +250,23 @@ def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
     rows, columns = np.indices(cells.shape)
     row, column = (float((lacking * index).sum() / area) * 2 + 0.5 for index in (rows, columns))
     return column, row, 2 * math.sqrt(area / math.pi)
+
+
+def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
+    """Return whether many pixels read the largest code of a file, or of a frame whose dark pixels show noise.
+
+    A frame without noise anywhere is a render, whose even field reads one code unclipped.
+
+    Args:
+        codes: frame of the sample before a bright field, (height, width).
+        saturation: largest code that the file can hold.
+    """
+    top = float(codes.max())
+    if np.mean(codes == top) < _EVEN:
+        return False
+    dark = codes < np.percentile(codes, 20)
+    pairs = dark[:, 1:] & dark[:, :-1]
+    return top >= saturation or (bool(pairs.any()) and bool(np.mean(codes[:, 1:][pairs] == codes[:, :-1][pairs]) < 0.9))
 
 
 def find_highlights(

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from matcam.acquisition.capture_check import dark_disc
+from matcam.acquisition.capture_check import dark_disc, field_is_clipped
 from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.limb.given_outline import mask_outline, stated_circle
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.outline import Outline, Sighting, find_outline
@@ -16,14 +17,11 @@ from matcam.core.errors import FitError, MatcamError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
-from matcam.reconstruction.stated.given_outline import mask_outline, stated_circle
 
 _MARGIN = 0.12
 """Of the radius, about the outline: the part of a frame that is read."""
 _LEAST_NOISE = 1e-4
 """Standard deviation of a pixel over the bright field that is assumed at least: rounding of a field of 3000 codes."""
-_EVEN = 0.05
-"""Share of the pixels at the largest code from which a field may be clipped; noise puts a few pixels of a frame there."""
 _PIXEL = 0.29
 """px; standard deviation of a pixel: 1 / sqrt(12)."""
 
@@ -164,23 +162,10 @@ def mean_outline_frame(
             continue
         total = light if total is None else total + light
         count += 1
-        clipped |= _field_is_clipped(codes, reader.saturation)
+        clipped |= field_is_clipped(codes, reader.saturation)
     if total is None:
         raise FitError(f"{capture.folder / 'outline'}: none of its frames can be read")
     return np.asarray(total / count), clipped
-
-
-def _field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
-    """Return whether many pixels read the largest code of a file, or of a frame whose dark pixels show noise.
-
-    A frame without noise anywhere is a render, whose even field reads one code unclipped.
-    """
-    top = float(codes.max())
-    if np.mean(codes == top) < _EVEN:
-        return False
-    dark = codes < np.percentile(codes, 20)
-    pairs = dark[:, 1:] & dark[:, :-1]
-    return top >= saturation or (bool(pairs.any()) and bool(np.mean(codes[:, 1:][pairs] == codes[:, :-1][pairs]) < 0.9))
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
