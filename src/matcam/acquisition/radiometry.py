@@ -412,7 +412,10 @@ def _noise_error(darkness: dict[str, Darkness]) -> float:
 def _gain_without_brackets(
     capture: Capture, samples: Sequence[BracketSample], clip: ClipLevel, noise: float, remarks: list[Remark]
 ) -> Stated:
-    camera = capture_camera(capture)
+    try:
+        camera = capture_camera(capture)
+    except FileFormatError:  # whoever needs the lens names what is wrong with it
+        camera = None
     if camera is not None and camera.sensor is not None:
         remarks.append(Remark("gain-stated", "the frames do not determine the gain: the profile's was used"))
         return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))

@@ -45,6 +45,7 @@ INCOMPLETE = (
     "frame-clipped",
     "no-highlight",
     "outline-left-out",
+    "profile-left-out",
     "picture-left-out",
 )
 """Codes of the remarks on what could not be used."""

@@ -6,6 +6,7 @@ from matcam.acquisition.capture_check import GUESSED_LENS, unmeasured_lens
 from matcam.acquisition.radiometry import capture_camera
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.sphere_scene import Known, lens_std
@@ -17,11 +18,18 @@ _GUESSED_NEARNESS = Known(0.02, 0.02)
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
-    """Return a capture's camera and the relative standard deviation of its lens; without a profile a guess, remarked."""
-    camera = capture_camera(capture)
+    """Return a capture's camera and the relative standard deviation of its lens.
+
+    Without a profile, or with one that cannot be read or is of another camera, they are a guess, which is remarked.
+    """
+    value, std = GUESSED_LENS
+    try:
+        camera = capture_camera(capture)
+    except FileFormatError as error:
+        remarks.append(Remark("profile-left-out", f"{error}; {unmeasured_lens()}"))
+        return Camera(GaussianOptics(value)), std / value
     if camera is not None:
         return camera, lens_std(camera)
-    value, std = GUESSED_LENS
     remarks.append(Remark("lens-guessed", f"no camera profile: {unmeasured_lens()}"))
     return Camera(GaussianOptics(value)), std / value
 
