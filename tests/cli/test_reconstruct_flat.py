@@ -61,14 +61,17 @@ def test_what_does_not_suit_a_flat_sample_is_one_line(matcam, tmp_path, change, 
     assert done.stderr.count("\n") == 1
 
 
-def test_a_missing_frame_costs_no_results(matcam, tmp_path):
-    """The results are written, the exit code is 1, and the frame is listed with the reason."""
+@pytest.mark.parametrize(("number", "damage", "reason"), [(1, None, "no such file"), (0, b"II*\0", "")])
+def test_a_frame_that_cannot_be_used_costs_no_results(matcam, tmp_path, number, damage, reason):
+    """The results are written, the exit code is 1, and the frame, missing or damaged, is listed with the reason."""
     diffuse, specular = textures()
     folder = draw(diffuse, specular, STAND, TILTS, LAMPS, seed=2).write(tmp_path / "cloth")
-    gone = sorted((folder / "frames").iterdir())[1]
+    gone = sorted((folder / "frames").iterdir())[number]
     gone.unlink()
+    if damage:
+        gone.write_bytes(damage)
     done = matcam("reconstruct", folder, "-o", "cloth.binary", code=1)
     assert {path.name for path in tmp_path.glob("cloth.*")} == {"cloth.nc", "cloth.json"}
-    assert f"left out: {folder / 'frames' / gone.name}: no such file" in done.stdout.replace("\n", " ")
+    assert f"left out: {folder / 'frames' / gone.name}: {reason}" in done.stdout
     found = json.loads((tmp_path / "cloth.json").read_text())
     assert any(gone.name in one["text"] for one in found["remarks"])

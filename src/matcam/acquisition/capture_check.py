@@ -28,8 +28,7 @@ GUESSED_LENS = Stated(0.5, 0.35)
 """px; standard deviation of the blur that is assumed of a lens without a profile, and its error: two of them span lenses of up
 to 1.2 px."""
 BY_SHAPE = 0.01
-"""Unexplained share of the light from which the blurs of lens and lobe, which differ in shape only, are not told apart by that
-shape."""
+"""Unexplained share of the light from which the blurs of lens and lobe, which differ in shape only, are not separated by it."""
 _EVEN = 0.05
 """Share of the pixels at the largest code from which a field may be clipped; noise puts a few pixels of a frame there."""
 _WHOLE = 4

@@ -22,6 +22,7 @@ from matcam.reconstruction.stated.outline_frames import hidden_by_clipping, mean
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
+    frame_size,
     known_nearness,
     lamp_radius_of,
     lens_sigma,
@@ -86,7 +87,9 @@ def captured_cylinder(
         raise FitError(
             f"{capture.folder}: {len(pictures)} lamp positions can be used; {LIST_NEEDS}, for {FEWEST} at least"
         )
-    height, _ = frame_shape(capture)
+    size = frame_size(capture)
+    assert size is not None  # frames were merged
+    height = size[1]
     strips = _strips(capture, pictures[0].values.shape[0], pictures[0].origin[0])
     row = capture.stated("centre_row_px") or Stated((height - 1) / 2, _ROW_STD * height)
     lamps = np.array([directions[one.name] for one in pictures])
@@ -118,12 +121,6 @@ def captured_cylinder(
 
 
 LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must state where the lamp is"
-
-
-def frame_shape(capture: Capture) -> tuple[int, int]:
-    """Return height and width of the capture's frames, px."""
-    frame = capture.of("frames")[0]
-    return capture.read(frame).values.shape[:2]
 
 
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:

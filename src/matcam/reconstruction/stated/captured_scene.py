@@ -15,7 +15,7 @@ from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Radiometry
-from matcam.core.errors import ArgumentError, FitError, MatcamError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
@@ -27,6 +27,7 @@ from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
+    frame_size,
     known_nearness,
     lamp_radius_of,
     lens_sigma,
@@ -38,14 +39,19 @@ Progress = Callable[[str, int, int], None]
 _SHIFT = 0.3
 """px; how far the sphere may move between pictures where its limb does not say."""
 INCOMPLETE = (
+    "bad-flat",
     "bad-frame",
     "bad-line",
+    "dark-too-bright",
+    "extra-frame",
     "missing-frame",
     "other-size",
     "frame-clipped",
+    "no-direction",
     "no-highlight",
     "outline-left-out",
     "profile-left-out",
+    "reference-left-out",
     "picture-left-out",
 )
 """Codes of the remarks on what could not be used."""
@@ -106,7 +112,7 @@ def captured_scene(
         raise ArgumentError(f"{capture.folder}: sample.kind is {kind!r}: the outline of a 'sphere' is looked for here")
     remarks: list[Remark] = list(capture.problems)
     camera, spread = captured_lens(capture, remarks)
-    frame, rig = _frame_size(capture), None
+    frame, rig = frame_size(capture), None
     if earlier is not None:
         sigma, radius = camera.parameters().get("optics.sigma_px"), capture.radius_mm
         rig, said = known_rig(
@@ -200,14 +206,3 @@ def correlation(covariance: np.ndarray) -> np.ndarray:
     """Return the correlations of a covariance."""
     std = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(std, std))
-
-
-def _frame_size(capture: Capture) -> tuple[int, int] | None:
-    """Return width and height of the first frame that can be read."""
-    for frame in capture.frames[:3]:
-        try:
-            height, width = capture.read(frame).values.shape[:2]
-        except MatcamError:
-            continue
-        return int(width), int(height)
-    return None

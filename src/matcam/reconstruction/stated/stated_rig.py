@@ -34,6 +34,17 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
     return Camera(GaussianOptics(value)), std / value
 
 
+def frame_size(capture: Capture) -> tuple[int, int] | None:
+    """Return width and height of the first frame of the sample that can be read, px; None: none can."""
+    for frame in capture.of("frames"):
+        try:
+            height, width = capture.read(frame).values.shape[:2]
+        except FileFormatError:
+            continue
+        return int(width), int(height)
+    return None
+
+
 def lens_sigma(camera: Camera) -> float:
     """Return the standard deviation of a camera's lens, px; of one that is no Gaussian, the guess without a profile."""
     return float(camera.parameters().get("optics.sigma_px", GUESSED_LENS.value))
