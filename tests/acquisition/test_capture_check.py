@@ -6,6 +6,7 @@ import pytest
 from matcam.acquisition.capture_check import check_capture, coverage_remarks, dark_disc, mirror_normal
 from matcam.files.capture import read_capture
 from matcam.files.capture_frames import LampGuess
+from matcam.reconstruction.stated.stated_rig import captured_lens
 from tests.acquisition.drawn import VIEW, changed, small, surface
 from tests.oracle.capture import Faults, direction, draw, lamp_angle
 from tests.oracle.sphere_picture import backlit, mirror_angle
@@ -53,6 +54,26 @@ def test_faults_are_found_and_named(good, tmp_path):
     assert "L03" in found["table-contradicts"]
     assert "L05" in found["no-highlight"]
     assert "O1.tif" in found["sphere-moved"]
+
+
+def test_check_and_reconstruct_say_the_same_of_a_lens_without_a_profile(tmp_path):
+    """`test_from_photographs_without_a_profile` measures that the lens is determined."""
+    drawn = small()
+    camera = {name: value for name, value in drawn.settings["camera"].items() if name != "profile"}
+    capture = read_capture(changed(drawn, settings={**drawn.settings, "camera": camera}).write(tmp_path))
+    found = next(one.text for one in check_capture(capture).findings if one.code == "no-profile")
+    said = []
+    captured_lens(capture, said)
+    assert said[0].code == "lens-guessed"
+    assert found.partition(": ")[2] == said[0].text.partition(": ")[2]
+    assert "keeps this error" in found
+    assert not any("told apart" in one.text for one in coverage_remarks({"L0": LampGuess(0.2, 0.0)}))
+
+
+def test_a_steady_lamp_near_a_white_patch_does_not_drift(tmp_path):
+    """At 25 radii its light on a patch beside the sphere differs by 6 % from that of a distant lamp."""
+    capture = read_capture(small(reference="diffuse").write(tmp_path))
+    assert "lamp-drifts" not in {one.code for one in check_capture(capture).findings}
 
 
 def test_azimuths_that_run_the_wrong_way_are_found(good, tmp_path):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from matcam.acquisition.darkness import dark_of, pair_correlation
+from matcam.acquisition.exposure_ratios import ExposureRatios
 from matcam.acquisition.merging import bracket_misfit, merge, misfit_remark
 from matcam.acquisition.radiometry import capture_camera, measure_radiometry
-from matcam.acquisition.radiometry_remarks import processing_remarks
+from matcam.acquisition.radiometry_remarks import processing_remarks, tone_curve_proof, tone_exponent
 from matcam.core.errors import FileFormatError, FitError
 from matcam.files.capture import read_capture
 from tests.acquisition.drawn import changed, small
@@ -180,6 +181,47 @@ def test_a_tone_curve_is_noticed(tmp_path):
     }
     radiometry = measure_radiometry(read_capture(changed(drawn, frames=frames).write(tmp_path)))
     assert codes(radiometry) & {"tone-curve", "not-linear"}
+
+
+def through_gamma(drawn):
+    """The same capture of a camera that takes its black level away and encodes with a gamma of 2.2 in 16 bits."""
+    return {
+        name: np.round(65535 * (np.maximum(codes - 256.0, 0) / 16127) ** (1 / 2.2)).clip(0, 65535).astype(np.uint16)
+        for name, codes in drawn.frames.items()
+    }
+
+
+def test_a_proven_tone_curve_is_refused_unless_accepted(tmp_path):
+    drawn = small(cfa=None)
+    capture = changed(drawn, frames=through_gamma(drawn))
+    with pytest.raises(FitError, match=r"to the power 0\.4\d .* a tone curve.*accept_processed = true$") as refused:
+        merge(read_capture(capture.write(tmp_path / "a")))
+    assert "\n" not in str(refused.value)
+    accepted = {**drawn.settings, "camera": {**drawn.settings["camera"], "accept_processed": True}}
+    _, radiometry = merge(read_capture(changed(capture, settings=accepted).write(tmp_path / "b")))
+    assert "tone-curve" in codes(radiometry)
+    # what the docs state as not detectable: without times a pure power is another set of linear exposures
+    rows = [{**row, "time_s": ""} for row in drawn.rows]
+    radiometry = measure_radiometry(read_capture(changed(capture, rows=rows).write(tmp_path / "c")))
+    assert "tone-curve" not in codes(radiometry)
+    assert np.isnan(radiometry.tone_exponent.value)
+
+
+def linked(values):
+    """Exposures that the frames link, as they are measured."""
+    count = len(values)
+    return ExposureRatios(np.asarray(values) / values[0], np.zeros((count, count)), 1.0, np.zeros((0, 3)), True)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+def test_wrong_times_are_not_taken_for_a_tone_curve(count):
+    """500 sets of dials that err by 7 %, and each single time wrong by a factor of 2.5."""
+    rng, true = np.random.default_rng(count), 4.0 ** np.arange(count)
+    dials = [true * np.exp(0.07 * rng.standard_normal(count)) for _ in range(500)]
+    dials += [true * np.where(np.arange(count) == k, factor, 1) for k in range(count) for factor in (0.4, 2.5)]
+    assert not any(tone_curve_proof(tone_exponent(linked(true), times)) for times in dials)
+    if count > 2:
+        assert all(tone_curve_proof(tone_exponent(linked(true**0.45), times)) for times in dials[:500])
 
 
 def test_sharpened_and_smoothed_frames_are_noticed(merged, tmp_path):

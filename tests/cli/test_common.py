@@ -1,5 +1,6 @@
 """What all commands share: help, rig files, quiet, JSON with a name, the next command, numbers with commas, completion."""
 
+import contextlib
 import json
 import os
 import shlex
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from matcam import BoxPixel, Camera, GaussianOptics
 from matcam.cli import show, suggestions
 from matcam.cli.help_page import EXIT_CODES, GROUPS
+from matcam.cli.options import Command
 from matcam.cli.rig_file import read_rig_file
+from matcam.core.io import all_or_nothing, replacing, write_json
 from matcam.core.threads import ONE_BLAS_THREAD
 
 RIG = """schema = "matcam-rig-1"
@@ -104,6 +108,22 @@ def test_json_has_a_name_and_arrays_on_one_line(matcam):
     assert json.loads(matcam("data", "merl", "--list", "--json").stdout)["schema"] == "matcam-data-merl-1"
 
 
+@pytest.mark.parametrize(("end", "files"), [(typer.Exit(1), ["a.json"]), (RuntimeError("fault"), [])])
+def test_an_exit_code_publishes_files_and_a_failure_does_not(tmp_path, monkeypatch, end, files):
+    """However a command ends regularly; its files appear together."""
+    monkeypatch.chdir(tmp_path)
+
+    def write():
+        write_json("a.json", {})
+        raise end
+
+    app = typer.Typer()
+    app.command(cls=Command)(write)
+    with contextlib.suppress(RuntimeError):
+        assert app(args=[], standalone_mode=False) == 1
+    assert [path.name for path in tmp_path.iterdir()] == files
+
+
 def test_layout_is_json():
     value = {"a": [1, 2.5, None], "b": {"c": [[1, 2], [3]], "d": {}}, "e": [], "f": [{"g": "h"}], "ä": True}
     assert json.loads(show._laid_out(value)) == value
@@ -116,16 +136,63 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
     matcam("limits", "--help")
     assert "next" not in json.loads(matcam("predict", 0.01, "--json").stdout)
     *_, last = matcam("chart", "squares", "-o", "my chart.svg").stdout.strip().splitlines()
-    assert shlex.split(last) == [
-        "next:",
-        "matcam",
-        "calibrate",
-        "PHOTOGRAPHS",
-        "--chart",
-        "my chart.json",
-        "-o",
-        "camera.json",
-    ]
+    words = shlex.split(last.partition(": ")[2])
+    assert words == ["matcam", "calibrate", "PHOTOGRAPHS", "--chart", "my chart.json"]
+    assert (tmp_path / "my chart.json").exists()
+    assert "next:" not in last  # somebody has to take the photographs first
+
+
+def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):
+    """Of every command that has a next one: nothing where its files were not written, and a file where they were."""
+    monkeypatch.chdir(tmp_path)
+    written = {
+        "output": Path("a.binary"), "capture": None, "camera": None, "folder": Path("shots"), "picture": Path("p.tif"),
+        "file": Path("a.binary"), "files": [Path("a.binary")], "paths": [Path("a.binary")], "target": Path("b.binary"),
+        "materials": ["chrome"], "roughness": None,
+    }  # fmt: skip
+    maker = suggestions._NEXT
+    assert len(maker) > 10
+    for name in set(maker) - {"predict", "inspect"}:  # the former reads nothing, the latter has read its file
+        assert (
+            suggestions.after(name, {**written, "output": Path("folder")} if name == "data merl" else written) is None
+        )
+    Path("shots").mkdir()
+    assert suggestions.after("capture check", written) == "matcam reconstruct shots -o shots.binary"
+    Path("shots.binary").touch()
+    assert suggestions.after("capture check", written) == "matcam reconstruct shots -o shots-2.binary"
+
+
+@pytest.mark.parametrize(
+    ("files", "output", "next_one"),
+    [
+        (["f.binary", "f.nc"], Path("f.binary"), "matcam inspect f.binary"),
+        (["f.nc", "f.json"], Path("f.binary"), "matcam inspect f.nc"),
+        (["shots-reconstructed.nc"], None, "matcam inspect shots-reconstructed.nc"),
+    ],
+)
+def test_what_follows_a_reconstruction_was_written(tmp_path, monkeypatch, files, output, next_one):
+    """Also while the files wait for the end of the command: those of a flat sample have no MERL table."""
+    monkeypatch.chdir(tmp_path)
+    with all_or_nothing():
+        for name in files:
+            with replacing(name) as temporary:
+                temporary.touch()
+        assert suggestions.after("reconstruct", {"output": output, "capture": Path("shots")}) == next_one
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "next_one"),
+    [
+        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,R_per_sr\n1,2,3,4\n", "matcam correct a.csv"),
+        ("a.csv", "frequency,mtf\n0,1\n", None),
+        ("a.json", '{"format": "matcam picture sidecar"}', None),
+        ("a.json", '{"format": "matcam camera profile"}', "matcam predict --camera a.json"),
+    ],
+)
+def test_what_follows_an_inspection_can_read_the_file(tmp_path, monkeypatch, name, text, next_one):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert suggestions.after("inspect", {"file": Path(name)}) == next_one
 
 
 @pytest.mark.parametrize(
@@ -136,7 +203,9 @@ def test_the_next_command_is_one_that_runs(matcam, tmp_path):
         ("flat", "matcam inspect a.binary"),
     ],
 )
-def test_a_table_is_followed_by_a_command_that_takes_it_for_what_it_is(sample, next_one):
+def test_a_table_is_followed_by_a_command_that_takes_it_for_what_it_is(tmp_path, monkeypatch, sample, next_one):
+    monkeypatch.chdir(tmp_path)
+    Path("a.binary").touch()
     values = {"output": Path("a.binary"), "sample": sample, "camera": None}
     assert suggestions.after("simulate", values) == next_one
 

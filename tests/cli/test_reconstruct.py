@@ -37,7 +37,7 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
     the pinhole's table lacks what the lens took."""
     drawn = draw(Surface("ggx", ALPHA, 1.0, *METALS["Cr"], (0.0,)), VIEW, ANGLES, azimuth=0.4, sensor=Sensor(), seed=5)
     drawn.write(tmp_path / "shots")
-    matcam("reconstruct", tmp_path / "shots", "--ndf", "ggx", "-o", "chrome.binary")
+    done = matcam("reconstruct", tmp_path / "shots", "--ndf", "ggx", "-o", "chrome.binary")
     assert {path.name for path in tmp_path.glob("chrome*")} == {
         "chrome.binary", "chrome-pinhole.binary", "chrome.nc", "chrome.json", "chrome.html"
     }  # fmt: skip
@@ -95,7 +95,32 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
         np.testing.assert_array_equal(np.sign(left[np.isfinite(residual)]), np.sign(residual[np.isfinite(residual)]))
     page = (tmp_path / "chrome.html").read_text()
     assert "Error budget" in page
+    # page, terminal and JSON agree
+    for picture in found["pictures"]:
+        assert f"<td>{picture['name']}</td>" in page
+        assert f"<td>{picture['chi2']:.3g}</td>" in page
+    assert all(0.7 < picture["chi2"] < 1.3 for picture in found["pictures"])
+    for name in ("camera", "lamp"):
+        value, std = found["geometry"][f"{name}_radii"]
+        assert f"<td>{name}_distance_radii</td><td>{value:.6g}</td><td>{std:.2g}</td>" in page
+        assert f"{value * found['geometry']['sample_radius_mm']:.6g}" in page
+        assert f"{name}_distance_radii" in done.stdout
+        assert f"{value:.6g}" in done.stdout
     assert "http" not in page.replace("http://www.w3.org", "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [(8, 25, 40, 55, 75), (5, 10, 14, 18, 22)])
+def test_from_photographs_without_a_profile(matcam, tmp_path, degrees):
+    """The lens is determined to a percent by the highlights' shape, also where no lamp position is beyond 30 degrees."""
+    surface = Surface("ggx", ALPHA, 1.0, *METALS["Cr"], (0.0,))
+    drawn = draw(surface, VIEW, np.radians(degrees), azimuth=0.4, sensor=Sensor(), seed=5)
+    del drawn.settings["camera"]["profile"]
+    drawn.write(tmp_path / "shots")
+    matcam("reconstruct", tmp_path / "shots", "--ndf", "ggx", "-o", "chrome.binary")
+    value, std = json.loads((tmp_path / "chrome.json").read_text())["parameters"]["sigma_px"]
+    assert std < 0.01 * value
+    assert abs(value - VIEW.sigma) < 4 * std
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,8 @@ def test_maps_of_a_tilted_stack(matcam, tmp_path):
     """A fixed lamp, five tilts: theta_d is the same in all, and roughness and maps come out within their errors."""
     diffuse, specular = textures()
     draw(diffuse, specular, STAND, TILTS, LAMPS, seed=2).write(tmp_path / "cloth")
-    matcam("reconstruct", tmp_path / "cloth", "-o", "cloth.binary")
+    done = matcam("reconstruct", tmp_path / "cloth", "-o", "cloth.binary")
+    assert done.stdout.splitlines()[-1] == "next: matcam inspect cloth.nc"
     assert {path.name for path in tmp_path.glob("cloth.*")} == {"cloth.nc", "cloth.json"}
     found = json.loads((tmp_path / "cloth.json").read_text())
     assert found["sample"] == "flat"
@@ -58,3 +59,19 @@ def test_what_does_not_suit_a_flat_sample_is_one_line(matcam, tmp_path, change, 
     done = matcam("reconstruct", tmp_path / "cloth", code=2)
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("number", "damage", "reason"), [(1, None, "no such file"), (0, b"II*\0", "")])
+def test_a_frame_that_cannot_be_used_costs_no_results(matcam, tmp_path, number, damage, reason):
+    """The results are written, the exit code is 1, and the frame, missing or damaged, is listed with the reason."""
+    diffuse, specular = textures()
+    folder = draw(diffuse, specular, STAND, TILTS, LAMPS, seed=2).write(tmp_path / "cloth")
+    gone = sorted((folder / "frames").iterdir())[number]
+    gone.unlink()
+    if damage:
+        gone.write_bytes(damage)
+    done = matcam("reconstruct", folder, "-o", "cloth.binary", code=1)
+    assert {path.name for path in tmp_path.glob("cloth.*")} == {"cloth.nc", "cloth.json"}
+    assert f"left out: {folder / 'frames' / gone.name}: {reason}" in done.stdout
+    found = json.loads((tmp_path / "cloth.json").read_text())
+    assert any(gone.name in one["text"] for one in found["remarks"])

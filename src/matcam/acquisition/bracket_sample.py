@@ -27,6 +27,7 @@ class BracketSample(NamedTuple):
             clipped.
         reference_pixels: how many pixels of each channel it is the mean of, (channels,).
         median: median code of each frame, (k,), DN.
+        tops: `light.pile_up.TopCodes` of each frame, (k, 8).
     """
 
     lamp: str
@@ -37,11 +38,28 @@ class BracketSample(NamedTuple):
     reference: np.ndarray
     reference_pixels: np.ndarray
     median: np.ndarray
+    tops: np.ndarray
 
     @property
     def reference_total(self) -> np.ndarray:
         """Return the sum over the reference region in each exposure, (k,), DN; NaN: none, or clipped."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
+
+    def part(self, frames: np.ndarray) -> BracketSample:
+        """Select frames of the lamp position.
+
+        Args:
+            frames: their indices in the new order, or a mask, (k,).
+        """
+        return self._replace(
+            exposures=self.exposures[frames],
+            codes=self.codes[frames],
+            light=self.light[frames],
+            around=self.around[frames],
+            reference=self.reference[frames],
+            median=self.median[frames],
+            tops=self.tops[frames],
+        )
 
 
 def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:

@@ -12,21 +12,32 @@ from itertools import pairwise
 
 import numpy as np
 
+from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geometry
+from matcam.acquisition.limb.given_outline import mask_outline
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.outline import Sighting
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture
+from matcam.files.capture import Capture, Stated
 from matcam.files.capture_frames import CaptureFrame, LampGuess
 
+GUESSED_LENS = Stated(0.5, 0.35)
+"""px; standard deviation of the blur that is assumed of a lens without a profile, and its error: two of them span lenses of up
+to 1.2 px."""
+BY_SHAPE = 0.01
+"""Unexplained share of the light from which the blurs of lens and lobe, which differ in shape only, are not separated by it."""
+_EVEN = 0.05
+"""Share of the pixels at the largest code from which a field may be clipped; noise puts a few pixels of a frame there."""
 _WHOLE = 4
 """Lamp positions of which all exposures are read."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Degrees of theta_d: a capture should begin below, end above, and have no larger gap."""
 _MOVED = 1.0  # px
 _OFF = 4.0  # px, and scatters, by which a highlight is off
-HARMLESS = frozenset({"clip-not-seen", "gain-stated", "processed", "times-missing"})
+HARMLESS = frozenset({"clip-by-pile-up", "clip-not-seen", "gain-stated", "processed", "times-missing"})
 """Remarks that a capture may have and still be found good."""
 
 
@@ -69,13 +80,10 @@ def check_capture(capture: Capture) -> CaptureCheck:
         found += [*capture.problems, Remark("no-radiometry", str(error))]
     try:
         if capture_camera(capture) is None:
-            found.append(
-                Remark("no-profile", "capture.toml states no camera.profile: lens and roughness cannot be told apart")
-            )
+            found.append(Remark("no-profile", f"capture.toml states no camera.profile: {unmeasured_lens()}"))
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
     found += coverage_remarks(capture.lamps)
-    found += _lamp_remarks(capture, radiometry)
     found += _outline_remarks(capture)
     if radiometry is not None:
         for lamp in radiometry.used:
@@ -87,6 +95,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     found += missing
     centre, off = table_remarks(capture.lamps, highlights, capture)
     found += off
+    found += _lamp_remarks(capture, radiometry, centre)
     unique = list(dict.fromkeys(found))
     return CaptureCheck(
         tuple(one for one in unique if one.code not in HARMLESS),
@@ -94,6 +103,14 @@ def check_capture(capture: Capture) -> CaptureCheck:
         radiometry,
         highlights,
         centre,
+    )
+
+
+def unmeasured_lens() -> str:
+    """Return in words what a reconstruction does about a lens without a profile."""
+    return (
+        f"the lens is taken as {GUESSED_LENS.value:g} +- {GUESSED_LENS.std:g} px and fitted; where no lobe explains the "
+        f"pictures to {BY_SHAPE:.0%}, it keeps this error, and the roughness gets it"
     )
 
 
@@ -117,8 +134,6 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
         )
     if theta_d[-1] < _LAST:
         text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: F beyond is not measured"
-        if theta_d[-1] < 30:
-            text += ", and lens and roughness cannot be told apart without a profile"
         found.append(Remark("angles-missed", text))
     for low, high in pairwise(theta_d):
         if high - low > _GAP:
@@ -128,15 +143,26 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     return found
 
 
-def _lamp_remarks(capture: Capture, radiometry: Radiometry | None) -> list[Remark]:
-    """Return whether the lamp's light scatters more than is stated, by the reference."""
+def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sphere: tuple[float, float, float]) -> list[Remark]:
+    """Return whether the lamp's light scatters more than is stated, by the reference.
+
+    Args:
+        capture: what is stated of the lamps.
+        radiometry: the light of the reference.
+        sphere: column, row and radius, px, from which the place of a diffuse reference is counted; NaN: not known.
+    """
     if radiometry is None or capture.reference_place is None:
         return []
-    values = {lamp: out.value for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
-    if len(values) < 2:
+    seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
+    if len(seen) < 2:
         return [Remark("no-reference", "the reference is dark, clipped or not there: lamp drift is not measured")]
+    light = np.array([out.value for out in seen.values()]) / _nearer(capture, list(seen), sphere)
+    light /= light.mean()
+    values = dict(zip(seen, light.tolist(), strict=True))
     stated = capture.settings["lamp"]["gain_std"]
-    scatter = float(np.std(list(values.values()), ddof=1))
+    # what is not known of the lamps' directions scatters the light on a diffuse reference, too
+    unknown = float(np.mean([(out.std / out.value) ** 2 for out in seen.values()]))
+    scatter = math.sqrt(max(float(np.var(light, ddof=1)) - unknown, 0.0))
     if scatter <= 2 * stated + 0.002:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
@@ -144,23 +170,50 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None) -> list[Remar
     return [Remark("lamp-drifts", f"{text}lamp.gain_std states {stated:.1%}")]
 
 
+def _nearer(capture: Capture, lamps: Sequence[str], sphere: tuple[float, float, float]) -> np.ndarray:
+    """Return the irradiance of near lamps on a diffuse reference over that of distant ones; 1 where it is not determined."""
+    reference, region, distance = capture.settings["reference"], capture.reference_place, capture.lamp_radii
+    directions = np.array([capture.lamps[lamp].direction for lamp in lamps])
+    if reference["kind"] != "diffuse" or region is None or distance is None:
+        return np.ones(len(lamps))
+    if not (np.isfinite(sphere).all() and np.isfinite(directions).all()):
+        return np.ones(len(lamps))
+    camera = capture.camera_radii
+    ball = MirrorBall(sphere[1], sphere[0], sphere[2], math.inf if camera is None else camera.value)
+    depth = 0.0 if reference["depth_mm"] is None or capture.radius_mm is None else reference["depth_mm"][0]
+    depth /= 1.0 if capture.radius_mm is None else capture.radius_mm.value
+    near, _ = patch_geometry(directions, 1 / distance.value, ReferencePatch(region).place(ball, depth))
+    return np.asarray(near / directions[:, 2])
+
+
 def _outline_remarks(capture: Capture) -> list[Remark]:
     """Return whether the dark disc of the outline frames moved."""
     reader = MosaicReader(capture)
     frames = capture.of("outline")
+    found: list[Remark] = []
+    given = capture.circle is not None
+    if capture.mask is not None and not given:
+        try:
+            mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], Sighting(), GUESSED_LENS.value)
+            given = True
+        except MatcamError as error:
+            found.append(Remark("outline-left-out", str(error)))
+    if not frames and given:
+        return found
     if not frames:
-        return [
-            Remark(
-                "no-outline", "there is no outline frame: the sphere's radius comes from lit limbs or highlights alone"
-            )
-        ]
+        text = "there is no outline frame: the sphere's radius comes from lit limbs or highlights alone"
+        return [*found, Remark("no-outline", text)]
     places = []
-    found = []
     for frame in frames:
         try:
-            places.append((frame, *dark_disc(reader.read(frame, capture.region))))
+            codes = reader.read(frame, capture.region)
         except FileFormatError as error:
             found.append(Remark("bad-frame", str(error)))
+            continue
+        places.append((frame, *dark_disc(codes)))
+        if field_is_clipped(codes, reader.saturation):
+            text = f"{capture.folder / frame.file}: the bright field is clipped, and the sphere looks up to a pixel too small"
+            found.append(Remark("outline-clipped", f"{text}; expose outline frames less"))
     for frame, column, row, radius in places:
         path = capture.folder / frame.file
         if not math.isfinite(radius):
@@ -196,6 +249,23 @@ def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
     rows, columns = np.indices(cells.shape)
     row, column = (float((lacking * index).sum() / area) * 2 + 0.5 for index in (rows, columns))
     return column, row, 2 * math.sqrt(area / math.pi)
+
+
+def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
+    """Return whether many pixels read the largest code of a file, or of a frame whose dark pixels show noise.
+
+    A frame without noise anywhere is a render, whose even field reads one code unclipped.
+
+    Args:
+        codes: frame of the sample before a bright field, (height, width).
+        saturation: largest code that the file can hold.
+    """
+    top = float(codes.max())
+    if np.mean(codes == top) < _EVEN:
+        return False
+    dark = codes < np.percentile(codes, 20)
+    pairs = dark[:, 1:] & dark[:, :-1]
+    return top >= saturation or (bool(pairs.any()) and bool(np.mean(codes[:, 1:][pairs] == codes[:, :-1][pairs]) < 0.9))
 
 
 def find_highlights(

@@ -17,6 +17,7 @@ from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry import Progress, Radiometry, measure_radiometry
+from matcam.acquisition.radiometry_remarks import tone_curve_proof
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.core.threads import in_order
@@ -56,13 +57,21 @@ def merge(
         The merged pictures in the order of the lamps, and the radiometry.
 
     Raises:
-        FitError: no lamp position has a frame that can be read, or the frames were sharpened and nobody accepted that.
+        FitError: no lamp position has a frame that can be read, or the frames were sharpened or went through a tone curve and
+            nobody accepted that.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
-    sharpened = next((one for one in radiometry.remarks if one.code == "sharpened"), None)
-    if sharpened is not None and not capture.settings["camera"]["accept_processed"]:
-        why = sharpened.text.removesuffix("; use raw frames")
-        raise FitError(f"{why}: give raw frames, or accept these with camera.accept_processed = true")
+    if not capture.settings["camera"]["accept_processed"]:
+        sharpened = next((one for one in radiometry.remarks if one.code == "sharpened"), None)
+        if sharpened is not None:
+            why = sharpened.text.removesuffix("; use raw frames")
+            raise FitError(f"{why}: give raw frames, or accept these with camera.accept_processed = true")
+        proof = tone_curve_proof(radiometry.tone_exponent)
+        if proof is not None:
+            raise FitError(
+                f"{capture.folder}: {proof}: give raw frames, state camera.tone, mend or delete the times, or accept these "
+                "with camera.accept_processed = true"
+            )
     pictures = []
     for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
         pictures.append(picture)

@@ -225,10 +225,10 @@ def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, f
     circles = find_circles(
         picture.values, picture.std, bright_inside=light == "lit", mosaic=len(np.unique(picture.channel)) > 1
     )
-    what = "brighter than" if light == "lit" else "dark before"
     if not circles:
+        what = "brighter than its background" if light == "lit" else "dark before a bright field"
         raise FitError(
-            f"{picture.name}: no sphere {what} its background is seen; photograph its outline, or give a start"
+            f"{picture.name}: no sphere {what} is seen; the whole sphere must be in the frame, or give a start"
         )
     first = circles[0]
     if len(circles) > 1 and circles[1].score > 0.5 * first.score and circles[1].coverage > 0.35:

@@ -28,10 +28,11 @@ from matcam.acquisition.exposure_ratios import (
 from matcam.acquisition.light.bracket_reading import BracketReading
 from matcam.acquisition.light.flat_field import FlatField, measure_flat
 from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.light.pile_up import TopCodes, find_pile_up
 from matcam.acquisition.light.reference_frames import SeenReference, in_own_frames, in_sample_frames, scatter_between
 from matcam.acquisition.light.reference_light import lamp_output, reference_light
 from matcam.acquisition.mosaic_frames import MosaicReader
-from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks
+from matcam.acquisition.radiometry_remarks import clip_remarks, exposure_remarks, linearity_remarks, tone_exponent
 from matcam.camera.camera import Camera
 from matcam.core.errors import FileFormatError, FitError
 from matcam.core.remark import Remark, some_of
@@ -65,6 +66,8 @@ class Radiometry:
             the sample, relative; 0 where one frame shows both.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
+        tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear frames,
+            NaN where the frames do not determine it.
         misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
         darkness: what is subtracted, by exposure.
         used: files of each lamp position that can be used, the shortest exposure first.
@@ -83,6 +86,7 @@ class Radiometry:
     reference_light: dict[str, tuple[Stated, ...]]
     reference_between: float
     linearity: np.ndarray
+    tone_exponent: Stated
     misfit: float
     darkness: dict[str, Darkness]
     used: dict[str, tuple[CaptureFrame, ...]]
@@ -113,6 +117,7 @@ class Radiometry:
             "lamp_output": {name: list(value) for name, value in self.lamp_output.items()},
             "reference_between": self.reference_between,
             "linearity": self.linearity.tolist(),
+            "tone_exponent": list(self.tone_exponent),
             "misfit": self.misfit,
             "channels": list(self.channels),
             "flat": None if self.flat is None else {"frames": self.flat.frames, "prnu": self.flat.prnu},
@@ -214,9 +219,15 @@ def measure_radiometry(
             f"{capture.folder}: every frame is clipped: half of its pixels or more read {largest:.0f}; expose less"
         )
     guess = first_guess(samples, len(names), top, noise, nominal)
-    clip = measure_clip_level(samples, guess, largest)
-    if not clip.pixels and largest >= reader.saturation:  # the largest code that the file can hold
-        clip = ClipLevel(largest, 0.29, 0.0, 1)
+    clip, said = _clip_level(samples, names, guess, largest, reader.saturation, noise)
+    remarks += said
+    samples, said = _without_clipped(samples, names, used, clip, noise)
+    remarks += said
+    if not samples:
+        raise FitError(f"{capture.folder}: every frame is clipped: its pixels read {clip.level:.0f}; expose less")
+    seen_in = np.unique(np.concatenate([sample.exposures for sample in samples]))  # exposures that still have a frame
+    names, nominal, guess = [names[k] for k in seen_in], nominal[seen_in], guess[seen_in] / guess[seen_in[0]]
+    samples = [sample._replace(exposures=np.searchsorted(seen_in, sample.exposures)) for sample in samples]
     gain = Stated(1.0)
     ratios = ExposureRatios(guess, np.zeros((len(names), len(names))), np.nan, np.zeros((0, 3)), False)
     for _ in range(2):  # weights need the gain, the gain needs ratios
@@ -255,6 +266,7 @@ def measure_radiometry(
         seen,
         between,
         ratios.curve,
+        tone_exponent(ratios, nominal),
         ratios.misfit,
         darkness,
         {lamp: tuple(sorted(frames, key=lambda f: names.index(f.exposure))) for lamp, frames in used.items()},
@@ -263,6 +275,72 @@ def measure_radiometry(
         tuple(remarks),
         flat,
     )
+
+
+def _clip_level(
+    samples: Sequence[BracketSample],
+    names: Sequence[str],
+    guess: np.ndarray,
+    largest: float,
+    saturation: float,
+    noise: float,
+) -> tuple[ClipLevel, list[Remark]]:
+    """Return the clip level: by shorter exposures, else by a pile-up at one code, else the largest code of the file."""
+    clip = measure_clip_level(samples, guess, largest)
+    if clip.pixels:
+        return clip, []
+    tops = [TopCodes(*row) for sample in samples for row in sample.tops]
+    value, std = fit_gain(samples, guess, clip, noise)
+    found = find_pile_up(tops, noise, value - 3 * std if math.isfinite(std) else math.nan)
+    if found is None:
+        return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
+    where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
+    text = (
+        f"{found.clip.pixels} pixels of {len(found.frames)} frames stand at the largest code, {found.clip.level:.0f} DN"
+    )
+    remarks = [Remark("clip-by-pile-up", f"{text}; their noise would spread them, so they are clipped there")]
+    if found.apart:
+        apart = some_of([f"{where[k]} ({tops[k].level:.0f} DN)" for k in found.apart], 3)
+        text = f"the brightest pixels pile up at other codes than {found.clip.level:.0f} DN: {apart}; were frames rescaled?"
+        remarks.append(Remark("clip-unclear", text))
+    return found.clip, remarks
+
+
+def _without_clipped(
+    samples: Sequence[BracketSample],
+    names: Sequence[str],
+    used: dict[str, tuple[CaptureFrame, ...]],
+    clip: ClipLevel,
+    noise: float,
+) -> tuple[list[BracketSample], list[Remark]]:
+    """Return the samples without frames that are clipped all over, which `used` loses, too, and what was left out.
+
+    A frame of one bright code is such a frame whatever is known of the clip level, unless all frames are (a render of an even
+    sample).
+    """
+    least, level, height = (TopCodes._fields.index(name) for name in ("least", "level", "height"))
+    every = np.concatenate([sample.tops for sample in samples])
+    even = (every[:, least] == every[:, level]).all()
+    kept, full = [], dict[tuple[str, float], list[str]]()
+    for sample in samples:
+        low, high = sample.tops[:, least], sample.tops[:, level]
+        out = (low >= clip.threshold) | ((low == high) & (sample.tops[:, height] > 10 * noise) & ~even)
+        gone = [names[k] for k in sample.exposures[out]]
+        for name, code in zip(gone, high[out].tolist(), strict=True):
+            full.setdefault((name, code), []).append(sample.lamp)
+        used[sample.lamp] = tuple(frame for frame in used[sample.lamp] if frame.exposure not in gone)
+        if out.all():
+            del used[sample.lamp]
+        else:
+            kept.append(sample.part(~out))
+    return kept, [
+        Remark(
+            "frame-clipped",
+            f"lamp{'s' * (len(lamps) > 1)} {some_of(lamps)}: every pixel of exposure {name} is clipped, at {code:.0f} DN; "
+            "left out",
+        )
+        for (name, code), lamps in full.items()
+    ]
 
 
 def _between(
@@ -317,15 +395,7 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
 
 def _sorted(sample: BracketSample, back: np.ndarray) -> BracketSample:
     places = back[sample.exposures]
-    order = np.argsort(places)
-    return sample._replace(
-        exposures=places[order],
-        codes=sample.codes[order],
-        light=sample.light[order],
-        around=sample.around[order],
-        reference=sample.reference[order],
-        median=sample.median[order],
-    )
+    return sample._replace(exposures=places).part(np.argsort(places))
 
 
 def _read_noise(darkness: dict[str, Darkness]) -> float:
@@ -342,7 +412,10 @@ def _noise_error(darkness: dict[str, Darkness]) -> float:
 def _gain_without_brackets(
     capture: Capture, samples: Sequence[BracketSample], clip: ClipLevel, noise: float, remarks: list[Remark]
 ) -> Stated:
-    camera = capture_camera(capture)
+    try:
+        camera = capture_camera(capture)
+    except FileFormatError:  # whoever needs the lens names what is wrong with it
+        camera = None
     if camera is not None and camera.sensor is not None:
         remarks.append(Remark("gain-stated", "the frames do not determine the gain: the profile's was used"))
         return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))

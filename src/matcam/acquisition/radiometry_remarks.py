@@ -11,12 +11,52 @@ import numpy as np
 from matcam.acquisition.bracket_sample import BracketSample, noise_correlation, same_colour_neighbours
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
 from matcam.core.remark import Remark, gathered
+from matcam.files.capture_settings import Stated
 
 _WRONG_TIME = 0.02
 """Relative error of a nominal exposure time that is remarked."""
+_EXPOSURES_OF_A_POWER = 3
+"""Exposures from which a power law of the nominal times differs from one wrong time."""
+_DIAL = 0.1
+"""Standard deviation of ln(true over nominal exposure time) that is allowed for: shutters err by 1 to 7 %, dials print 1/30 for
+1/32."""
+_PROVEN, _POWER = 5.0, 0.1
+"""Standard deviations by which an exponent differs from 1 where it proves a tone curve, and the smallest such difference."""
 _CORRELATED, _SHARPENED = 0.06, -0.015
 """Correlation of neighbouring pixels' noise beyond which a frame was smoothed (noise of whole rows correlates, too), and below
 which it was sharpened (little else makes it negative)."""
+
+
+def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
+    """Return the power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear frames.
+
+    A tone curve turns every ratio of exposures into a power of it, approximately: 0.45 for a gamma of 2.2. Wrong dials scatter
+    about the nominal ratios instead. NaN where the frames do not link at least three exposures of stated times: a single wrong
+    time looks like a power.
+    """
+    if len(nominal) < _EXPOSURES_OF_A_POWER or not ratios.linked or not np.isfinite(nominal).all():
+        return Stated(math.nan, math.inf)
+    x, y = (np.log(values) - np.log(values).mean() for values in (nominal, ratios.value))
+    square = float(x @ x)
+    if square < 1e-6:
+        return Stated(math.nan, math.inf)
+    value = float(x @ y) / square
+    scatter = math.sqrt(float(((y - value * x) ** 2).sum()) / (len(x) - 2))
+    return Stated(value, max(scatter, _DIAL) / math.sqrt(square))
+
+
+def tone_curve_proof(exponent: Stated) -> str | None:
+    """Return what proves that frames went through a tone curve, in words; None where nothing does.
+
+    Args:
+        exponent: as from `tone_exponent`.
+    """
+    if not abs(exponent.value - 1) > max(_PROVEN * exponent.std, _POWER):
+        return None
+    return (
+        f"codes grow like exposure time to the power {exponent.value:.2f} +- {exponent.std:.2f}, not in proportion: the frames "
+        "went through a tone curve, or time_s in frames.csv is wrong"
+    )
 
 
 def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:
@@ -46,7 +86,10 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
             text = f"exposure {name}: true over nominal time is {1 + error:.3f} +- {std:.3f} of that of {names[0]}"
             found.append(Remark("times-wrong", text + "; the frames' own ratio is used"))
     slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
-    if abs(slope - 1) > 0.2:
+    proof = tone_curve_proof(tone_exponent(ratios, nominal))
+    if proof is not None:
+        found.append(Remark("tone-curve", proof))
+    elif abs(slope - 1) > 0.2:
         text = f"codes grow like exposure to the power {slope:.2f}: a tone curve is in the frames, or nominal times are wrong"
         found.append(Remark("tone-curve", text))
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -65,3 +66,6 @@ def command(
         ", ".join(f"{count} {kind}" for kind, count in counts.items()) + f" on {chart.page[0]:g} x {chart.page[1]:g} mm"
     )
     show.say(f"page: {output}, print in true size; description: {description}, to be given to `calibrate`")
+    show.say(
+        f"with photographs of it: {shlex.join(['matcam', 'calibrate', 'PHOTOGRAPHS', '--chart', str(description)])}"
+    )

@@ -117,7 +117,7 @@ def command(
     anyway: Anyway = False,
     force: Force = False,
     json: AsJson = False,
-) -> None:
+) -> int:
     """Correct a table for its camera, with uncertainty: MERL, NetCDF, JSON and a page to read.
 
     Several files, or a folder, are a run: `-o` names the folder that it fills. A run that was killed goes on where it was
@@ -174,7 +174,7 @@ def command(
                 _write_layers(paths[0], target, layers, sampling, force)
         files = [*job.files, *([layers] if layers else [])]
         _print_table({**document, "files": [str(path) for path in files]}, paths[0].name, json)
-        return
+        return 0
     from matcam.batch.run import correct_all
 
     with show.tallying("correcting") as watch:
@@ -190,8 +190,9 @@ def command(
             **how,
         )  # fmt: skip
     _print_run(run, json)
-    if run.failures:
-        raise typer.Exit(SOME_FAILED if run.corrected or run.kept else NONE_DONE)
+    if not run.failures:
+        return 0
+    return SOME_FAILED if run.corrected or run.kept else NONE_DONE
 
 
 def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force: bool) -> None:

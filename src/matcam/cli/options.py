@@ -239,7 +239,11 @@ class Group(TyperGroup):
 
 
 class Command(TyperCommand):
-    """Run a command; errors speak of its options."""
+    """Run a command; errors speak of its options.
+
+    A command ends regularly with a return or with `typer.Exit`, whatever its exit code: its files appear. Any other exception
+    is a failure, and no file appears.
+    """
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""
@@ -270,10 +274,20 @@ class Command(TyperCommand):
             start_reader(modules)
         try:
             with all_or_nothing():
-                return super().invoke(ctx)
+                return self._ended(ctx)
         except MatcamError as error:
             error.args = (in_options(str(error), self), *error.args[1:])
             raise
+
+    def _ended(self, ctx: Any) -> Any:
+        """Run the command and return its result or exit code.
+
+        `typer.Exit` must not leave `all_or_nothing`, which would take it for a failure and discard the files.
+        """
+        try:
+            return super().invoke(ctx)
+        except typer.Exit as end:
+            return end.exit_code
 
 
 def in_options(message: str, command: TyperCommand) -> str:

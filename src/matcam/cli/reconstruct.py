@@ -49,10 +49,11 @@ def command(
     ] = None,
     force: Force = False,
     json: AsJson = False,
-) -> None:
+) -> int:
     """Reconstruct a material from photographs of a sphere, cylinder or flat sample, with its errors.
 
-    Frames that cannot be used are listed and left out (exit code 1). A run that was cut off goes on where its frames were read.
+    Frames that cannot be used are left out and listed; the results are written, and the exit code is 1. A run that was cut off
+    goes on where its frames were read.
     Of a cylinder there is no pinhole table; an anisotropic material is in the .nc alone, which has the half vector's azimuth.
     Maps of a flat sample are in the .nc.
 
@@ -99,8 +100,7 @@ def command(
         show.as_json(document)
     else:
         _print(result, document)
-    if not result.complete:
-        raise typer.Exit(_SOME_FAILED)
+    return 0 if result.complete else _SOME_FAILED
 
 
 def _files_of(result: Any) -> tuple[str, ...]:
@@ -150,12 +150,18 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
 
 
 def _print(result: Any, document: dict[str, Any]) -> None:
-    """Print what was found."""
+    """Print parameters, error budget, verdict, what was left out and why, and the files."""
+    from matcam.reconstruction.stated.captured_scene import INCOMPLETE
+
     show.table(
         ("parameter", "value", "std"),
         [(name, f"{value:.5g}", f"{std:.2g}") for name, (value, std) in result.parameters.items()],
     )
     if result.sample != "flat":
+        show.table(
+            ("outline and distances", "value", "std"),
+            [(name, f"{value:.6g}", f"{std:.2g}") for name, (value, std) in result.lengths.items()],
+        )
         columns = [("ratio", "F at grazing, %"), ("level", "absolute F, %"), ("roughness", "roughness, %")]
         columns = [column for column in columns if column[0] in result.budget["total"]]
         show.table(
@@ -163,6 +169,6 @@ def _print(result: Any, document: dict[str, Any]) -> None:
             [(source, *(f"{100 * parts[key]:.2g}" for key, _ in columns)) for source, parts in result.budget.items()],
         )
     show.say(document["verdict"])
-    for one in document["remarks"]:
-        show.say(f"note: {one['text']}")
+    for one in result.remarks:
+        show.say(f"{'left out' if one.code in INCOMPLETE else 'note'}: {one}")
     show.say("written: " + ", ".join(document["files"]))

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+from matcam.core.io import where_written
+from matcam.files import formats
+
+_LONGEST_HEADER = 10_000
+"""Characters of a CSV file's first line that are read."""
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
-    """Return the next useful command, or None.
+    """Return the next useful command, or None where there is none that runs: every file that it reads is there.
 
     Args:
         name: the command's words, such as "data merl".
@@ -17,7 +24,24 @@ def after(name: str, values: dict[str, Any]) -> str | None:
     """
     maker = _NEXT.get(name)
     words = maker(values) if maker else None
-    return None if words is None else shlex.join(map(str, words))
+    if words is None or not all(where_written(word).exists() for word in words if isinstance(word, Path)):
+        return None
+    return shlex.join(str(_unused(word) if isinstance(word, _Output) else word) for word in words)
+
+
+class _Output(NamedTuple):
+    """File that the next command would write; a name that is taken is refused without --force."""
+
+    path: Path
+
+
+def _unused(output: _Output) -> Path:
+    """Return the path of an output, with a number where that name is taken."""
+    path, number = output.path, 1
+    while where_written(path).exists():
+        number += 1
+        path = output.path.with_stem(f"{output.path.stem}-{number}")
+    return path
 
 
 def _camera(values: dict[str, Any]) -> list[Any]:
@@ -47,19 +71,32 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     file = values["file"]
-    if file.suffix.lower() in (".binary", ".csv"):
+    kind = formats.identify(file)
+    if kind == "merl" or (kind == "csv" and _is_brdf(file)):
         return ["matcam", "correct", file]
-    if file.suffix.lower() == ".json":
-        return ["matcam", "predict", "--camera", file]
-    return None
+    return ["matcam", "predict", "--camera", file] if kind == "camera profile" else None
+
+
+def _is_brdf(file: Path) -> bool:
+    """Return whether a CSV file has columns of a BRDF."""
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        return "_per_sr" in lines.readline(_LONGEST_HEADER)
 
 
 def _after_correct(values: dict[str, Any]) -> list[Any] | None:
     paths, output = values["paths"], values["output"]
     if len(paths) != 1 or paths[0].is_dir() or (output and output.suffix.lower() != ".binary"):
         return None
+    if find_spec("mitsuba") is None:  # an extra
+        return None
     target = output or Path(f"{paths[0].stem}-corrected.binary")
-    return ["matcam", "render", paths[0], target, "-o", target.with_suffix(".png")]
+    return ["matcam", "render", paths[0], target, "-o", _Output(target.with_suffix(".png"))]
+
+
+def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
+    """Inspect the table; of maps or an anisotropic material, which a MERL file cannot hold, the NetCDF file."""
+    target = values["output"] or Path(f"{values['capture'].resolve().name}-reconstructed.binary")
+    return ["matcam", "inspect", target if where_written(target).exists() else target.with_suffix(".nc")]
 
 
 def _after_data(values: dict[str, Any]) -> list[Any] | None:
@@ -69,28 +106,20 @@ def _after_data(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_check(values: dict[str, Any]) -> list[Any]:
-    return ["matcam", "reconstruct", values["folder"], "-o", f"{values['folder'].name or 'capture'}.binary"]
+    name = values["folder"].resolve().name or "capture"
+    return ["matcam", "reconstruct", values["folder"], "-o", _Output(Path(f"{name}.binary"))]
 
 
 _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "predict": lambda v: ["matcam", "limits", *(v["roughness"] or [])[:5], *_camera(v)],
     "simulate": _after_simulate,
     "capture check": _after_check,
-    "chart": lambda v: [
-        "matcam",
-        "calibrate",
-        "PHOTOGRAPHS",
-        "--chart",
-        v["output"].with_suffix(".json"),
-        "-o",
-        "camera.json",
-    ],
-    "edge": lambda v: ["matcam", "calibrate", v["picture"], "-o", "camera.json"],
+    "edge": lambda v: ["matcam", "calibrate", v["picture"], "-o", _Output(Path("camera.json"))],
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
     "inspect": _after_inspect,
     "convert": lambda v: ["matcam", "inspect", v["target"]],
     "correct": _after_correct,
-    "reconstruct": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
+    "reconstruct": _after_reconstruct,
     "fit": lambda v: _of_table(v, v["files"][0]),
     "fresnel": lambda v: _of_table(v, v["file"]),
     "data merl": _after_data,

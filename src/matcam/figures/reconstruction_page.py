@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.grid import merl_grid
-from matcam.core.remark import texts
 from matcam.figures.fitted_windows import fitted_windows, pinhole_slice
 from matcam.figures.strip_profiles import profile_figure
 from matcam.figures.style import BLUE, CYCLE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.reconstruction.picture_rule import WINDOW
+from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
@@ -50,15 +50,23 @@ def write_reconstruction_page(
         force: whether to replace the file. Default: False.
     """
     figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
+    solution = result.fit.solution
     columns = [column for column in _BUDGET if column[0] in result.budget["total"]]
     content = {
         "name": name,
         "verdict": result.verdict,
-        "remarks": texts(result.remarks),
+        "remarks": [f"left out: {remark}" if remark.code in INCOMPLETE else str(remark) for remark in result.remarks],
         "parameters": [(key, *pair) for key, pair in result.parameters.items()],
         "budget_columns": [words for _, words, _ in columns],
         "budget": [
             (source, [scale * parts[key] for key, _, scale in columns]) for source, parts in result.budget.items()
+        ],
+        "lengths": [(key, *pair) for key, pair in result.lengths.items()],
+        "pictures": [
+            (name, np.degrees(theta_d), chi2, left_out)
+            for name, theta_d, chi2, left_out in zip(
+                result.fit.names, solution.theta_d, solution.chi2, solution.left_out, strict=True
+            )
         ],
         "lobes": list(result.tried.items()),
         "not_determined": [(*one.names, one.correlation) for one in result.not_determined],

@@ -92,6 +92,21 @@ class Capture:
         return None if name is None else self.folder / name
 
     @property
+    def mask(self) -> Path | None:
+        """Return the picture whose bright or dark disc is the sphere; None where there is none."""
+        name = self.settings["outline"]["mask"]
+        return None if name is None else self.folder / name
+
+    @property
+    def circle(self) -> tuple[tuple[float, float], Stated] | None:
+        """Return (column, row) of the sphere's outline and its radius, px; None: not stated."""
+        section = self.settings["outline"]
+        if section["radius_px"] is None:
+            return None
+        column, row = section["centre_px"]
+        return (column, row), Stated(*section["radius_px"])
+
+    @property
     def radius_mm(self) -> Stated | None:
         """Return the sample's radius, mm; None: not stated."""
         return _as_stated(self.settings["sample"]["radius_mm"])
@@ -194,6 +209,8 @@ def read_capture(folder: str | Path) -> Capture:
     settings = read_settings(folder / SETTINGS)
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])
+    if settings["outline"]["mask"] is not None:
+        _inside(folder, settings["outline"]["mask"])
     frames, lamps, problems = _listed(folder)
     _check_light(folder, settings, lamps)
     problems += _unlisted(folder, frames, problems)

@@ -114,6 +114,16 @@ class _Reference(_Strict):
 
 class _Outline(_Strict):
     field_beyond_deg: Annotated[FiniteFloat, Field(ge=0, le=90)] = 3.0
+    centre_px: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None = None
+    radius_px: _Positive | None = None
+    mask: str | None = None
+    mask_std_px: Annotated[FiniteFloat, Field(gt=0)] = 0.5
+
+    @model_validator(mode="after")
+    def _whole(self) -> _Outline:
+        if (self.centre_px is None) != (self.radius_px is None):
+            raise ValueError("centre_px and radius_px describe one circle: give both or neither")
+        return self
 
 
 class CaptureSettings(_Strict):
@@ -127,3 +137,11 @@ class CaptureSettings(_Strict):
     lamp: _LampSection = _LampSection()
     reference: _Reference | None = None
     outline: _Outline = _Outline()
+
+    @model_validator(mode="after")
+    def _circle_of_a_sphere(self) -> CaptureSettings:
+        if self.sample.kind != "sphere" and (self.outline.centre_px is not None or self.outline.mask is not None):
+            raise ValueError(
+                f"outline.centre_px and outline.mask belong to a sphere, and sample.kind is {self.sample.kind}"
+            )
+        return self

@@ -59,6 +59,10 @@ direction_std_deg = 1.0              # how well angle_deg and azimuth_deg of fra
 
 [outline]
 field_beyond_deg = 3.0               # by how much the bright field of outline frames reaches beyond the sphere's limb
+# centre_px = [1250.5, 1049.0]       # the outline without outline frames: column and row of its centre
+# radius_px = [401.2, 0.5]           # and its radius
+# mask = "mask.png"                  # or a picture of two values in this folder: the sphere and what is around it
+# mask_std_px = 0.5                  # how well the mask's radius is known
 """
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from matcam.acquisition.capture_check import BY_SHAPE
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
@@ -43,9 +44,8 @@ _MANY, _SOME = 32, 16
 _HOPELESS = 1.5
 """A lobe that leaves so much more unexplained than the best is not tried again under other priors."""
 _FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
-_GUESSED, _BY_SHAPE = 0.25, 0.01
-"""Relative standard deviation from which a lens is a guess; unexplained share from which its blur and the lobe's, which then
-differ in shape only, are not told apart by that shape."""
+_GUESSED = 0.25
+"""Relative standard deviation from which a lens is a guess."""
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources that state something of each picture."""
 _WIDENED = {
@@ -254,7 +254,7 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
     The wrong lobe's shape would tell them apart: on a real ball three families each knew the lens to 2 % and differed by 15 %.
     """
     solution, scene = fit.solution, fit.scene
-    if scene.lens_std < _GUESSED or solution.unexplained < _BY_SHAPE:
+    if scene.lens_std < _GUESSED or solution.unexplained < BY_SHAPE:
         return fit
     lens = fit.layout.lobe + SCENE.index("lens")
 

@@ -157,6 +157,29 @@ class Reconstruction:
             "covariance": {"names": [*SCENE_NAMES, *turns], "matrix": rig.tolist()},
         }
 
+    @property
+    def lengths(self) -> dict[str, tuple[float, float]]:
+        """Outline and distances, each with standard deviation.
+
+        They are those of `geometry`, by names with units: px, radii of the sample, and mm where its radius is stated. A
+        distance beyond what the pictures determine is infinite.
+        """
+        geometry = self.geometry
+        (column, row), (column_std, row_std) = geometry["centre_px"]
+        found = {
+            "outline_column_px": (column, column_std),
+            "outline_row_px": (row, row_std),
+            "outline_radius_px": tuple(geometry["radius_px"]),
+        }
+        radius = geometry["sample_radius_mm"]
+        for name in ("camera", "lamp"):
+            value, std = geometry[f"{name}_radii"]
+            pair = (np.inf, np.inf) if value is None else (value, std)
+            found[f"{name}_distance_radii"] = pair
+            if radius is not None:
+                found[f"{name}_distance_mm"] = (pair[0] * radius, pair[1] * radius)
+        return found
+
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
         """Return F at an angle over its mean from 10 to 45°.
 

@@ -11,6 +11,7 @@ import numpy as np
 from matcam.acquisition.bracket_sample import BracketSample, choose_pixels, same_colour_neighbours
 from matcam.acquisition.darkness import Darkness
 from matcam.acquisition.light.kept_work import KeptWork, fingerprint, identity
+from matcam.acquisition.light.pile_up import top_codes
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.radiometry_remarks import correlation_remarks
 from matcam.core.errors import FileFormatError
@@ -83,7 +84,7 @@ class BracketReading:
             return self._read(numbered)
         frames = self.capture.of("frames", lamp=numbered[1])
         paths = [self.capture.folder / frame.file for frame in frames]
-        text = f"bracket {numbered} {self._shape} {self._about} {frames}\n{identity(paths)}"
+        text = f"bracket of {BracketSample._fields} {numbered} {self._shape} {self._about} {frames}\n{identity(paths)}"
         failed: list[ReadBracket] = []
 
         def made() -> dict[str, np.ndarray]:
@@ -178,6 +179,9 @@ class BracketReading:
             reference,
             numbers,
             np.array([float(np.median(codes[::3, ::3])) for _, codes in bracket]),
+            np.array(
+                [top_codes(codes, darkness[f.exposure].level, hot, self._step, self.noise) for f, codes in bracket]
+            ),
         )
 
 

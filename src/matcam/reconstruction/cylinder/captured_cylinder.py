@@ -18,8 +18,16 @@ from matcam.reconstruction.cylinder.strips import Strip
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
-from matcam.reconstruction.stated.outline_frames import mean_outline_frame
-from matcam.reconstruction.stated.stated_rig import FEWEST, captured_lens, known_nearness, lamp_radius_of, without_field
+from matcam.reconstruction.stated.outline_frames import hidden_by_clipping, mean_outline_frame
+from matcam.reconstruction.stated.stated_rig import (
+    FEWEST,
+    captured_lens,
+    frame_size,
+    known_nearness,
+    lamp_radius_of,
+    lens_sigma,
+    without_field,
+)
 
 _ROW_STD = 0.05
 """Of a frame's height: how well its middle is the row that the camera looks at squarely."""
@@ -63,7 +71,7 @@ def captured_cylinder(
     camera = without_field(camera, "cylinder", remarks)
     camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
     lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
-    outline = _outline(capture, remarks)
+    outline = _outline(capture, lens_sigma(camera), remarks)
     remarks.extend(outline.remarks)
     directions = {name: guess.direction for name, guess in capture.lamps.items()}
     lost = tuple(name for name, one in directions.items() if not np.all(np.isfinite(one)))
@@ -79,7 +87,9 @@ def captured_cylinder(
         raise FitError(
             f"{capture.folder}: {len(pictures)} lamp positions can be used; {LIST_NEEDS}, for {FEWEST} at least"
         )
-    height, _ = frame_shape(capture)
+    size = frame_size(capture)
+    assert size is not None  # frames were merged
+    height = size[1]
     strips = _strips(capture, pictures[0].values.shape[0], pictures[0].origin[0])
     row = capture.stated("centre_row_px") or Stated((height - 1) / 2, _ROW_STD * height)
     lamps = np.array([directions[one.name] for one in pictures])
@@ -113,12 +123,6 @@ def captured_cylinder(
 LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must state where the lamp is"
 
 
-def frame_shape(capture: Capture) -> tuple[int, int]:
-    """Return height and width of the capture's frames, px."""
-    frame = capture.of("frames")[0]
-    return capture.read(frame).values.shape[:2]
-
-
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
     """Return the stated strips; without any, one of all rows that are read."""
     sample = capture.settings["sample"]
@@ -129,18 +133,22 @@ def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
     return tuple(Strip(low, high, float(np.radians(turn))) for (low, high), turn in zip(rows, turns, strict=True))
 
 
-def _outline(capture: Capture, remarks: list[Remark]) -> StraightOutline:
-    """Return the outline before a bright field; without such frames, as it is stated."""
-    if capture.of("outline"):
-        region: Region | None = capture.region
-        reader = MosaicReader(capture)
-        codes = mean_outline_frame(reader, capture, region, remarks)
-        origin = (0, 0) if region is None else (region[1], region[0])
-        beyond = float(np.radians(capture.settings["outline"]["field_beyond_deg"]))
-        return straight_outline(
-            codes, reader.channel_map(codes.shape, origin), origin=origin, reach=(beyond, beyond / 3)
-        )
+def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
+    """Return the outline before a bright field; without frames that show one, as it is stated.
+
+    Args:
+        capture: of a cylinder.
+        sigma: standard deviation of the lens's blur, px.
+        remarks: get what a reader should know.
+    """
     radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
+    if capture.of("outline"):
+        try:
+            return _seen_outline(capture, sigma, remarks)
+        except FitError as error:
+            if radius is None or axis is None:
+                raise
+            remarks.append(Remark("outline-left-out", f"{error}; the stated outline was taken"))
     if radius is None or axis is None:
         raise ArgumentError(
             f"{capture.folder}: give a frame of the cylinder before a bright field, in outline/, or state "
@@ -148,3 +156,21 @@ def _outline(capture: Capture, remarks: list[Remark]) -> StraightOutline:
         )
     std = (max(axis.std, 1e-3), max(radius.std, 1e-3)) if axis.std or radius.std else (_STATED_STD,) * 2
     return StraightOutline(axis.value, radius.value, np.diag(np.square(std)))
+
+
+def _seen_outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
+    """Return the outline before a bright field."""
+    region: Region | None = capture.region
+    reader = MosaicReader(capture)
+    codes, clipped = mean_outline_frame(reader, capture, region, remarks)
+    origin = (0, 0) if region is None else (region[1], region[0])
+    beyond = float(np.radians(capture.settings["outline"]["field_beyond_deg"]))
+    outline = straight_outline(
+        codes, reader.channel_map(codes.shape, origin), origin=origin, reach=(beyond, beyond / 3)
+    )
+    if not clipped:
+        return outline
+    hidden, remark = hidden_by_clipping(capture, sigma)
+    remarks.append(remark)
+    wider = outline.covariance + np.diag([0.0, hidden**2])
+    return outline._replace(radius=outline.radius + hidden, covariance=wider)

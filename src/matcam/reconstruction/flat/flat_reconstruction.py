@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from matcam.acquisition.light.kept_work import KeptWork
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.camera.camera import Camera
-from matcam.core.errors import ArgumentError, FitError
+from matcam.core.errors import ArgumentError, FileFormatError, FitError
 from matcam.core.registry import ONE_WIDTH
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture
@@ -151,7 +152,10 @@ def reconstruct_flat(
     camera = without_field(camera, "flat sample", remarks)
     tilts = _tilts(capture)
     reader = MosaicReader(capture)
-    reader.read(capture.of("frames")[0], capture.region)
+    for frame in capture.of("frames"):  # the first that can be read shows whether frames are of a mosaic
+        with suppress(FileFormatError):
+            reader.read(frame, capture.region)
+            break
     if len(reader.channels) > 1:
         raise FitError(
             f"{capture.folder}: a flat sample needs grey pictures, got a mosaic: each colour shows a quarter of the texels"

@@ -15,20 +15,22 @@ from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.outline import Outline, Sighting, find_outline, stacked
 from matcam.acquisition.radiometry import Radiometry
-from matcam.core.errors import ArgumentError, FitError, MatcamError
+from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.rig.earlier_rig import known_rig
 from matcam.reconstruction.rig.rig_document import EarlierRig
 from matcam.reconstruction.sphere_scene import Known, SphereScene, unstated_distortion
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
-from matcam.reconstruction.stated.outline_frames import about_disc, about_outline, backlit_outline
+from matcam.reconstruction.stated.outline_frames import found_outline
 from matcam.reconstruction.stated.stated_lamps import first_lamps, stated_lamps
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
+    frame_size,
     known_nearness,
     lamp_radius_of,
+    lens_sigma,
 )
 from matcam.reconstruction.stated.undistorted import undistorted_sphere
 
@@ -36,7 +38,22 @@ Progress = Callable[[str, int, int], None]
 
 _SHIFT = 0.3
 """px; how far the sphere may move between pictures where its limb does not say."""
-INCOMPLETE = ("bad-frame", "bad-line", "missing-frame", "other-size", "no-highlight", "picture-left-out")
+INCOMPLETE = (
+    "bad-flat",
+    "bad-frame",
+    "bad-line",
+    "dark-too-bright",
+    "extra-frame",
+    "missing-frame",
+    "other-size",
+    "frame-clipped",
+    "no-direction",
+    "no-highlight",
+    "outline-left-out",
+    "profile-left-out",
+    "reference-left-out",
+    "picture-left-out",
+)
 """Codes of the remarks on what could not be used."""
 
 
@@ -95,7 +112,7 @@ def captured_scene(
         raise ArgumentError(f"{capture.folder}: sample.kind is {kind!r}: the outline of a 'sphere' is looked for here")
     remarks: list[Remark] = list(capture.problems)
     camera, spread = captured_lens(capture, remarks)
-    frame, rig = _frame_size(capture), None
+    frame, rig = frame_size(capture), None
     if earlier is not None:
         sigma, radius = camera.parameters().get("optics.sigma_px"), capture.radius_mm
         rig, said = known_rig(
@@ -117,11 +134,7 @@ def captured_scene(
         )
     distance = 1 / camera_nearness.value if camera_nearness.value > 0 else np.inf
     sighting = Sighting(distance=distance)
-    outline, region = None, capture.region
-    if capture.of("outline"):
-        found, shape = (capture.region, ()) if capture.region else about_disc(capture)
-        outline = backlit_outline(capture, sighting, found, remarks)
-        region = capture.region or about_outline(outline, shape)
+    outline, region = found_outline(capture, sighting, lens_sigma(camera), frame, remarks)
     pictures, radiometry = merge(capture, region, progress, workers=workers, kept=kept)
     pictures = under_one_light(pictures, capture)
     remarks.extend(radiometry.remarks)
@@ -130,7 +143,9 @@ def captured_scene(
         try:
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
-            raise FitError(f"{error}; give a frame of the sphere before a bright field, in outline/") from error
+            tried = [one.text for one in remarks if one.code == "outline-left-out"]
+            advice = "give a frame of the sphere before a bright field, in outline/, or state outline.mask or outline.centre_px"
+            raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
     remarks.extend(outline.remarks)
@@ -191,14 +206,3 @@ def correlation(covariance: np.ndarray) -> np.ndarray:
     """Return the correlations of a covariance."""
     std = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(std, std))
-
-
-def _frame_size(capture: Capture) -> tuple[int, int] | None:
-    """Return width and height of the first frame that can be read."""
-    for frame in capture.frames[:3]:
-        try:
-            height, width = capture.read(frame).values.shape[:2]
-        except MatcamError:
-            continue
-        return int(width), int(height)
-    return None

@@ -1,11 +1,15 @@
-"""The sphere before a bright field: the mean of the frames that show it, its outline, and the part of the frames about it."""
+"""The outline that a capture gives: of outline frames, of a mask, or stated; and the part of the frames about it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
-from matcam.acquisition.capture_check import dark_disc
+from matcam.acquisition.capture_check import dark_disc, field_is_clipped
 from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.limb.given_outline import mask_outline, stated_circle
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.acquisition.outline import Outline, Sighting, find_outline
@@ -16,13 +20,14 @@ from matcam.files.capture_frames import CaptureFrame
 
 _MARGIN = 0.12
 """Of the radius, about the outline: the part of a frame that is read."""
+_LEAST_NOISE = 1e-4
+"""Standard deviation of a pixel over the bright field that is assumed at least: rounding of a field of 3000 codes."""
+_PIXEL = 0.29
+"""px; standard deviation of a pixel: 1 / sqrt(12)."""
 
 
-def about_disc(capture: Capture) -> tuple[Region | None, tuple[int, ...]]:
-    """Return the part of the frames about the dark disc of the first outline frame, and the frames' shape.
-
-    None: all of them, as there is no plain disc.
-    """
+def about_disc(capture: Capture) -> Region | None:
+    """Return the part of the frames about the dark disc of the first outline frame that can be read; None: there is none."""
     reader = MosaicReader(capture)
     for frame in capture.of("outline"):
         try:
@@ -31,25 +36,75 @@ def about_disc(capture: Capture) -> tuple[Region | None, tuple[int, ...]]:
             continue
         column, row, radius = dark_disc(codes)
         reach = radius * (1 + 2 * _MARGIN) + 8
-        return (_box(column, row, reach, codes.shape) if np.isfinite(radius) else None), codes.shape
-    return None, ()
+        return _box(column, row, reach, codes.shape) if np.isfinite(radius) else None
+    return None
 
 
-def backlit_outline(capture: Capture, sighting: Sighting, region: Region | None, remarks: list[Remark]) -> Outline:
-    """Return the outline before a bright field, from the mean of the frames that show one."""
+def found_outline(
+    capture: Capture, sighting: Sighting, sigma: float, frame: tuple[int, int] | None, remarks: list[Remark]
+) -> tuple[Outline | None, Region | None]:
+    """Return the outline that a capture gives, and the part of the frames about it; None: the lit limb must show it.
+
+    A stated circle is taken before a mask, and a mask before outline frames. What cannot be used is remarked, and the next is
+    taken.
+
+    Args:
+        capture: as from `read_capture`.
+        sighting: how the camera stands.
+        sigma: standard deviation of the lens's blur, px.
+        frame: width and height of the frames, px; None: not known.
+        remarks: get what a reader should know.
+    """
+
+    def by_frames() -> Outline:
+        return backlit_outline(capture, sighting, sigma, capture.region or about_disc(capture), remarks)
+
+    circle, mask = capture.circle, capture.mask
+    sources: list[Callable[[], Outline]] = []
+    if circle is not None:
+        sources.append(lambda: stated_circle(circle[0], circle[1].value, circle[1].std, sighting, sigma))
+    if mask is not None:
+        std = capture.settings["outline"]["mask_std_px"]
+        sources.append(lambda: mask_outline(mask, std, sighting, sigma, frame))
+    if capture.of("outline"):
+        sources.append(by_frames)
+    for source in sources:
+        try:
+            outline = source()
+        except MatcamError as error:
+            remarks.append(Remark("outline-left-out", f"{error}; the outline was taken from elsewhere"))
+            continue
+        return outline, capture.region or (None if frame is None else about_outline(outline, frame[::-1]))
+    return None, capture.region
+
+
+def backlit_outline(
+    capture: Capture, sighting: Sighting, sigma: float, region: Region | None, remarks: list[Remark]
+) -> Outline:
+    """Return the outline before a bright field, from the mean of the frames that show one.
+
+    Args:
+        capture: as from `read_capture`.
+        sighting: how the camera stands.
+        sigma: standard deviation of the lens's blur, px; of effect where the field is clipped, whose edge looks sharper.
+        region: part of the frames that is read; None: all of it.
+        remarks: get what a reader should know.
+    """
     reader = MosaicReader(capture)
-    mean = mean_outline_frame(reader, capture, region, remarks)
+    mean, clipped = mean_outline_frame(reader, capture, region, remarks)
     # photon noise in codes, from the smoothest neighbourhoods: differences of pixels of one colour
     step = 1 if reader.cfa is None else 2
     difference = mean[step:] - mean[:-step]
-    bright = mean > np.percentile(mean, 60)
-    noise = 1.4826 * float(np.median(np.abs(difference[bright[step:] & bright[:-step]]))) / np.sqrt(2)
+    # at least: a field of one code has no pixel above its own percentile
+    bright = mean >= np.percentile(mean, 60)
+    pairs = bright[step:] & bright[:-step]
+    noise = 1.4826 * float(np.median(np.abs(difference[pairs]))) / np.sqrt(2) if pairs.any() else 0.0
     level = float(np.median(mean[bright]))
-    scatter = max(noise, 1e-6 * abs(level), 1e-9)
+    scatter = max(noise, _LEAST_NOISE * abs(level), 1e-9)
     std = scatter * np.sqrt(np.clip(mean / max(level, 1e-12), 0.05, None))
     origin = (0, 0) if region is None else (region[1], region[0])
     picture = MergedPicture(
-        "outline",
+        f"{capture.folder / 'outline'}",
         mean,
         std,
         np.zeros(mean.shape, bool),
@@ -59,31 +114,58 @@ def backlit_outline(capture: Capture, sighting: Sighting, region: Region | None,
     )
     beyond = np.radians(capture.settings["outline"]["field_beyond_deg"])
     reach = float(beyond), float(beyond) / 3
-    return find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach)
+    outline = find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach)
+    if not clipped:
+        return outline
+    hidden, remark = hidden_by_clipping(capture, sigma)
+    remarks.append(remark)
+    wider = np.diag([0.0, 0.0, hidden**2])
+    return replace(outline, radius=outline.radius + hidden, covariance=outline.covariance + wider)
+
+
+def hidden_by_clipping(capture: Capture, sigma: float) -> tuple[float, Remark]:
+    """Return by how much a clipped bright field makes the sample look smaller, px, and as much for its standard deviation.
+
+    The blurred edge of a field B is a step of half height at the edge. Clipped at C it is read where the light is C / 2: s z
+    inside the edge, where s is the standard deviation of lens and pixel and z the normal quantile of 1 - C / (2 B), 0 to 1.6
+    for fields of 1 to 10 times C.
+
+    Args:
+        capture: whose outline frames they are.
+        sigma: standard deviation of the lens's blur, px.
+    """
+    middle = 0.8 * float(np.hypot(sigma, _PIXEL))
+    text = f"{capture.folder / 'outline'}: the bright field is clipped, which hides {middle:.1f} +- {middle:.1f} px"
+    return middle, Remark("outline-clipped", f"{text} of the radius; expose outline frames less")
 
 
 def mean_outline_frame(
     reader: MosaicReader, capture: Capture, region: Region | None, remarks: list[Remark]
-) -> np.ndarray:
-    """Return the mean of the frames before a bright field, less dark; those that cannot be used are remarked."""
+) -> tuple[np.ndarray, bool]:
+    """Return the mean of the frames before a bright field, less dark, and whether the field is clipped.
+
+    Frames that cannot be used are remarked.
+    """
     total: np.ndarray | None = None
-    count = 0
+    count, clipped = 0, False
     for frame in capture.of("outline"):
         try:
-            codes = reader.read(frame, region).astype(np.float64) - _dark(reader, capture, frame, region)
+            codes = reader.read(frame, region)
+            light = codes.astype(np.float64) - _dark(reader, capture, frame, region)
         except MatcamError as error:
             remarks.append(Remark("bad-frame", str(error)))
             continue
-        if total is not None and total.shape != codes.shape:
+        if total is not None and total.shape != light.shape:
             remarks.append(
                 Remark("bad-frame", f"{capture.folder / frame.file}: is not of the other outline frames' size")
             )
             continue
-        total = codes if total is None else total + codes
+        total = light if total is None else total + light
         count += 1
+        clipped |= field_is_clipped(codes, reader.saturation)
     if total is None:
         raise FitError(f"{capture.folder / 'outline'}: none of its frames can be read")
-    return np.asarray(total / count)
+    return np.asarray(total / count), clipped
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:

@@ -2,29 +2,52 @@
 
 from __future__ import annotations
 
+from matcam.acquisition.capture_check import GUESSED_LENS, unmeasured_lens
 from matcam.acquisition.radiometry import capture_camera
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 from matcam.reconstruction.sphere_scene import Known, lens_std
 
 FEWEST = 3
 """Lamp positions that a reconstruction needs."""
-_GUESSED_LENS = Known(0.5, 0.35)
-"""px; where a capture states no profile."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
 """One over a distance that is not stated, in radii."""
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
-    """Return a capture's camera and the relative standard deviation of its lens; without a profile a guess, remarked."""
-    camera = capture_camera(capture)
+    """Return a capture's camera and the relative standard deviation of its lens.
+
+    Without a profile, or with one that cannot be read or is of another camera, they are a guess, which is remarked.
+    """
+    value, std = GUESSED_LENS
+    try:
+        camera = capture_camera(capture)
+    except FileFormatError as error:
+        remarks.append(Remark("profile-left-out", f"{error}; {unmeasured_lens()}"))
+        return Camera(GaussianOptics(value)), std / value
     if camera is not None:
         return camera, lens_std(camera)
-    value, std = _GUESSED_LENS
-    remarks.append(Remark("lens-guessed", f"no camera profile: the lens is taken as {value:g} +- {std:g} px"))
+    remarks.append(Remark("lens-guessed", f"no camera profile: {unmeasured_lens()}"))
     return Camera(GaussianOptics(value)), std / value
+
+
+def frame_size(capture: Capture) -> tuple[int, int] | None:
+    """Return width and height of the first frame of the sample that can be read, px; None: none can."""
+    for frame in capture.of("frames"):
+        try:
+            height, width = capture.read(frame).values.shape[:2]
+        except FileFormatError:
+            continue
+        return int(width), int(height)
+    return None
+
+
+def lens_sigma(camera: Camera) -> float:
+    """Return the standard deviation of a camera's lens, px; of one that is no Gaussian, the guess without a profile."""
+    return float(camera.parameters().get("optics.sigma_px", GUESSED_LENS.value))
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:

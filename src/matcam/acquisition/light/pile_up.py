@@ -1,0 +1,188 @@
+"""Pixels that pile up at the largest code of a frame: clipping below the largest code that the file can hold.
+
+Noise spreads the codes of equally bright pixels. Let sigma be the noise of a pixel at the largest code. A normal variable that
+exceeds a code exceeds it by less than w with probability 1 - exp(-z w / sigma) at most, where z is the number of standard
+deviations between its mean and the code (hazard of the normal distribution; z below `_HAZARD` in frames of 10^7 pixels). The
+n largest pixels of a frame therefore lie within w of each other with probability
+
+    p <= (1 - exp(-z w / sigma))^(n - 1),
+
+however bright, flat or structured the scene is: structure only spreads the codes further. Pixels are clipped where p is
+negligible. The bound needs a sigma that is not overestimated: it is measured in the frames, and where codes do not resolve the
+noise (renders without noise, pictures of 8 bits), p is close to 1 and nothing is concluded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.exposure_ratios import ClipLevel
+
+_HAZARD = 5.5
+"""Largest hazard rate of a normal variable, in inverse standard deviations, up to 5.3 standard deviations above its mean: one
+pixel in 10^7."""
+_IMPROBABLE = -9.0
+"""log10 of the probability below which a pile-up is clipping: one false alarm in 10^9 frames, so that a sigma overestimated
+twofold is still harmless."""
+_SPREAD = 8.0
+"""Width of a pile-up in read noises: noise that is added after the clipping spreads a thousand pixels over 7."""
+_FEW = 3
+"""Pixels of one code below which a frame is not examined: no probability bound reaches `_IMPROBABLE`."""
+_BINS, _IN_BIN = 12, 200
+"""Bins of brightness in which noise is measured, and the fewest pixels of one: 6 % accuracy of its standard deviation."""
+_ROBUST = 1.4826
+_LARGEST_SIDE = 1500
+"""Largest side of the part of a frame in which noise is measured, px; it bounds the time for frames of many megapixels."""
+_HALF_FLOAT = 2.0**-11
+"""Relative spacing of half-precision numbers, the coarsest in which a float picture is stored."""
+
+
+class TopCodes(NamedTuple):
+    """Brightest pixels of one frame, and the noise that their codes should have.
+
+    Attributes:
+        level: largest code, DN.
+        same: number of pixels at it.
+        near: number of pixels within the spread of a pile-up below it.
+        median: median code of these, DN.
+        height: `level` above dark, DN.
+        gain: photon noise variance over light, DN per electron: a lower bound; NaN: the frame does not determine it.
+        unit: difference of neighbouring codes, DN.
+        least: code that 1 % of the frame's pixels do not exceed, DN.
+    """
+
+    level: float
+    same: float
+    near: float
+    median: float
+    height: float
+    gain: float
+    unit: float
+    least: float
+
+
+class PileUp(NamedTuple):
+    """Clip level that pile-ups of several frames have in common.
+
+    Attributes:
+        clip: the level.
+        frames: indices of the frames that show it.
+        apart: indices of the frames whose pixels pile up at another code.
+    """
+
+    clip: ClipLevel
+    frames: tuple[int, ...]
+    apart: tuple[int, ...]
+
+
+def top_codes(codes: np.ndarray, dark: np.ndarray | float, hot: np.ndarray, step: int, noise: float) -> TopCodes:
+    """Measure the brightest pixels of a frame.
+
+    Args:
+        codes: frame as read, (height, width), DN.
+        dark: dark code of each pixel, or one number, DN.
+        hot: pixels that are left out, (height, width).
+        step: distance of the nearest pixel of the same colour, px.
+        noise: read noise, DN.
+    """
+    good = codes[~hot] if hot.any() else codes.ravel()
+    level = float(good.max())
+    unit = 1.0 if bool((good[:4096] == np.round(good[:4096])).all()) and level >= 2 else _HALF_FLOAT * abs(level)
+    near = good[good > level - _width(noise, unit)]
+    same = int((near == level).sum())
+    gain = math.nan
+    if max(same, near.size / 3) >= _FEW:
+        row, column = (int(np.median(at)) for at in np.nonzero(codes >= level - _width(noise, unit)))
+        part = tuple(slice(max(at - _LARGEST_SIDE // 2, 0), at + _LARGEST_SIDE // 2) for at in (row, column))
+        light = (codes - dark)[part]
+        gain = _least_gain(light, level - float(np.mean(dark)) - _width(noise, unit), step, noise)
+    return TopCodes(
+        level,
+        same,
+        near.size,
+        float(np.median(near)),
+        level - float(np.mean(dark)),
+        gain,
+        unit,
+        float(np.quantile(codes[::3, ::3], 0.01)),
+    )
+
+
+def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp | None:
+    """Find the code at which the brightest pixels of many frames pile up; None: noise explains all of them.
+
+    Args:
+        tops: of all frames.
+        noise: read noise, DN.
+        gain: DN per electron, for frames that do not determine it; NaN: not known.
+    """
+    gains = [top.gain for top in tops if math.isfinite(top.gain)]
+    common = float(np.median(gains)) if gains else gain
+    levels = np.array([top.level for top in tops])
+    best, found = _IMPROBABLE, None
+    for exact in (True, False):
+        widths = np.array([top.unit if exact else _width(noise, top.unit) for top in tops])
+        counts = np.array([top.same if exact else top.near for top in tops])
+        # log10 of the probability of one more pixel within the width
+        log_p = np.array([_log_share(top, width, noise, common) for top, width in zip(tops, widths, strict=True)])
+        for level in np.unique(levels):
+            alike = (levels <= level) & (levels > level - (0.5 if exact else 1.0) * widths)
+            total = float(np.sum(counts[alike] * log_p[alike]) - log_p[alike].min())
+            if total < best:
+                frames = np.flatnonzero(alike).tolist()
+                apart = np.flatnonzero(((counts - 1) * log_p < _IMPROBABLE) & ~alike).tolist()
+                pixels, spread = int(counts[alike].sum()), 0.0 if exact else noise
+                at = float(np.median([tops[k].level if exact else tops[k].median for k in frames]))
+                std = math.hypot(1.25 * spread / math.sqrt(pixels), 0.29 * tops[frames[0]].unit)
+                best = total
+                found = PileUp(ClipLevel(at, std, spread, pixels), tuple(frames), tuple(apart))
+    return found
+
+
+def _width(noise: float, unit: float) -> float:
+    """Width of the codes over which read noise spreads clipped pixels, DN."""
+    return unit * math.ceil(_SPREAD * noise / unit)
+
+
+def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
+    """Return log10 of the bound of the probability that one more of the largest codes lies within `width`."""
+    own = top.gain if math.isfinite(top.gain) else gain
+    sigma = math.sqrt(max(own * top.height, 0.0)) if math.isfinite(own) else 0.0
+    if top.height < _SPREAD * noise or sigma <= width * 1e-6:
+        return 0.0
+    return math.log10(-math.expm1(-_HAZARD * width / sigma))
+
+
+def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> float:
+    """Return a lower bound of photon noise variance over light, DN; NaN where too few pixels are lit.
+
+    Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in place. What
+    structure leaves in them only adds: the smallest value among bins of brightness is a lower bound in frames that have smooth
+    parts, and 0 in frames without noise.
+
+    Args:
+        light: part of a frame without dark, DN.
+        below: brightness from which pixels are left out, DN.
+        step: distance of the nearest pixel of the same colour, px.
+        noise: read noise, DN.
+    """
+    if min(light.shape) <= 2 * step:
+        return math.nan
+    across = light[:, : -2 * step] - 2 * light[:, step:-step] + light[:, 2 * step :]
+    both = across[: -2 * step] - 2 * across[step:-step] + across[2 * step :]
+    total = light[:, : -2 * step] + light[:, step:-step] + light[:, 2 * step :]
+    mean = (total[: -2 * step] + total[step:-step] + total[2 * step :]) / 9
+    used = (mean > 10 * noise) & (mean < 0.9 * below)
+    if used.sum() < _IN_BIN:
+        return math.nan
+    mean, both = mean[used], both[used]
+    order = np.argsort(mean)
+    found = []
+    for part in np.array_split(order, max(1, min(_BINS, len(order) // _IN_BIN))):
+        variance = (_ROBUST * float(np.median(np.abs(both[part])))) ** 2 / 36
+        found.append((variance - noise**2) / float(mean[part].mean()))
+    return max(min(found), 0.0)

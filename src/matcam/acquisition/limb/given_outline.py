@@ -1,0 +1,94 @@
+"""A sphere's outline that needs no outline frames: a circle stated in capture.toml, or a mask."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from matcam.acquisition.limb.limb_edges import LimbSectors
+from matcam.acquisition.outline import Outline, Sighting
+from matcam.core.errors import FitError
+from matcam.files.photographs import open_photograph
+
+_STATED_STD = 0.5
+"""px; of a circle that is stated without a standard deviation: it is mostly read off a screen."""
+_FEWEST = 100
+"""Pixels of the smallest sphere in a mask."""
+_ROUND = 0.02
+"""Relative difference of the radii by area and by second moments from which a mask is no disc: 1 % for an ellipse whose axes
+differ by 28 %, 6 % for a square."""
+
+
+def stated_circle(centre: tuple[float, float], radius: float, std: float, sighting: Sighting, sigma: float) -> Outline:
+    """Return a stated circle as an outline.
+
+    Args:
+        centre: column and row, px.
+        radius: px.
+        std: standard deviation of radius, column and row, px; 0: not stated.
+        sighting: how the camera stands.
+        sigma: standard deviation of the lens's blur, px.
+    """
+    return _outline(centre[1], centre[0], radius, np.full(3, std or _STATED_STD), sighting, sigma)
+
+
+def mask_outline(
+    path: Path, std: float, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
+) -> Outline:
+    """Return the outline of the disc in a mask, by its area and first moments.
+
+    Args:
+        path: picture of two values; the one at the border is around the sphere.
+        std: standard deviation of the radius, px. Where the mask's edge was drawn shifts the radius and leaves the centre: the
+            latter is taken as known to half of it.
+        sighting: how the camera stands.
+        sigma: standard deviation of the lens's blur, px.
+        shape: width and height of the frames, px. Default: None, not checked.
+
+    Raises:
+        FileFormatError: the picture cannot be read.
+        FitError: it shows no disc, or is not of the frames' size.
+    """
+    values = np.asarray(open_photograph(path).values, dtype=float)
+    values = values.max(axis=2) if values.ndim == 3 else values
+    if shape is not None and values.shape != shape[::-1]:
+        raise FitError(
+            f"{path}: has {values.shape[1]} x {values.shape[0]} px, the frames {shape[0]} x {shape[1]}: "
+            "give a mask of a whole frame"
+        )
+    bright = values > (values.min() + values.max()) / 2
+    border = np.concatenate([bright[0], bright[-1], bright[:, 0], bright[:, -1]])
+    sphere = bright if border.mean() < 0.5 else ~bright
+    area = int(sphere.sum())
+    if area < _FEWEST or (border != border[0]).any():
+        raise FitError(
+            f"{path}: shows no disc inside of the frame: give a picture of two values, one of the whole sphere, one around it"
+        )
+    rows, columns = np.nonzero(sphere)
+    row, column, radius = float(rows.mean()), float(columns.mean()), float(np.sqrt(area / np.pi))
+    by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # a disc's variance along a line is radius^2 / 4
+    if abs(by_moments / radius - 1) > _ROUND:
+        raise FitError(
+            f"{path}: shows no disc: radius {radius:.1f} px by its area, {by_moments:.1f} px by its second moments: "
+            "leave the stand out"
+        )
+    return _outline(row, column, radius, np.array([std / 2, std / 2, std]), sighting, sigma)
+
+
+def _outline(row: float, column: float, radius: float, std: np.ndarray, sighting: Sighting, sigma: float) -> Outline:
+    none = LimbSectors(*(np.zeros(0) for _ in LimbSectors._fields))
+    covariance = np.diag(std**2)
+    return Outline(
+        row=row,
+        column=column,
+        radius=radius,
+        covariance=covariance,
+        sigma=sigma,
+        sigma_std=sigma,
+        sighting=sighting,
+        sectors=none,
+        used=np.zeros(0, bool),
+        scatter=0.0,
+        noise=covariance,
+    )
