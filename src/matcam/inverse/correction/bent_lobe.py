@@ -15,7 +15,8 @@ from matcam.inverse.fit.material_fit import MaterialFit
 
 _LEAST = 0.03
 """Smallest bend that is tried, as a share of the largest."""
-_TRIED = 16
+TRIED_BENDS = 16
+"""Scales of a bend that are tried."""
 
 
 def in_all_slices(few: MaterialFit, setup: FitSetup, every: int) -> tuple[MaterialFit, FitSetup]:
@@ -44,4 +45,4 @@ def learned_bend(found: MaterialFit, most: float) -> float:
         smooth = prior._replace(learned=scale).rows(layout)[len(prior.root) :, bends]
         return evidence(information, right, bends, smooth)
 
-    return float(max(np.geomspace(_LEAST * most, most, _TRIED), key=probability))
+    return float(max(np.geomspace(_LEAST * most, most, TRIED_BENDS), key=probability))

@@ -17,7 +17,7 @@ from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
-from matcam.inverse.correction.doubts import Doubt, ShapeCorrection
+from matcam.inverse.correction.doubts import Doubt, ShapeUncertainty
 from matcam.inverse.correction.evidence import UNKNOWN_SHARE
 from matcam.inverse.correction.explanation import UNEXPLAINED, explain, first_setup
 from matcam.inverse.correction.farthest_glare import FarthestGlare, farthest_glare
@@ -88,7 +88,7 @@ class Correction:
         recorded: the table that was corrected, 1/sr.
         fit: fit of the lobe through the camera.
         doubts: the same fit with a parameter of the rig free, one for each parameter.
-        shape: what was changed of the family's lobe.
+        shape: how well the shape of the lobe is known.
         remarks: what a reader should know of the correction.
         without_camera: fit of the same lobe as a perfect camera would have recorded it; with free shadowing and a lobe for each
             colour where nothing less explains the data.
@@ -106,7 +106,7 @@ class Correction:
     recorded: xr.DataArray
     fit: MaterialFit
     doubts: tuple[Doubt, ...]
-    shape: ShapeCorrection
+    shape: ShapeUncertainty
     remarks: tuple[Remark, ...]
     without_camera: MaterialFit
     no_camera: float

@@ -6,8 +6,8 @@ been with it counts as uncertainty, several times over.
 
 The lobe: the record is linear in D. So after a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is one linear least-squares
 problem (docs/model.md 8). It is solved together with small changes of the fit's own parameters, strengths free in every
-slice. How much the b_k may vary is learnt from the data, by the evidence of the linear model. Where the family explains the
-data they stay close to 0 and cost nothing. Where not, what the pixels cannot resolve of them becomes uncertainty.
+slice. How much the b_k may vary is learnt from the data, by the evidence of the linear model. What the pixels cannot resolve of
+the b_k is uncertainty. The lobe itself stays that of its family, because a corrected lobe is an explanation of its own.
 """
 
 from __future__ import annotations
@@ -168,26 +168,20 @@ FAMILY_FAILS = 0.05
 
 _SCALES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 _ROUNDS = 3
-_LEAST_CHANGE = -0.999
-"""Smallest b_k: a lobe stays positive."""
 
 
-class ShapeCorrection(NamedTuple):
-    """Hold 1 + sum b_k B_k, the factor of a lobe, and what is known of it.
+class ShapeUncertainty(NamedTuple):
+    """How well the shape of a lobe is known, as the factor 1 + sum b_k B_k of the lobe.
 
     Attributes:
-        b: (KNOTS,), coefficients of the splines.
         covariance: of (lobe, rig, b), the first two in the fit's coordinates.
         scale: standard deviation of the second differences of b that the data ask for.
-        noise: as estimated with the correction made, or as given.
-        improvement: by how much the sum of squared residuals falls.
+        noise: of a pixel, as estimated with b free, or as given.
     """
 
-    b: np.ndarray
     covariance: np.ndarray
     scale: float
     noise: PixelNoise
-    improvement: float
 
     @property
     def family_fails(self) -> bool:
@@ -219,8 +213,8 @@ def shape_records(
     return both[0], both[1:]
 
 
-def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorrection:
-    """Return the likeliest correction of a fit with free strengths and one lobe. noise: None: estimated anew."""
+def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUncertainty:
+    """Estimate the uncertainty of the shape of a fit with free strengths and one lobe. noise: None: estimated anew."""
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates
     data, model = solution.problem.data, solution.model
@@ -231,7 +225,7 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
     even, differences = smoothness(KNOTS), bend_smoothness()
     assumed = solution.noise
     result = np.zeros(count)
-    scale, covariance, before, after = _SCALES[0], np.zeros((count, count)), 1.0, 1.0
+    scale, covariance = _SCALES[0], np.zeros((count, count))
     for _ in range(_ROUNDS):
         value = np.maximum(model.value + np.tensordot(result, columns, 1), 1e-3 * model.value)
         rest = linear.residual - np.tensordot(result, columns, 1)
@@ -247,20 +241,14 @@ def shape_correction(found: MaterialFit, noise: PixelNoise | None) -> ShapeCorre
         penalty[shapes, shapes] = differences.T @ differences / scale**2
         covariance = scaled_inverse(information + penalty)
         result = covariance @ right
-        before, after = float(target @ target), float(((target - result @ flat) ** 2).sum())
-    b = np.maximum(result[shapes], _LEAST_CHANGE)
     inner = np.r_[0 : shapes.stop]
-    return ShapeCorrection(b, covariance[np.ix_(inner, inner)], scale, assumed, before - after)
+    return ShapeUncertainty(covariance[np.ix_(inner, inner)], scale, assumed)
 
 
-def no_correction(found: MaterialFit, scale: float) -> ShapeCorrection:
-    """Return no correction of a fit whose lobe is bent already: its own covariance, no b.
-
-    scale: the scale that its family had asked for.
-    """
-    covariance = found.coordinates.covariance
-    padded = np.pad(covariance, (0, KNOTS))
-    return ShapeCorrection(np.zeros(KNOTS), padded, scale, found.noise, 0.0)
+def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
+    """Return the uncertainty of a fit's own parameters, which hold its shape already. scale: that its family had asked for."""
+    padded = np.pad(found.coordinates.covariance, (0, KNOTS))
+    return ShapeUncertainty(padded, scale, found.noise)
 
 
 def _columns(linear: LinearisedFit) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Evidence of the explanations of a table: how probable each makes the data, on one scale for all of them.
 
-The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the peak
-of the slice), with exponential priors on tau and tau_f. Laplace's approximation gives
+The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the
+peak of the slice), with exponential priors on tau and tau_f. Laplace's approximation gives
 
     ln E = kappa ln L + ln p(tau, tau_f) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
 
@@ -22,6 +22,7 @@ import numpy as np
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import merl_grid, sampling_of
+from matcam.inverse.correction.bent_lobe import TRIED_BENDS
 from matcam.inverse.fit.fit_data import (
     FitData,
     cell_variance,
@@ -80,7 +81,7 @@ def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
 
 
 def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
-    """Estimate noise from cells at phi_d and pi - phi_d, which a camera without aberrations records alike (docs/model.md 3)."""
+    """Estimate noise from cells at phi_d and pi - phi_d, which an isotropic lens records alike (docs/model.md 3)."""
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
     if cells.real is not None or (setup.rig is not None and not setup.rig.camera.optics.isotropic):
@@ -96,7 +97,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from the differences of residuals between channels: what a model of the lobe misses they have in common."""
+    """Estimate noise from the differences of residuals between channels, which share what a model of the lobe misses."""
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)
@@ -127,7 +128,7 @@ class Explained(NamedTuple):
     Attributes:
         log_likelihood: logarithm of the likelihood with its misfit as noise.
         log_misfit: logarithm of the prior of that misfit.
-        log_prior: logarithm of the prior of the parameters, but for powers of 2 pi.
+        log_prior: logarithm of the prior of the parameters, but for powers of 2 pi; a bend's scale is one of those tried.
         chi2: mean squared residual in standard deviations of pixel noise, robust.
         freedom: degrees of freedom.
         information: (parameters, parameters), of the data.
@@ -178,7 +179,7 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     return Explained(
         log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
         log_misfit=-float((misfit / _MISFIT_SCALES).sum()),
-        log_prior=-0.5 * distance,
+        log_prior=-0.5 * distance - (np.log(TRIED_BENDS) if problem.layout.kind.bends else 0.0),
         chi2=float(_robust(u0).sum() / max(solution.freedom, 1)),
         freedom=max(solution.freedom, 1),
         information=flat @ flat.T,

@@ -28,10 +28,10 @@ from matcam.inverse.correction.bent_lobe import in_all_slices
 from matcam.inverse.correction.doubts import (
     Doubt,
     OtherLobe,
-    ShapeCorrection,
-    no_correction,
+    ShapeUncertainty,
+    known_shape,
     rig_doubts,
-    shape_correction,
+    shape_uncertainty,
 )
 from matcam.inverse.correction.evidence import Weighing, noise_without_model
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
@@ -81,7 +81,7 @@ class Explanation(NamedTuple):
         setup: of `fit`.
         candidates: fits of the lobes through the camera that may matter.
         fit: the most probable of them.
-        shape: what is changed of its shape.
+        shape: how well its shape is known.
         base: the same lobe in the slices that doubts are fitted to.
         others: the other lobes through the same camera, with their probabilities.
         doubts: fits with a parameter of the rig free.
@@ -96,7 +96,7 @@ class Explanation(NamedTuple):
     setup: FitSetup
     candidates: list[MaterialFit]
     fit: MaterialFit
-    shape: ShapeCorrection
+    shape: ShapeUncertainty
     base: MaterialFit
     others: tuple[OtherLobe, ...]
     doubts: tuple[Doubt, ...]
@@ -236,12 +236,10 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
         for n, (one, share) in enumerate(zip(whole, shares, strict=True))
         if n != first and share > _NEGLIGIBLE
     )
-    if found.fit.is_bent:
-        shape = no_correction(found.fit, found.setup.bend)
-    else:
-        shape = shape_correction(found.fit, setup.noise)
-        if shape.family_fails:  # the corrected lobe is a member of its own
-            shape = no_correction(found.fit, shape.scale)
+    shape = known_shape(found.fit, found.setup.bend)
+    if not found.fit.is_bent:
+        free = shape_uncertainty(found.fit, setup.noise)
+        shape = known_shape(found.fit, free.scale) if free.family_fails else free  # a bent lobe is a member of its own
     base = kept[first] if found.fit.is_bent else found
     return Explanation(
         located=located, setup=found.setup, candidates=[one.fit for one in whole], fit=found.fit, shape=shape,
@@ -260,7 +258,7 @@ def _solved(setup: FitSetup) -> Member:
 
 def _bent(core: Member) -> Member:
     """Return a lobe with a smooth correction, as free as its family's residuals suggest."""
-    bend = min(shape_correction(core.fit, core.setup.noise).scale, _MOST_BEND)
+    bend = min(shape_uncertainty(core.fit, core.setup.noise).scale, _MOST_BEND)
     stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
     setup = core.setup.with_(bend=bend, stiff_below=stiff)
     return Member(setup, setup.solve(start=core.fit))

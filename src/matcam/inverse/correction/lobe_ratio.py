@@ -12,7 +12,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
-from matcam.inverse.correction.doubts import Doubt, OtherLobe, ShapeCorrection, shape_records
+from matcam.inverse.correction.doubts import Doubt, OtherLobe, ShapeUncertainty, known_shape, shape_records
 from matcam.inverse.correction.harmless import LobeRatio
 from matcam.inverse.correction.other_maskings import OtherMasking
 from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
@@ -38,7 +38,7 @@ class CorrectionFits(NamedTuple):
 
     Attributes:
         fit: of the lobe that is corrected for.
-        shape: what was changed of its shape.
+        shape: how well its shape is known.
         base: the same lobe in those slices that doubts were fitted to: they differ from it.
         doubts: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
@@ -47,7 +47,7 @@ class CorrectionFits(NamedTuple):
     """
 
     fit: MaterialFit
-    shape: ShapeCorrection
+    shape: ShapeUncertainty
     base: MaterialFit
     doubts: Sequence[Doubt]
     others: Sequence[OtherLobe] = ()
@@ -83,7 +83,7 @@ def lattices_ahead(rig: Rig, sampling: Sampling, expected: tuple[Axis, ...], wor
 def lobe_ratio(
     rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Workspace, phase_std: float = 0.0
 ) -> LobeRatio:
-    """Return the ratio of a fit and its shape's correction.
+    """Return the ratio of true over recorded lobe, averaged over the explanations.
 
     phase_std: standard deviation of the phase of the real pixels that cells are looked up in, px.
 
@@ -97,7 +97,7 @@ def lobe_ratio(
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
     fitted = at.rig @ axis_selection(at.axes, axes)
 
-    log_ratio, log_recorded = _shaped(fine, at, fits.shape)
+    log_ratio, log_recorded = _log_ratio_and_record(fine, at)
     log = on_table(log_ratio, fine)
     recorded = on_table(log_recorded, fine)
     recorded = np.exp(recorded - recorded.max(axis=(0, 2), keepdims=True))
@@ -110,14 +110,17 @@ def lobe_ratio(
         variance += (weight * on_table(change, coarse)) ** 2
     shift, spread = np.zeros(log.shape), np.zeros(log.shape)
     for other in fits.others:
-        change = on_table(_at(coarse, other.fit.coordinates) - here, coarse)
+        there = other.fit.coordinates
+        moved = there.rig @ axis_selection(there.axes, axes)
+        change = on_table(_plain(coarse, there, moved) - here, coarse)
+        own = on_table(_variance(coarse, there, known_shape(other.fit, 0.0), moved), coarse)
         shift += other.probability * change
-        spread += other.probability * change**2
+        spread += other.probability * (change**2 + np.maximum(own, 0.0) - variance)
     log, variance = log + shift, variance + spread - shift**2  # mean and variance of the mixture
     pixels = grid_of(rig)
     if pixels is not None:
         lattices = Lattices(fine, coarse, fitted)
-        moved, by_phase = pixel_log_ratio(lattices, at, fits.shape, pixels, sample_view(rig).radius, phase_std)
+        moved, by_phase = pixel_log_ratio(lattices, at, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
     return LobeRatio(log, np.sqrt(variance), recorded)
 
@@ -152,38 +155,28 @@ def _at(where: ResponseLattice, at: FitCoordinates) -> np.ndarray:
     return _plain(where, at, at.rig @ axis_selection(at.axes, where.recorded.axes))
 
 
-class _Shares(NamedTuple):
-    """Hold recorded and true lobe on the lattice, 1 where unknown, and what each part of a shape adds to them, relative."""
-
-    lobes: list[np.ndarray]
-    shares: list[np.ndarray]
-
-    def lifts(self, shape: ShapeCorrection) -> list[np.ndarray]:
-        """Return the factors that a shape's correction gives to both lobes."""
-        return [np.maximum(1 + np.tensordot(shape.b, share, 1), 1e-3) for share in self.shares]
+def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[np.ndarray, np.ndarray]:
+    """Compute ln(true / recorded) and ln(recorded), the rig as given."""
+    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.axes)))
+    log_recorded = np.where(where.cells.valid, np.log(recorded), np.log(VANISHED))
+    return np.where(where.cells.valid, np.log(true) - log_recorded, 0.0), log_recorded
 
 
-def _shares(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> _Shares:
+def _lobes_and_shares(
+    where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Compute the recorded and the true lobe on the lattice, 1 where unknown, each with the relative change by each B_k."""
     pairs = [
         shape_records(operator, at.kind, placed(at.lobe), placed(rig))
         for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))
     ]
     lobes = [np.where(where.cells.valid, np.maximum(np.asarray(lobe), VANISHED), 1.0) for lobe, _ in pairs]
-    return _Shares(lobes, [np.asarray(parts) / lobe for (_, parts), lobe in zip(pairs, lobes, strict=True)])
+    return [(lobe, np.asarray(parts) / lobe) for (_, parts), lobe in zip(pairs, lobes, strict=True)]
 
 
-def _shaped(where: ResponseLattice, at: FitCoordinates, shape: ShapeCorrection) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ln(true / recorded) and ln(recorded) with the shape's correction, the rig as given."""
-    both = _shares(where, at, np.zeros(len(where.recorded.axes)))
-    (recorded, true), (lift_recorded, lift_true) = both.lobes, both.lifts(shape)
-    log_recorded = np.where(where.cells.valid, np.log(recorded * lift_recorded), np.log(VANISHED))
-    return np.where(where.cells.valid, np.log(true * lift_true) - log_recorded, 0.0), log_recorded
-
-
-def _variance(where: ResponseLattice, at: FitCoordinates, shape: ShapeCorrection, shifts: np.ndarray) -> np.ndarray:
+def _variance(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty, shifts: np.ndarray) -> np.ndarray:
     """Return the variance of the ratio, by the covariance of lobe, rig and shape."""
-    both = _shares(where, at, shifts)
-    by_recorded, by_true = (share / lift for share, lift in zip(both.shares, both.lifts(shape), strict=True))
+    (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
     slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
     own = len(at.lobe)
     by_rig = np.tensordot(axis_selection(at.axes, where.recorded.axes), slopes[own:], 1)

@@ -17,13 +17,11 @@ from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
 from matcam.forward.pixel_grid import PixelGrid, pixel_angles
-from matcam.inverse.correction.doubts import ShapeCorrection
 from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, Spacing, seen_cells
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
-from matcam.material.ndf.free_lobe import bend_at
 
 _CUBIC = 3
 _OVERLAP = 4
@@ -45,17 +43,16 @@ class Lattices(NamedTuple):
 
 
 def pixel_log_ratio(
-    lattices: Lattices, at: FitCoordinates, shape: ShapeCorrection, pixels: PixelGrid, radius: float, std: float
+    lattices: Lattices, at: FitCoordinates, pixels: PixelGrid, radius: float, std: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return ln(record at the cells' places / record of their pixels), (90, 90, 180), and its variance by the phase.
 
     std: of the pixels' phase, px.
     """
     fine, coarse, fitted = lattices
-    splines = [_splines(fine, _record(fine, at, np.zeros(0), shape))]
+    splines = [_splines(fine, _record(fine, at, np.zeros(0)))]
     if fitted.any():
-        none = shape._replace(b=np.zeros_like(shape.b))
-        change = _record(coarse, at, fitted, none) - _record(coarse, at, np.zeros(fitted.size), none)
+        change = _record(coarse, at, fitted) - _record(coarse, at, np.zeros(fitted.size))
         splines.append(_splines(coarse, change))
     mirrored = fine.spacing.mirrored
     grid = merl_grid(fine.sampling)
@@ -108,16 +105,15 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 
 
 @kept_program
-def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array, b: jax.Array) -> jax.Array:
-    """Return the record of each way of a lobe times 1 + sum b_k B_k, (slices, cells, 2)."""
-    ndf = kind.ndf(q)
-    return operator.ways(ndf, kind.masking, shifts, 1 + bend_at(b, operator.slope2))
+def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
+    """Return the record of each way of a lobe, (slices, cells, 2)."""
+    return operator.ways(kind.ndf(q), kind.masking, shifts)
 
 
-def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray, shape: ShapeCorrection) -> np.ndarray:
+def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Return the logarithm of the record of each way on a lattice, (slices, rings, azimuths as of `_around`)."""
     rings, slices, azimuths = where.spacing
-    both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts), placed(shape.b)))
+    both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
     log = np.log(np.maximum(np.where(where.cells.valid[..., None], both, np.nan), VANISHED))
     log = log.reshape(len(slices), len(rings), len(azimuths), 2)
     if where.spacing.mirrored:  # the first way lies at 180 degrees less phi_d, the second, mirrored, at phi_d

@@ -129,12 +129,9 @@ class LobeOperator(eqx.Module):
 
         return self.slice_by_slice(one)
 
-    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array, factor: jax.Array | float = 1.0) -> jax.Array:
-        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean.
-
-        factor: of D, (cells, ways, nodes), at `slope2`.
-        """
-        return 2 * jnp.sum(self.weighted(ndf, masking, shifts) * factor, axis=-1).reshape(*self.shape, -1)
+    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean."""
+        return 2 * jnp.sum(self.weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
     def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
         """Return D G at the nodes times their weights, (cells, ways, nodes). table: of Lambda, where it is at hand."""
