@@ -121,7 +121,7 @@ class PlanView:
 
     def _pictures(self) -> Any:
         self._curves = curve_figure(
-            "Loss at the peak, relative to θ = 0",
+            "Peak kept, relative to θ = 0",
             "viewing angle θ [degrees]",
             "recorded / true peak, relative [-]",
             height=270,

@@ -220,8 +220,8 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
         return
     print_fit(document["fit"], name)
     show.say(
-        f"supported entries (correction known to 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
-        f"{document['peak_gain_75']:.2f}"
+        f"supported (the correction is known to 5 %): {document['supported_share']:.0%} of the entries that hold a value; "
+        f"the peak at 75° was raised by a factor of {document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # printed with the fit

@@ -53,9 +53,9 @@ def convert(
 
     Returns:
         Report as plain values: `input`, `output`, `format` and `holds` of the input, and `resampled`, None where every value is
-        kept. Where resampled: `missing_share` of the values that were made up, and `error`, the relative difference at 4096
-        random pairs of directions (`median`, `p99`, `largest`, `known`) and in mirror directions (`peak`), relative to the value or to 1e-6 of the peak,
-        whichever is larger.
+        kept. Where resampled: `missing_share` of the values that were made up, and `error`, relative to the value or to 1e-6 of
+        the peak, whichever is larger: at 4096 random pairs of directions (`median`, `p99`, `largest`, and `known`, the share of
+        pairs with a value) and in mirror directions (`peak`).
 
     Raises:
         ArgumentError: the output's format cannot hold the data.

@@ -66,6 +66,10 @@ class Sample(eqx.Module):
         return type(self).__name__.lower()
 
     @abstractmethod
+    def in_words(self) -> str:
+        """Describe the shape and its size in the picture, for titles and pages."""
+
+    @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal away from the half vector, px/rad.
 
@@ -109,6 +113,10 @@ class Flat(Sample):
         """
         return checks.number("frequency", frequency) / jnp.cos(checks.viewing_angle("theta_o", theta_o))
 
+    def in_words(self) -> str:
+        """Describe the shape for titles and pages."""
+        return "flat sample"
+
     def __repr__(self) -> str:
         return "Flat()"
 
@@ -129,6 +137,11 @@ class Curved(Sample):
     radius: eqx.AbstractVar[jax.Array]
     distance: eqx.AbstractVar[jax.Array]
     distant: eqx.AbstractVar[bool]
+
+    def in_words(self) -> str:
+        """Describe the shape, its radius in px and a near camera's distance in radii, for titles and pages."""
+        camera = "" if self.distant else f", camera at {float(self.distance):g} radii"
+        return f"{self.kind} of {float(self.radius):g} px radius{camera}"
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:

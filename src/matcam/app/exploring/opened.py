@@ -174,7 +174,7 @@ def _label(name: str, record: dict[str, Any]) -> str:
     # a whole number may be larger than any float
     width = next((f"{key} {value:.3g}" for key, value in widths.items() if abs(value) < _LARGEST), "")
     share = record.get("supported_share")
-    supported = f"{share:.0%} supported" if isinstance(share, float) and np.isfinite(share) else ""
+    supported = f"{share:.0%} of its values supported" if isinstance(share, float) and np.isfinite(share) else ""
     return " · ".join(part for part in (name, width, supported) if part)
 
 
