@@ -29,6 +29,10 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
 )  # fmt: skip
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#6E6E6E"
+_COLOUR_BAR = "<colorbar>"
+"""Label that Matplotlib gives to the axes of a colour bar, which stands beside its panel and below the panel's title."""
+_GAP = 10.0
+"""Distance between titles of neighbouring panels, and difference in height of panels of one row, dots."""
 _SMALLEST = 7.0
 """Smallest size of a title, points: the size of the smallest labels."""
 
@@ -93,10 +97,9 @@ def fit_titles(figure: Figure) -> bool:
 def _end(figure: Figure, axes: Axes) -> float:
     """Compute the position at which a panel's title must end, in dots: at the next panel of its row, or the figure's edge."""
     here = axes.get_window_extent()
-    beside = [one.get_window_extent() for one in figure.axes if one is not axes]
-    right = [box.x0 for box in beside if box.x0 >= here.x1 and box.y0 < here.y1 < box.y1 + 1]
-    wide = [end for end in right if end > here.x0 + here.width * 1.3]  # a colour bar belongs to its panel
-    return min([*wide, figure.bbox.width])
+    panels = [one.get_window_extent() for one in figure.axes if one.get_label() != _COLOUR_BAR]
+    right = [box.x0 - _GAP for box in panels if box.x0 >= here.x1 and box.y0 < here.y1 < box.y1 + _GAP]
+    return min([*right, figure.bbox.width])
 
 
 def _fit(title: Text, room: float) -> bool:
