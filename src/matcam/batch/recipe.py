@@ -112,7 +112,7 @@ class Recipe:
     options: Options
     sampling: Sampling = "centre"
     page: bool = True
-    compress: bool = False
+    compress: bool = True
     corrector: Corrector = correct_table
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 

@@ -88,8 +88,8 @@ def command(
     ] = None,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page to read for each material.")] = True,
     compress: Annotated[
-        bool, typer.Option("--compress", help="Compress each NetCDF: two fifths of the space, 0.8 s longer.")
-    ] = False,
+        bool, typer.Option("--compress/--no-compress", help="Compress each NetCDF, without loss.")
+    ] = True,
     zarr: Annotated[
         bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr besides, FOLDER/run.zarr.")
     ] = False,
