@@ -91,7 +91,7 @@ def test_an_infinite_distance_is_a_box_to_tick():
     control.field.value = 28
     assert (control.value, control.infinite.active) == (28, False)
     control.infinite.active = True
-    assert control.value == float("inf")
+    assert (control.value, control.field.value, control.field.placeholder) == (float("inf"), None, "infinite")
     control.infinite.active = False
     control.field.value = 999
     assert control.value == 999

@@ -74,7 +74,8 @@ class NumberControl:
             margin=(0, 8, 4, 8),
         )
         self.field = NumericInput(
-            value=min(setting.value, setting.high),
+            value=None if math.isinf(setting.value) else setting.value,
+            placeholder="infinite" if setting.infinite else "",
             low=setting.low,
             high=setting.high,
             mode="float",
@@ -112,12 +113,15 @@ class NumberControl:
         """Show a number, without a word to those who listen."""
         self._own = True
         self.infinite.active = math.isinf(value)
-        self.field.value = min(value, self.setting.high)
+        self.field.value = None if math.isinf(value) else value
         self.slider.value = self.setting.to_slider(value)
         self._own = False
 
     def _ticked(self) -> None:
         if not self._own:
+            self._own = True
+            self.field.value = None if self.infinite.active else self.setting.from_slider(self.slider.value)
+            self._own = False
             self._changed()
             self._released()
 
