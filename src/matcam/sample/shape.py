@@ -65,9 +65,9 @@ class Sample(eqx.Module):
         """Return the shape's name in files: "sphere", "cylinder" or "flat"."""
         return type(self).__name__.lower()
 
-    @abstractmethod
     def in_words(self) -> str:
         """Describe the shape and its size in the picture, for titles and pages."""
+        return f"{self.kind} sample"
 
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
@@ -112,10 +112,6 @@ class Flat(Sample):
             ArgumentError: an argument is out of range.
         """
         return checks.number("frequency", frequency) / jnp.cos(checks.viewing_angle("theta_o", theta_o))
-
-    def in_words(self) -> str:
-        """Describe the shape for titles and pages."""
-        return "flat sample"
 
     def __repr__(self) -> str:
         return "Flat()"
