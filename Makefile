@@ -68,7 +68,7 @@ bench: $(VENV)/.installed-test
 # Every example is executed; warnings, bad links and what would be loaded from outside are errors
 docs: $(VENV)/.installed-docs
 	rm -rf build/site docs/gallery docs/tutorials
-	PYTHONPATH=. $(RUN) sphinx -b html -n -W --keep-going docs build/site
+	$(RUN) sphinx -b html -n -W --keep-going docs build/site
 	@echo "Open build/site/index.html"
 
 tables: $(VENV)/.installed

@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "examples")]
+sys.path.insert(0, str(HERE / "_ext"))
 
 # Programs of one site are compiled once, in a folder of the build; most of them run once, and compile faster without fusion.
 # Later versions of XLA do not know the flag, and refuse to start with it

@@ -38,6 +38,14 @@ def shown_on_page(one):
     return f"`{path}`, `{name}`{more}"
 
 
+def taken(docs):
+    """Say what the inverse commands take. docs: address of the folder of pages, as the page that prints it sees it."""
+    return (
+        "**Which tables it takes**: `fit`, `fresnel` and `correct` take tables of a sphere or a cylinder, with camera and lamp near or "
+        f"distant ([what takes what]({docs}/forward.md#what-takes-what)). A table of a flat sample is not blurred."
+    )
+
+
 def write(path):
     """Write the page."""
     text = "\n".join(
@@ -49,7 +57,7 @@ def write(path):
             "",
             *table(shown_on_page),
             "",
-            "What it cannot do yet: `fit`, `fresnel` and `correct` want a sphere, and the lamp along the rows or columns of the pixels.",
+            taken(""),
             "",
         ]
     )

@@ -9,9 +9,10 @@ rougher, and needs twenty times the noise; through the camera the true value com
 import matplotlib.pyplot as plt
 
 import matcam
-from shared_table import ALPHA, recorded
 
-table = recorded()
+ALPHA = 0.004  # the true roughness
+
+table = matcam.io.example_table()
 through = matcam.fit(table, matcam.rigs.merl(), "ggx", every=18)
 blind = matcam.fit(table, None, "ggx", every=18)
 

@@ -9,9 +9,10 @@ explain the data: 1 % is the pixels', and what is above it is the camera's fault
 import matplotlib.pyplot as plt
 
 import matcam
-from shared_table import ALPHA, recorded
 
-table = recorded()
+ALPHA = 0.004  # the true roughness
+
+table = matcam.io.example_table()
 sigmas = (0.4, 0.475, 0.5, 0.525, 0.6)
 found = []
 for sigma in sigmas:

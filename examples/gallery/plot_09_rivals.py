@@ -9,9 +9,8 @@ formula knows. Both are fitted to the same data, and Akaike's criterion says whi
 import matplotlib.pyplot as plt
 
 import matcam
-from shared_table import recorded
 
-found = matcam.rivals(recorded(), matcam.rigs.merl(), every=18)
+found = matcam.rivals(matcam.io.example_table(), matcam.rigs.merl(), every=18)
 print(found.verdict)
 
 figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")

@@ -8,8 +8,9 @@ fitted through the camera, follow the published tables.
 
 import matcam
 from matcam.figures.curves import fresnel_figure
-from shared_table import EVERY, recorded
 
-result = matcam.fresnel(recorded(), matcam.rigs.merl(), ndf="ggx", every=EVERY)
+EVERY = 6  # the table holds every sixth slice
+
+result = matcam.fresnel(matcam.io.example_table(), matcam.rigs.merl(), ndf="ggx", every=EVERY)
 tables = matcam.inverse.tabulated_fresnel(result, "Cr")
 drawn = fresnel_figure(result, tables, "chromium, simulated")  # drawn.savefig("fresnel.png")

@@ -15,13 +15,12 @@ from textwrap import fill
 import matplotlib.pyplot as plt
 
 import matcam
-from shared_table import recorded
 
 folder = Path(tempfile.gettempdir()) / "matcam-examples"
 inputs, outputs = folder / "brdfs", folder / "corrected"
 if not (inputs / "chromium.binary").exists():
     inputs.mkdir(parents=True, exist_ok=True)
-    matcam.write_merl(inputs / "chromium.binary", recorded().clip(min=0))
+    matcam.write_merl(inputs / "chromium.binary", matcam.io.example_table().clip(min=0))
 
 if __name__ == "__main__":
     matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1, pages=False)

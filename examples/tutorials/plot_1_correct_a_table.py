@@ -11,9 +11,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import matcam
-from shared_table import ALPHA, recorded
 
-table = recorded()  # yours: matcam.read_merl("chrome.binary"), or matcam.io.read of any format
+ALPHA = 0.004  # the true roughness
+
+table = matcam.io.example_table()  # yours: matcam.read_merl("chrome.binary"), or matcam.io.read of any format
 print(dict(table.sizes), table.attrs.get("units", "1/sr"))
 
 # %%

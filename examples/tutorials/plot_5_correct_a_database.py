@@ -15,7 +15,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import matcam
-from shared_table import recorded
 
 # %%
 # A folder with two tables, one of which was cut short by a full disk.
@@ -24,7 +23,7 @@ folder = Path(tempfile.gettempdir()) / "matcam-examples"
 shutil.rmtree(folder, ignore_errors=True)
 inputs, outputs = folder / "brdfs", folder / "corrected"
 inputs.mkdir(parents=True, exist_ok=True)
-matcam.write_merl(inputs / "chromium.binary", recorded().clip(min=0))
+matcam.write_merl(inputs / "chromium.binary", matcam.io.example_table().clip(min=0))
 (inputs / "broken.binary").write_bytes((inputs / "chromium.binary").read_bytes()[:1000])
 
 if __name__ == "__main__":  # workers are new processes

@@ -1,11 +1,13 @@
 from .exchange.contents import read, write
 from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
+from .files.example_data import example_table
 from .files.float_pictures import read_exr, read_float_tiff, write_exr, write_float_tiff
 from .files.rgl import read_rgl, write_rgl
 from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 
 __all__ = [
+    "example_table",
     "read",
     "read_exr",
     "read_float_tiff",

@@ -49,7 +49,7 @@ DRAG = """async ([name, places, burst, pause]) => {
   const echo = () => { last = performance.now(); answered += 1; late = 0 };
   const draw = () => {
     last = performance.now();
-    if (curve.data.theta[0].length < 100) { shown.push(Number(curve.data.roughness[0])); late += 1 }
+    if (curve.data.theta[0].length < 100) { shown.push(Number(curve.data.chosen[0])); late += 1 }
   };
   field.properties.value.change.connect(echo);
   curve.properties.data.change.connect(draw);

@@ -85,7 +85,7 @@ def test_the_last_value_of_a_fast_drag_wins(chromium, app):
         page.wait_for_function(f"{FIELD} < 0.1 && {SHOWN} === {FIELD}", timeout=30_000)
 
 
-SHOWN = "Number(Bokeh.documents[0].get_model_by_name('curve').data.roughness[0])"
+SHOWN = "Number(Bokeh.documents[0].get_model_by_name('curve').data.chosen[0])"
 FIELD = "Bokeh.documents[0].get_model_by_name('field-roughness').value"
 
 
@@ -144,7 +144,7 @@ def test_displayed_numbers_are_the_commands(chromium, app, tmp_path, monkeypatch
         page.wait_for_function(PREPARED, timeout=300_000)
         for name, value in {"sigma": 0.7, "roughness": 0.013}.items():
             page.evaluate(f"Bokeh.documents[0].get_model_by_name('field-{name}').value = {value}")
-        shown = "Bokeh.documents[0].get_model_by_name('plan-copy').text.includes('predict 0.013')"
+        shown = "Bokeh.documents[0].get_model_by_name('plan-copy').text.includes(' 0.013')"
         page.wait_for_function(f"{EXACT} && {shown}", timeout=300_000)
         cells = re.findall("<td>(.*?)</td>", page.evaluate("Bokeh.documents[0].get_model_by_name('plan-numbers').text"))
         copied = page.evaluate("Bokeh.documents[0].get_model_by_name('plan-copy').text")
@@ -199,6 +199,32 @@ def bombs():
     yield "Calibrate", "claims.png", bytes(claims)
     yield "Calibrate", "rubbish.tif", b"II*\0" + b"\xff" * 400
     yield "Calibrate", "<b>x</b>.exr", b"v/1\x01" + b"\xff" * 400
+
+
+@pytest.mark.slow
+def test_a_rejected_file_leaves_the_selection_as_it_was(chromium, tmp_path):
+    """A picture is no table: what was selected and drawn stays, and the error is shown."""
+    import imagecodecs
+
+    from matcam import GGX, Microfacet, write_merl
+    from matcam.forward import true_table
+
+    write_merl(tmp_path / "good.binary", true_table(Microfacet(GGX(0.1), 0.9)))
+    picture = imagecodecs.png_encode(np.zeros((8, 8), np.uint8))
+    chosen = (
+        "(() => { const s = Bokeh.documents[0].get_model_by_name('material'); return [s.value, s.options.length] })()"
+    )
+    drawn = "Bokeh.documents[0].get_model_by_name('slice').data.theta_h.length"
+    with running(tmp_path / "good.binary") as app, opened(chromium, app) as page:
+        page.wait_for_function(f"{drawn} > 10", timeout=120_000)
+        before = page.evaluate(chosen)
+        field = page.locator("input[type=file]:visible").first
+        field.set_input_files({"name": "photo.png", "mimeType": "image/png", "buffer": picture})
+        page.wait_for_function("Bokeh.documents[0].get_model_by_name('message').text !== ''", timeout=120_000)
+        assert "photo.png" in message(page)
+        page.wait_for_function("Bokeh.documents[0].get_model_by_name('explore-status').text === ''", timeout=30_000)
+        assert page.evaluate(chosen) == before
+        assert page.evaluate(drawn) > 10
 
 
 @pytest.mark.slow

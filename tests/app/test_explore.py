@@ -123,7 +123,7 @@ def test_a_run_of_1000_opens_soon_and_lazily(tmp_path):
     assert time.process_time() - start < 3  # of the processor: what else runs is not judged
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1_000_000  # kB
     assert len(entries) == 1000
-    assert entries[7].label == "m0007 · alpha 0.01 · 80% supported"
+    assert entries[7].label == "m0007 · alpha 0.01 · 80% of its values supported"
     with pytest.raises(FileFormatError, match="not a NetCDF"):
         entries[7].read()
 

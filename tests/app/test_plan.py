@@ -46,7 +46,7 @@ def test_the_command_line_says_the_same(planned, tmp_path):
 
     said = said_by_the_command(planned, tmp_path)
     shown = predict(planned.rig(), planned.lobes())
-    assert said["roughness"] == [0.01, *OTHERS]
+    assert said["roughness"] == sorted([0.01, *OTHERS])
     np.testing.assert_allclose(np.degrees(shown["loss_angle"]), said["loss_angle_deg"], rtol=1e-12)
     np.testing.assert_allclose(shown["response"], said["response"], rtol=1e-12)
 
@@ -70,8 +70,48 @@ def test_presets_lie_in_the_sliders():
 
 def test_a_slider_shows_what_it_sets():
     for one in SETTINGS:
-        assert one.from_slider(one.to_slider(one.value)) == pytest.approx(one.value, rel=5e-3)
+        assert one.from_slider(one.to_slider(one.value)) == pytest.approx(min(one.value, one.high), rel=5e-3)
         assert one.low <= one.from_slider(one.to_slider(one.high) + 1) <= one.high
+
+
+def test_roughnesses_are_drawn_from_the_smoothest_on():
+    assert replace(DEFAULTS, roughness=0.01).roughnesses == [0.001, 0.005, 0.01, 0.02, 0.1]
+    assert replace(DEFAULTS, roughness=0.005).roughnesses == [0.001, 0.005, 0.02, 0.1]
+
+
+def test_an_infinite_distance_is_a_box_to_tick():
+    """No number stands for infinity: 999 radii are 999 radii."""
+    from matcam.app.controls import NumberControl
+
+    changes = []
+    setting = next(one for one in SETTINGS if one.name == "distance")
+    control = NumberControl(setting, lambda: changes.append(control.value), lambda: None)
+    assert (control.value, control.infinite.label) == (float("inf"), "infinite")
+    assert "999" not in control.label.text
+    control.field.value = 28
+    assert (control.value, control.infinite.active) == (28, False)
+    control.infinite.active = True
+    assert (control.value, control.field.value, control.field.placeholder) == (float("inf"), None, "infinite")
+    control.infinite.active = False
+    control.field.value = 999
+    assert control.value == 999
+    assert changes == [28, float("inf"), 28, 999]
+    control.set(float("inf"))
+    assert control.value == float("inf")
+    assert len(changes) == 4
+
+
+def test_a_plot_without_data_is_no_black_box():
+    from bokeh.models import ColumnDataSource
+
+    from matcam.app.plots import WAITING, PictureColours, PictureFigure, no_pictures
+
+    picture = PictureFigure("a", 100, ColumnDataSource(no_pictures("a")), "a", PictureColours())
+    assert picture.plot.background_fill_color == WAITING
+    assert [one.visible for one in picture.plot.renderers] == [False]
+    picture.arrived()
+    assert picture.plot.background_fill_color == "#000000"
+    assert [one.visible for one in picture.plot.renderers] == [True]
 
 
 def test_cos_bounds_the_loss_of_a_point_lamp_only():

@@ -191,7 +191,7 @@ def test_other_settings_and_changed_inputs(tmp_path, here):
         ({"glare": 2e-3}, "its glare is 0.001, this run's is 0.002"),
         ({"masking": None}, 'its masking is "smith", this run\'s is "none"'),
         ({"pages": False}, "its pages is true"),
-        ({"compress": True}, "its compress is false"),
+        ({"compress": False}, "its compress is true"),
         ({"corrector": simple.deadly}, "its corrector is"),
     ):
         with pytest.raises(OutputError, match=words):

@@ -5,6 +5,7 @@ import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import docs_api
@@ -12,8 +13,10 @@ import docs_check
 import docs_claims
 import docs_commands
 import docs_messages
+import matcam
 from docs_names import public_things, signature
 from matcam.cli import BAD_INPUT, FAULT, INTERRUPTED
+from matcam.inverse.operator.lobe_operator import check_rig
 
 ROOT = Path(__file__).parents[2]
 THINGS = {name: thing for name, thing in public_things() if not inspect.ismodule(thing)}
@@ -114,6 +117,29 @@ def test_a_claim_names_a_test_that_reads_it(name):
 
 def test_readme_prints_the_claims():
     assert "\n".join(docs_claims.table(docs_claims.shown_in_readme)) in (ROOT / "README.md").read_text()
+
+
+def test_one_sentence_says_which_tables_are_taken(tmp_path):
+    """README, the page of claims and the table that both link to agree with the code."""
+    assert docs_claims.taken("docs") in " ".join((ROOT / "README.md").read_text().split())
+    docs_claims.write(tmp_path / "how-good.md")
+    assert docs_claims.taken("") in (tmp_path / "how-good.md").read_text()
+    assert "\n## What takes what\n" in (ROOT / "docs" / "forward.md").read_text()
+    camera, lamps = matcam.rigs.merl().camera, (matcam.DistantLamp(), matcam.NearLamp(28.0))
+    for sample in (matcam.Sphere, matcam.Cylinder):
+        for distance in (np.inf, 30.0):
+            for lamp in lamps:
+                check_rig(matcam.Rig(camera, sample(256.0, distance), lamp))
+    for lamp in lamps:
+        check_rig(matcam.Rig(camera, matcam.Sphere(256.0, 30.0), lamp, lamp_azimuth=0.7))
+    with pytest.raises(matcam.MatcamError, match="needs a table recorded from a Sphere or Cylinder"):
+        check_rig(matcam.Rig(camera, matcam.Flat()))
+
+
+def test_the_first_pages_name_files_that_are_there():
+    """`make demo` writes into demo/; a star is measured where its chart is given."""
+    assert "matcam correct demo/simulated-chromium.binary" in (ROOT / "docs" / "index.md").read_text()
+    assert "matcam calibrate photographs/ --chart chart.json" in (ROOT / "README.md").read_text()
 
 
 def test_bad_links_and_outside_loads_are_found(tmp_path):

@@ -1,12 +1,13 @@
 """Any format to any other that can hold the data; what is resampled says by how much it errs."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import GGX, Conductor, Flat, Microfacet, Rig, convert, measure, read_merl, rigs, write_merl
+from matcam import GGX, Conductor, Flat, GaussianNDF, Microfacet, Rig, convert, measure, read_merl, rigs, write_merl
 from matcam.cli import _run
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.jax import jnp
@@ -169,5 +170,27 @@ def test_the_error_of_a_conversion_counts_channels_above_zero():
             return jnp.asarray(0.1)
 
     found = resampling_error(Red(1.0), Red(1.1))
-    assert found == pytest.approx({"median": 0.1, "p99": 0.1, "largest": 0.1, "known": 1.0})
+    assert found == pytest.approx({"median": 0.1, "p99": 0.1, "largest": 0.1, "known": 1.0, "peak": 0.1})
     assert resampling_error(Red(-1.0), Red(1.0))["known"] == 0
+
+
+def test_the_error_of_a_conversion_has_a_floor():
+    """A narrow Gaussian lobe falls to 1e-300: relative to such values the difference had 99 digits. Where a value is below
+    1e-6 of the peak, the difference is relative to that: it cannot be larger than the ratio of the two lobes there."""
+    sharp, wider = (Microfacet(GaussianNDF(width), 0.6, masking=None) for width in (0.02, 0.021))
+    found = resampling_error(sharp, wider)
+    assert found["median"] < 1e-6
+    assert 0.1 < found["largest"] < 6
+    assert found["peak"] == pytest.approx(1 - (0.02 / 0.021) ** 2, rel=1e-3)
+    offset = resampling_error(Microfacet(GaussianNDF(0.002), 0.6, 0.1), Microfacet(GaussianNDF(0.002), 0.6, 0.11))
+    assert offset["median"] == pytest.approx(0.1)
+
+
+@pytest.mark.slow
+def test_no_absurd_number_is_printed(tmp_path, capsys):
+    flat = Rig(rigs.merl().camera, Flat())
+    write_merl(tmp_path / "a.binary", measure(Microfacet(GaussianNDF(0.002), 0.6, masking=None), flat))
+    assert _run(["convert", str(tmp_path / "a.binary"), str(tmp_path / "a.bsdf"), "--square", "16"]) == 0
+    printed = capsys.readouterr().out
+    assert "a millionth of the peak" in printed
+    assert re.findall(r"\d{6,}", printed.replace(str(tmp_path), "")) == []

@@ -1,12 +1,15 @@
 """HTML pages: what is put into them is escaped, and nothing that a template needs may be missing."""
 
 from importlib import resources
+from pathlib import Path
 
+import numpy as np
 import pytest
 from jinja2 import UndefinedError
+from matplotlib.figure import Figure
 
 from matcam.figures.pages import write_run_index
-from matcam.figures.style import write_page
+from matcam.figures.style import fit_titles, inline_png, styled, write_page
 
 HOSTILE = "<script>alert('\"&')</script>"
 
@@ -46,3 +49,67 @@ def test_a_correction_page_cannot_be_injected_into(tmp_path):
 def test_templates_are_files_of_the_package():
     names = {file.name for file in (resources.files("matcam.figures") / "templates").iterdir()}
     assert names == {"page.html", "correction_page.html", "reconstruction_page.html", "run_index.html"}
+
+
+CONTENT = {
+    "name": "a-material-with-a-long-name.binary", "verdict": "word " * 60, "remarks": ["long/" * 40], "family": "epd",
+    "parameters": [("a long name of a parameter, rad", -1.23456e-05, 1.2e-05)],
+    "budget_columns": [f"column {n} of the budget, %" for n in range(5)], "budget": [("noise", [0.123] * 5)],
+    "lobes": [("ggx", 0.01)], "not_determined": [("one[R]", "other[G]", 0.99)], "exposures": [("E1", 1.0, 0.01)],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="the extra matcam[test] is not installed")
+    if not Path("/usr/bin/chromium").exists():
+        pytest.skip("no browser")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.mark.parametrize("template", ["correction_page.html", "reconstruction_page.html", "run_index.html"])
+@pytest.mark.parametrize("width", [1200, 400])
+def test_pages_do_not_overflow_sideways(browser, template, width, tmp_path):
+    """What is wider than a telephone's screen, tables, scrolls in itself."""
+    if template == "run_index.html":
+        name = "a-material-with-a-long-name-2024"
+        write_run_index(tmp_path / template, [(name, record(name))], ["x" * 200], summary="y" * 200)
+    else:
+        picture = inline_png(Figure(figsize=(9.6, 6.4)))
+        write_page(tmp_path / template, template, CONTENT | {"figures": [("Lobe", picture)]})
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto((tmp_path / template).as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
+
+
+def test_an_index_says_of_what_a_share_is(tmp_path):
+    write_run_index(tmp_path / "index.html", [("a", record("a"))], [])
+    page = (tmp_path / "index.html").read_text()
+    assert "supported, of entries<br>that hold a value" in page
+
+
+@pytest.mark.parametrize("layout", ["constrained", None])
+def test_no_title_leaves_its_figure(layout):
+    """Names of files are as long as their owners like: a title is made smaller, then broken, before a panel or the edge."""
+    with styled():
+        figure = Figure(figsize=(8, 4), layout=layout)
+        left, right = figure.subplots(1, 2)
+        left.set_title("a photograph of a chart that was taken in the laboratory on the second floor.tif", loc="left")
+        right.set_title("short", loc="left")
+        figure.suptitle("a title of the whole figure " * 6, x=0.01, ha="left")
+        figure.draw_without_rendering()
+        assert fit_titles(figure)
+        figure.draw_without_rendering()
+        assert not fit_titles(figure)
+        ends = [text.get_window_extent().x1 for text in (*left.get_children(), *figure.texts) if "a " in str(text)]
+        boxes = {text.get_text(): text.get_window_extent() for axes in (left, right) for text in axes.get_children()
+                 if hasattr(text, "get_text") and text.get_text()}  # fmt: skip
+    assert len(ends) == 2
+    assert max(ends) <= figure.bbox.width
+    long = next(box for text, box in boxes.items() if text.startswith("a photograph"))
+    assert long.x1 <= boxes["short"].x0
+    assert np.isfinite(long.height)

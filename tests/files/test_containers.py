@@ -2,6 +2,7 @@
 
 import zipfile
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
@@ -57,6 +58,43 @@ def test_a_compressed_table_is_smaller_and_the_same(result, tmp_path):
     xr.testing.assert_identical(read_netcdf(tmp_path / "True.nc"), read_netcdf(tmp_path / "False.nc"))
     np.testing.assert_array_equal(read_netcdf(tmp_path / "True.nc")["brdf"].values, values)
     assert (tmp_path / "True.nc").stat().st_size < 0.4 * (tmp_path / "False.nc").stat().st_size
+
+
+def test_standard_deviations_are_stored_as_float32_and_flags_as_bytes(tmp_path):
+    """The default: brdf to the bit, and any program that knows HDF5's own filters reads the rest, flags as bool."""
+    rng = np.random.default_rng(0)
+    dims = ("theta_h", "theta_d", "phi_d", "channel")
+    values = rng.random((30, 9, 20, 3))
+    values[25:] = np.nan
+    std = values / 3
+    std[0, 0, 0, 0] = 1e60
+    table = xr.Dataset({
+        "brdf": (dims, values), "brdf_std": (dims, std), "supported": (dims, values > 0.9),
+        "small_std": (dims[:2], values[..., 0, 0]),
+    })  # fmt: skip
+    write_netcdf(tmp_path / "a.nc", table)
+    with xr.open_dataset(tmp_path / "a.nc", engine="netcdf4") as other:
+        assert {name: other[name].encoding["dtype"] for name in ("brdf", "brdf_std", "supported", "small_std")} == {
+            "brdf": np.float64, "brdf_std": np.float32, "supported": "bool", "small_std": np.float64,
+        }  # fmt: skip
+        for name in ("brdf", "brdf_std", "supported"):
+            assert other[name].encoding["zlib"]
+            assert other[name].encoding["shuffle"]
+        np.testing.assert_array_equal(other["brdf"].values, values)
+    with netCDF4.Dataset(tmp_path / "a.nc") as raw:
+        assert raw["supported"].dtype == np.int8
+    for back in (read_netcdf(tmp_path / "a.nc"), xr.load_dataset(tmp_path / "a.nc", engine="h5netcdf")):
+        np.testing.assert_array_equal(back["brdf"].values, values)
+        np.testing.assert_allclose(back["brdf_std"].values, np.minimum(std, 3.4028235e38), rtol=1e-7)
+        np.testing.assert_array_equal(back["supported"].values, values > 0.9)
+        assert back["supported"].dtype == bool
+
+
+def test_what_compresses_too_well_to_be_trusted_is_written_plainly(tmp_path):
+    """A reader refuses arrays that are 16 times larger than their file: what is written can be read."""
+    empty = xr.Dataset({name: (("a", "b", "c"), np.full((30, 90, 90), np.nan)) for name in ("brdf", "brdf_std")})
+    write_netcdf(tmp_path / "a.nc", empty)
+    xr.testing.assert_equal(read_netcdf(tmp_path / "a.nc"), empty)
 
 
 def test_arrays_that_cannot_be_in_there_are_not_asked_for(result, tmp_path):

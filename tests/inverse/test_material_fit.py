@@ -82,7 +82,7 @@ def test_a_lens_with_a_prior_and_a_free_one():
         assert found.camera.uncertainty.std()["optics.sigma_px"] == pytest.approx(std)
     wrong = fit(table, recorded.rig(0.45), noise=recorded.NOISE, every=EVERY)
     assert wrong.misfit > 2
-    assert any("times the stated noise" in remark.text for remark in wrong.remarks)
+    assert any("times the given noise" in remark.text for remark in wrong.remarks)
 
 
 def test_free_reflectance_and_a_blind_fit():

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 from bokeh.layouts import column, row
 from bokeh.models.layouts import LayoutDOM
-from bokeh.models.widgets import Div, NumericInput, Select, Slider
+from bokeh.models.widgets import Checkbox, Div, NumericInput, Select, Slider
 
 WIDTH = 300
 """Width of a column of controls, px of the screen."""
 _STEPS = 200
+_BOX = 72  # px of the screen, of a box with its label
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Setting:
         high: largest value.
         value: value at the start.
         log: True where the slider moves by factors.
-        infinite: True where the largest value stands for an infinite one.
+        infinite: True where the value may be infinite, which a box beside the title sets.
     """
 
     name: str
@@ -38,7 +39,8 @@ class Setting:
     infinite: bool = False
 
     def to_slider(self, value: float) -> float:
-        """Return the slider's place of a value."""
+        """Return the slider's place of a value; of an infinite one, the right end."""
+        value = min(value, self.high)
         return math.log10(value) if self.log else value
 
     def from_slider(self, place: float) -> float:
@@ -72,7 +74,8 @@ class NumberControl:
             margin=(0, 8, 4, 8),
         )
         self.field = NumericInput(
-            value=setting.value,
+            value=None if math.isinf(setting.value) else setting.value,
+            placeholder="infinite" if setting.infinite else "",
             low=setting.low,
             high=setting.high,
             mode="float",
@@ -81,30 +84,51 @@ class NumberControl:
             height=26,
             margin=(0, 0, 0, 0),
         )
-        far = f", {setting.high:g} = ∞" if setting.infinite else ""
-        self.label = Div(text=f"{setting.title}{far}", width=WIDTH - 100, height=16, margin=(0, 8, 0, 8))
+        self.infinite = Checkbox(
+            label="infinite",
+            active=math.isinf(setting.value),
+            visible=setting.infinite,
+            name=f"infinite-{setting.name}",
+            width=_BOX - 8,
+            height=16,
+            margin=(0, 0, 0, 0),
+        )
+        wide = WIDTH - 100 - (_BOX if setting.infinite else 0)
+        self.label = Div(text=setting.title, width=wide, height=16, margin=(0, 8, 0, 8))
+        head = row(self.label, self.infinite) if setting.infinite else self.label
         self.slider.on_change("value", self._slid)
         self.slider.on_change("value_throttled", lambda attr, old, new: self._end())
         self.field.on_change("value", self._typed)
-        self.layout: LayoutDOM = row(column(self.label, self.slider), self.field, margin=(0, 0, 2, 0))
+        self.infinite.on_change("active", lambda attr, old, new: self._ticked())
+        self.layout: LayoutDOM = row(column(head, self.slider), self.field, margin=(0, 0, 2, 0))
 
     @property
     def value(self) -> float:
-        """Return the number; infinite at the right end of a slider that says so."""
-        value = self.setting.value if self.field.value is None else float(self.field.value)
-        return math.inf if self.setting.infinite and value >= self.setting.high else value
+        """Return the number; infinite where the box is ticked."""
+        if self.infinite.active:
+            return math.inf
+        return min(self.setting.value, self.setting.high) if self.field.value is None else float(self.field.value)
 
     def set(self, value: float) -> None:
         """Show a number, without a word to those who listen."""
-        value = min(value, self.setting.high)
         self._own = True
-        self.field.value = value
+        self.infinite.active = math.isinf(value)
+        self.field.value = None if math.isinf(value) else value
         self.slider.value = self.setting.to_slider(value)
         self._own = False
+
+    def _ticked(self) -> None:
+        if not self._own:
+            self._own = True
+            self.field.value = None if self.infinite.active else self.setting.from_slider(self.slider.value)
+            self._own = False
+            self._changed()
+            self._released()
 
     def _slid(self, attribute: str, old: float, new: float) -> None:
         if not self._own:
             self._own = True
+            self.infinite.active = False  # who moves the slider wants a number
             self.field.value = self.setting.from_slider(new)
             self._own = False
             self._changed()
@@ -112,6 +136,7 @@ class NumberControl:
     def _typed(self, attribute: str, old: float, new: float | None) -> None:
         if not self._own and new is not None:
             self._own = True
+            self.infinite.active = False
             self.slider.value = self.setting.to_slider(new)
             self._own = False
             self._changed()

@@ -121,7 +121,7 @@ class PlanView:
 
     def _pictures(self) -> Any:
         self._curves = curve_figure(
-            "Loss at the peak, relative to θ = 0",
+            "Peak kept, relative to θ = 0",
             "viewing angle θ [degrees]",
             "recorded / true peak, relative [-]",
             height=270,
@@ -130,10 +130,11 @@ class PlanView:
         )
         self._curves.xaxis.ticker = list(range(0, 91, 15))
         self._curve = ColumnDataSource(
-            {name: [] for name in ("theta", "relative", "roughness", "words", "colour")}, name="curve"
+            {name: [] for name in ("theta", "relative", "roughness", "chosen", "words", "colour", "width")},
+            name="curve",
         )
         lines = self._curves.multi_line(
-            "theta", "relative", color="colour", line_width=2, legend_field="words", source=self._curve
+            "theta", "relative", color="colour", line_width="width", legend_field="words", source=self._curve
         )
         hover(self._curves, [lines], [("roughness", "@roughness"), ("θ", "$x°"), ("relative", "$y")])
         degrees = np.linspace(0, 90, 91)
@@ -163,6 +164,7 @@ class PlanView:
             name: PictureFigure(title, _SIDE, self._changes, name, self._colours[name], bar=True)
             for name, title in _DIFFERENCES.items()
         }
+        self._drawings = pair | changes
         self._recorded = pair["sphere recorded"].plot
         self._profile = curve_figure(
             "Row through the highlight", "x from the highlight [px]", "radiance [1/sr]", height=260, y_axis_type="log"
@@ -196,11 +198,7 @@ class PlanView:
     def _preset(self, name: str) -> None:
         for one, control in self._controls.items():
             kept = one in ("roughness", "theta_d")
-            control.set(
-                PRESETS[name].get(
-                    one, control.value if kept else control.setting.high if control.setting.infinite else 0
-                )
-            )
+            control.set(PRESETS[name].get(one, control.value if kept else math.inf if control.setting.infinite else 0))
         self.refresh()
 
     def _warmed(self) -> Any:
@@ -241,12 +239,15 @@ class PlanView:
         rows = list(
             zip(data["roughness"].values, data["response"].values[:, 0], data["loss_angle"].values, strict=True)
         )
+        chosen, others = [r == planned.roughness for r, _, _ in rows], iter(COLOURS[1:])
         self._curve.data = {  # lists: arrays would be two messages each
             "theta": [theta] * count,
             "relative": [np.round(one, 5).tolist() for one in data["relative_response"].values],
             "roughness": [f"{r:g}" for r, _, _ in rows],
             "words": [f"{r:g}: {kept:.1%} kept at 0°, 5 % gone at {_angle(angle)}" for r, kept, angle in rows],
-            "colour": list(COLOURS[:count]),
+            "chosen": [f"{planned.roughness:g}"] * count,
+            "colour": [COLOURS[0] if one else next(others) for one in chosen],
+            "width": [3.5 if one else 1.5 for one in chosen],
         }
         self._cos.visible = planned.loses_at_most_cos
         if len(theta) > 100:  # exact
@@ -293,6 +294,9 @@ class PlanView:
         )
         source = self._changes if differ else self._drawn
         source.data = {**source.data, **columns}
+        for name, one in self._drawings.items():
+            if name in columns:
+                one.arrived()
 
     def _at_rest(self, planned: Planned) -> None:
         """Compute the exact values; stop between two of them when something moves."""

@@ -18,8 +18,8 @@ SETTINGS = (
     Setting("sigma", "lens blur, std [px]", 0.05, 5, 0.5, log=True),
     Setting("half_width", "pixel half width [px]", 0.05, 0.5, 0.5),
     Setting("radius", "sphere radius [px]", 20, 2000, 256, log=True),
-    Setting("distance", "camera distance [radii]", 2, 999, 999, log=True, infinite=True),
-    Setting("lamp_distance", "lamp distance [radii]", 2, 999, 999, log=True, infinite=True),
+    Setting("distance", "camera at [radii]", 2, 999, math.inf, log=True, infinite=True),
+    Setting("lamp_distance", "lamp at [radii]", 2, 999, math.inf, log=True, infinite=True),
     Setting("lamp_radius", "lamp radius [degrees]", 0, 5, 0),
     Setting("roughness", "roughness [slope]", 0.0005, 0.3, 0.01, log=True),
     Setting("glare", "glare, share of light", 0, 0.05, 0),
@@ -90,8 +90,8 @@ class Planned:
 
     @property
     def roughnesses(self) -> list[float]:
-        """Return the roughnesses to draw, the chosen one first."""
-        return [self.roughness, *(r for r in OTHERS if r != self.roughness)]
+        """Roughnesses to draw, from the smoothest on."""
+        return sorted({self.roughness, *OTHERS})
 
     @property
     def loses_at_most_cos(self) -> bool:

@@ -42,12 +42,31 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
 
 
 def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
-    """Return a plot for pictures on black, `size` px of the screen wide and high, whose axes have names with units."""
+    """Return a plot for pictures, `size` px of the screen wide and high, whose axes have names with units.
+
+    Its ground is light until `on_black` is called for a picture that has arrived.
+    """
     plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
     plain(plot)
     plot.grid.visible = False
-    plot.background_fill_color = "#000000"
+    plot.background_fill_color = WAITING
     return plot
+
+
+WAITING = "#F2F2F2"
+"""Ground of a plot that has no picture."""
+
+
+def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
+    """Show a picture on black, or nothing on a light ground.
+
+    Args:
+        plot: from `picture_figure`.
+        picture: its glyph renderer.
+        shown: False for nothing. Default: True.
+    """
+    picture.visible = shown
+    plot.background_fill_color = "#000000" if shown else WAITING
 
 
 def plain(plot: Any) -> None:
@@ -146,7 +165,7 @@ class PictureFigure:
         self.plot.yaxis.major_label_text_font = "monospace"
         self.plot.yaxis.major_label_text_font_size = "9px"
         self.plot.x_range.range_padding = self.plot.y_range.range_padding = 0
-        drawn = self.plot.image(
+        self._drawn = self.plot.image(
             name,
             x=f"{name} x",
             y=f"{name} y",
@@ -155,9 +174,15 @@ class PictureFigure:
             color_mapper=colours.mapper,
             source=source,
         )
-        hover(self.plot, [drawn], [("x, y", "$x, $y px"), ("radiance", "@image 1/sr")])
+        self._drawn.visible = False  # there is no picture before its data have arrived
+        hover(self.plot, [self._drawn], [("x, y", "$x, $y px"), ("radiance", "@image 1/sr")])
         if bar:
             self.plot.add_layout(colours.bar(), "right")
+
+    def arrived(self) -> None:
+        """Show the picture: its data have arrived."""
+        if not self._drawn.visible:
+            on_black(self.plot, self._drawn)
 
 
 def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict[str, list[Any]]:
@@ -190,6 +215,7 @@ __all__ = [
     "curve_figure",
     "hover",
     "no_pictures",
+    "on_black",
     "picture_columns",
     "picture_figure",
     "plain",

@@ -112,7 +112,7 @@ class Recipe:
     options: Options
     sampling: Sampling = "centre"
     page: bool = True
-    compress: bool = False
+    compress: bool = True
     corrector: Corrector = correct_table
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 
@@ -142,7 +142,7 @@ class Recipe:
         known = f"its uncertainty {known_lens(camera).words}"
         return (
             f"Lobe: {family}; masking: {self.options.masking or 'none'}; camera: {camera.optics!r}, {known}; "
-            f"{self.rig.sample!r}."
+            f"{self.rig.sample.in_words()}."
         )
 
 

@@ -111,7 +111,7 @@ def correct_all(
     workers: int | None = None,
     cluster: str | None = None,
     pages: bool = True,
-    compress: bool = False,
+    compress: bool = True,
     zarr: bool = False,
     fit_camera: bool = False,
     time_limit: float = 3600.0,
@@ -146,7 +146,7 @@ def correct_all(
         cluster: run on Dask instead: "local:2" for workers on this machine, or the address of a scheduler. Its workers
             must have one thread, see the same folders and have the same versions. Default: None.
         pages: whether each material gets a page to read. Default: True.
-        compress: whether to compress each NetCDF: 60 MB instead of 156, 0.8 s longer. Default: False.
+        compress: whether to compress each NetCDF, without loss. Default: True.
         zarr: whether to write all materials to one Zarr besides, run.zarr. Default: False.
         fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
             corrected with that blur and its covariance, kept as camera.json. Default: False.

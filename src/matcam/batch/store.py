@@ -17,14 +17,17 @@ import xarray as xr
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
 from matcam.core.io import read_json
+from matcam.files.datasets import with_short_deviations
 from matcam.files.decoders import DESCRIPTION, check_codecs
 from matcam.inverse.correction.correction import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
 _MOST_ROWS = 10_000_000
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
-    name: (bool if name == "supported" else float, attributes) for name, attributes in TABLE_ATTRIBUTES.items()
+    name: (bool if name == "supported" else np.float32 if name.endswith("_std") else float, attributes)
+    for name, attributes in TABLE_ATTRIBUTES.items()
 }
+"""Type and attributes of each variable; as in NetCDF, standard deviations have 7 digits."""
 
 
 class StoreRow(NamedTuple):
@@ -43,8 +46,8 @@ class StoreRow(NamedTuple):
         try:
             group = _zarr().open_group(self.store, mode="r+", zarr_format=3, use_consolidated=False)
             group[_DONE][self.row] = False
-            for name in _VALUES:
-                group[name][self.row] = data[name].values
+            for name, one in with_short_deviations(data[list(_VALUES)]).items():
+                group[str(name)][self.row] = one.values
             group[_DONE][self.row] = True
         except (OSError, KeyError) as error:
             reason = getattr(error, "strerror", None) or error
@@ -143,7 +146,7 @@ def _create_arrays(group: Any, sampling: Sampling) -> None:
         dims = DIMS if name != "response" else DIMS[:3]
         group.create_array(
             name, shape=(0, *sizes[: len(dims)]), chunks=(1, *sizes[: len(dims)]), dtype=kind,
-            fill_value=np.nan if kind is float else False, dimension_names=(_ROW, *dims), attributes=attributes,
+            fill_value=False if kind is bool else np.nan, dimension_names=(_ROW, *dims), attributes=attributes,
         )  # fmt: skip
     meaning = {"long_name": "whether the row is whole"}
     group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=meaning)

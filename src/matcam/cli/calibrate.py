@@ -215,7 +215,9 @@ def _verdict(found: Any) -> list[str]:
         how = "explains the edges" if fit.consistent else "does NOT explain the edges (try --model measured or halo)"
         lines.append(f"{name}: {numbers}  ({count} edges, whose blur varies by {fit.spread:.1%})")
         if fit.edges is not None:
-            lines.append(f"   the camera {how}: off by {fit.misfit:.4f} ± {fit.misfit_std:.4f} at most, below Nyquist")
+            lines.append(
+                f"   the camera {how}: their MTFs differ by at most {fit.misfit:.4f} ± {fit.misfit_std:.4f} below Nyquist"
+            )
     return lines
 
 

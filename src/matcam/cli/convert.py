@@ -74,8 +74,9 @@ def _print(report: dict[str, Any]) -> None:
         show.say(f"resampled {report['resampled']}")
         error = report["error"]
         show.say(
-            f"it differs by {error['median']:.2%} (median), {error['p99']:.2%} (99 % of pairs), {error['largest']:.2%} "
-            "(largest) at random pairs of directions up to 80°"
+            f"it differs by {_percent(error['peak'])} at the peak (median up to 45°), and at random pairs of directions up to "
+            f"80° by {_percent(error['median'])} (median), {_percent(error['p99'])} (99 % of pairs) and "
+            f"{_percent(error['largest'])} (largest); relative to the value or to a millionth of the peak, whichever is larger"
         )
         if report["missing_share"]:
             show.say(
@@ -85,3 +86,8 @@ def _print(report: dict[str, Any]) -> None:
         show.say(f"sidecar: {report['sidecar']}")
     if "metadata" in report:
         show.say(f"metadata: {report['metadata']}, receiver {report['receiver_sr']:.3g} sr")
+
+
+def _percent(share: float) -> str:
+    """Format a relative difference; beyond a factor of ten the digits mean nothing."""
+    return "more than 1000%" if share > 10 else f"{share:.2%}"

@@ -88,8 +88,8 @@ def command(
     ] = None,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page to read for each material.")] = True,
     compress: Annotated[
-        bool, typer.Option("--compress", help="Compress each NetCDF: two fifths of the space, 0.8 s longer.")
-    ] = False,
+        bool, typer.Option("--compress/--no-compress", help="Compress each NetCDF, without loss.")
+    ] = True,
     zarr: Annotated[
         bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr besides, FOLDER/run.zarr.")
     ] = False,
@@ -221,8 +221,8 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
         return
     print_fit(document["fit"], name)
     show.say(
-        f"supported entries (correction known to 5 %): {document['supported_share']:.0%}; peak at 75° raised by "
-        f"{document['peak_gain_75']:.2f}"
+        f"supported (the correction is known to 5 %): {document['supported_share']:.0%} of the entries that hold a value; "
+        f"the peak at 75° was raised by a factor of {document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:
         if remark not in document["fit"]["remarks"]:  # printed with the fit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -155,7 +156,8 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
         f"gain: {noise['picture_gain']:.2%}"
     )
     show.say(
-        f"sum of squared residuals over degrees of freedom: {summary['misfit']:.3f} ({summary['degrees_of_freedom']})"
+        f"residuals: {math.sqrt(summary['misfit']):.2f} rms in units of this noise, which is estimated from them "
+        f"and so no test of the model; {summary['degrees_of_freedom']} degrees of freedom"
     )
     for remark in summary["remarks"]:
         show.say(f"note: {remark['text']}")

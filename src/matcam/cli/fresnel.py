@@ -199,7 +199,7 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
         )
     ]
     show.table(
-        ["theta_d", "lost to the camera", "F raw", "F peak / loss", "F corrected"],
+        ["theta_d", "lost beyond 0°", "F raw", "F peak / kept", "F corrected"],
         rows,
         f"{result.attrs['source']}, channel {channel}",
     )

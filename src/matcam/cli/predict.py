@@ -25,6 +25,13 @@ from matcam.cli.options import (
     rig_of,
 )
 
+_PARAMETERS = {
+    "sigma_px": "lens sigma {:g} px",
+    "f_number": "f/{:g}",
+    "half_width_px": "pixel half width {:g} px",
+    "blur_diameter_px": "blur diameter {:g} px",
+}
+"""Parameters of a camera in words, for a title."""
 _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 
 
@@ -179,7 +186,11 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
     with show.working("drawing the plane"):
         data = predict(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
         write_columns(path.with_suffix(".csv"), data, force=force)
-        save(plane_figure(data, f"Peak kept, relative to 0°: {rig.sample!r}"), path, force=force)
+        save(
+            plane_figure(data, f"Share of the peak that is kept, relative to 0°: {rig.sample.in_words()}"),
+            path,
+            force=force,
+        )
 
 
 def _degrees(angles: Any) -> list[float]:
@@ -195,8 +206,11 @@ def _write(data: Any, rig: Any, output: Path, force: bool) -> None:
     from matcam.figures.curves import prediction_figure
     from matcam.figures.style import save
 
-    parameters = ", ".join(
-        f"{name.split('.')[1]} {float(value):g}" for name, value in list(rig.camera.parameters().items())[:3]
-    )
+    numbers = [(name.split(".")[1], float(value)) for name, value in list(rig.camera.parameters().items())[:3]]
+    parameters = ", ".join(_PARAMETERS.get(name, f"{name} {{:g}}").format(value) for name, value in numbers)
     write_columns(output.with_suffix(".csv"), data, force=force)
-    save(prediction_figure(data, f"Loss at the specular peak: {rig.sample!r}, {parameters}"), output, force=force)
+    save(
+        prediction_figure(data, f"Share of the peak that is kept: {rig.sample.in_words()}, {parameters}"),
+        output,
+        force=force,
+    )

@@ -324,4 +324,6 @@ def _preview(image: Any, described: dict[str, Any], rig: Any, path: Path, force:
 
     name = described.get("table") or f"{described['metal']}, {described['ndf']} {described['roughness']:g}"
     angle = math.degrees(image.attrs["lamp_angle"])
-    save(picture_figure(image, f"{name}, lamp {angle:.0f}° from the camera: {rig.sample!r}"), path, force=force)
+    save(
+        picture_figure(image, f"{name}, lamp {angle:.0f}° from the camera: {rig.sample.in_words()}"), path, force=force
+    )

@@ -24,6 +24,10 @@ from matcam.material.material import Material
 from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
+_MIRRORED = 46
+"""Mirror directions among which the peak is sought: one a degree, which is half a cell of a table."""
+_FLOOR = 1e-6
+"""Share of the peak below which a value is too small to divide by. A camera of 16 bits resolves 1.5e-5."""
 
 
 def convert(
@@ -49,8 +53,9 @@ def convert(
 
     Returns:
         Report as plain values: `input`, `output`, `format` and `holds` of the input, and `resampled`, None where every value is
-        kept. Where resampled: `missing_share` of the values that were made up, and `error`, the relative difference at 4096
-        random pairs of directions.
+        kept. Where resampled: `missing_share` of the values that were made up, and `error`, relative to the value or to 1e-6 of
+        the peak, whichever is larger: at 4096 random pairs of directions (`median`, `p99`, `largest`, and `known`, the share of
+        pairs with a value) and in mirror directions (`peak`).
 
     Raises:
         ArgumentError: the output's format cannot hold the data.
@@ -88,23 +93,54 @@ def convert(
 
 
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
-    """Compare two materials' BRDFs at random pairs of directions.
+    """Compare two materials' BRDFs at 4096 random pairs of directions, up to 80 degrees from the normal.
 
-    There are 4096 pairs, up to 80 degrees from the normal. The relative difference is the largest of the channels in which
-    the first material has a value above 0. Returned are its `median`, `p99` (exceeded by 1 %) and `largest`, and `known`,
-    the share of pairs with such a channel.
+    The difference is relative to the first material's value, or to 1e-6 of its peak where the value is smaller: a sharp lobe
+    falls below 1e-300 1/sr, where a relative difference has no meaning. The peak is the largest value of a channel in mirror
+    directions up to 45 degrees. A pair counts in the channels in which the first material has a value above 0, by the largest
+    of their differences.
+
+    Returns:
+        No unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the share of pairs with
+        a value above 0; and `peak`, the median difference in those mirror directions. Random pairs miss a sharp highlight.
     """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
+    at_peak, at_peak_after = (_brdf(material, *_mirrored()) for material in (before, after))
+    floor = _FLOOR * np.max(at_peak, axis=0, where=np.isfinite(at_peak), initial=0.0)
+    relative = _differences(_brdf(before, light, view), _brdf(after, light, view), floor)
+    peak = _differences(at_peak, at_peak_after, floor)
+    median, p99, largest = np.quantile(relative, [0.5, 0.99, 1]) if relative.size else [np.nan] * 3
+    return {
+        "median": float(median),
+        "p99": float(p99),
+        "largest": float(largest),
+        "known": relative.size / _PAIRS,
+        "peak": float(np.median(peak)) if peak.size else np.nan,
+    }
+
+
+def _differences(first: np.ndarray, second: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """Compute the largest relative difference of the channels, of the pairs that have a value above 0."""
+    above = first > 0  # measured tables are negative where nothing was measured; NaN is not above 0
+    scale = np.where(above, np.maximum(first, floor), 1.0)
+    relative = np.max(np.abs(second - first) / scale, axis=1, where=above, initial=-np.inf)
+    return relative[np.isfinite(relative)]
+
+
+def _brdf(material: Material, light: Vector, view: Vector) -> np.ndarray:
+    """Compute the BRDF of pairs of directions, (pairs, channels), 1/sr."""
     seen = local_shading(light, view)
-    first, second = (np.asarray(m.reflected(seen)).reshape(_PAIRS, -1) for m in (before, after))
-    above = first > 0  # measured tables go below zero where nothing was measured; NaN is not above it
-    relative = np.max(np.abs(second - first) / np.where(above, first, 1.0), axis=1, where=above, initial=-np.inf)
-    known = np.isfinite(relative)
-    if not known.any():
-        return {"median": np.nan, "p99": np.nan, "largest": np.nan, "known": 0.0}
-    median, p99, largest = np.quantile(relative[known], [0.5, 0.99, 1])
-    return {"median": float(median), "p99": float(p99), "largest": float(largest), "known": float(known.mean())}
+    both = np.asarray(material.reflected(seen))
+    return both.reshape(len(both), -1) / np.asarray(seen.cos_i * seen.cos_o)[:, None]
+
+
+def _mirrored() -> tuple[Vector, Vector]:
+    """Mirror directions of light and view up to 45 degrees from the normal."""
+    angle = np.linspace(0, np.pi / 4, _MIRRORED)
+    azimuth = np.linspace(0, 2 * np.pi, _MIRRORED, endpoint=False)
+    along, across, up = np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)
+    return vector(along, across, up), vector(-along, -across, up)
 
 
 def _directions(random: np.random.Generator) -> Vector:

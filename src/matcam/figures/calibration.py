@@ -153,7 +153,7 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
     """
     channel = found.channels[found.channel]
     edges = channel.edges if picture is not None else None
-    maps = [["map", "lateral" if found.lateral_colour else "map"]] if edges is not None else []
+    maps = [["map", "lateral" if found.lateral_colour else "."]] if edges is not None else []
     with styled():
         figure = Figure(figsize=(10.5, 7.6 + 3.4 * len(maps)), layout="constrained")
         rows: list[Any] = [["picture", "mtf"], ["residuals", "field"], *maps, ["words", "words"]]

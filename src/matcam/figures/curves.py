@@ -17,7 +17,7 @@ _MOST_TABLES = 4
 def fresnel_figure(
     result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
 ) -> Figure:
-    """Draw raw and corrected F over theta_d beside tabulated metals (left), and the loss at the peak (right): Figure 6.
+    """Draw raw and corrected F over theta_d beside tabulated metals (left), and the share of the peak kept (right): Figure 6.
 
     Args:
         result: from `fresnel`.
@@ -51,7 +51,12 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
     axes.axvspan(low, high, color="#F2F2F2", lw=0, zorder=0)
     axes.plot(theta, one["raw"], color=VERMILION, label="raw: from the recorded peak, camera ignored")
     axes.plot(
-        theta, one["corrected_peak"], color=BLUE, lw=1, ls=(0, (1, 1.2)), label="peak over its loss (the paper's)"
+        theta,
+        one["corrected_peak"],
+        color=BLUE,
+        lw=1,
+        ls=(0, (1, 1.2)),
+        label="peak over the share kept (the paper's)",
     )
     axes.fill_between(theta, corrected - std, corrected + std, color=BLUE, alpha=0.25, lw=0)
     axes.plot(theta, corrected, color=BLUE, lw=2, label="corrected: lobe fitted through the camera, ± 1 std")
@@ -83,7 +88,7 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
     axes.set_ylim(0, 1.05)
     axes.set_ylabel(r"recorded / true peak, relative to $\theta_d$ = 0 [-]")
     half = float(np.degrees(result["hwhm"]))
-    axes.set_title(f"Loss of this lobe,\nhalf width {half:.3f}°", loc="left")
+    axes.set_title(f"Peak kept of this lobe,\nhalf width {half:.3f}°", loc="left")
     axes.legend(loc="lower left", fontsize=8.2)
 
 
@@ -175,7 +180,7 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 
 
 def loss_figure(data: xr.Dataset) -> Figure:
-    """Draw relative loss at the peak over the angle, for narrow to wide lobes: Figure 5, from `paper.figure_5`."""
+    """Draw recorded over true peak over the angle, for narrow to wide lobes: Figure 5, from `paper.figure_5`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()
@@ -192,7 +197,7 @@ def loss_figure(data: xr.Dataset) -> Figure:
         axes.set_ylim(0, 1.04)
         axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
         axes.set_title(
-            "Loss at the specular peak. Solid: tangent plane; dotted: eq. (11) as printed;\n"
+            "Recorded over true peak. Solid: tangent plane; dotted: eq. (11) as printed;\n"
             r"dashed: $\cos\,\theta_o$",
             loc="left",
             fontsize=9.5,

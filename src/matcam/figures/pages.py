@@ -20,13 +20,21 @@ from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.core.remark import texts
-from matcam.figures.spheres import body_white, encoded_for_screen, table_sphere
+from matcam.figures.spheres import (
+    encoded_for_screen,
+    highlight_zoom,
+    logarithmic,
+    logarithmic_range,
+    table_sphere,
+    whole_sphere,
+)
 from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
+_CLOSER = 20.0  # magnification of a highlight that no magnification shows whole
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -139,23 +147,34 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight 20 times closer."""
+    """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight magnified.
+
+    The brightness of the sphere is logarithmic, that of the highlight is encoded for the screen; a row has one scale.
+    """
+    tables = raw.values, done.table["brdf"].values
+    zoom = highlight_zoom(*tables) or _CLOSER
+    before, after = (whole_sphere(values, _SPHERE) for values in tables)
+    black, white = logarithmic_range(before, after)
+    closer = [table_sphere(values, _SPHERE, zoom) for values in tables]
+    brightest = max(float(one.max(initial=0)) for one in closer)
+    rows = (
+        ("whole sphere", [logarithmic(one, black, white) for one in (before, after)]),
+        (f"highlight, {zoom:g} times larger", [encoded_for_screen(one, brightest) for one in closer]),
+    )
     with styled():
         figure = Figure(figsize=(8.6, 8.6))
         margins = {"left": 0.01, "right": 0.99, "bottom": 0.035, "top": 0.965}
         panels = figure.subplots(2, 2, gridspec_kw={**margins, "wspace": 0.02, "hspace": 0.08})
-        for row, (zoom, exposed) in zip(panels, ((1.0, "for the body"), (20.0, "for the highlight")), strict=True):
-            before, after = (table_sphere(values, _SPHERE, zoom) for values in (raw.values, done.table["brdf"].values))
-            white = body_white(after) if zoom == 1 else after.max(initial=0)
-            for axes, picture, title in zip(row, (before, after), ("as recorded", "corrected"), strict=True):
-                display = encoded_for_screen(picture, white)
-                axes.imshow(
-                    display if display.shape[-1] == 3 else display[..., 0], cmap="gray", interpolation="nearest"
-                )
-                axes.set_title(f"{title}, exposed {exposed}", loc="left")
+        for row, (part, pictures) in zip(panels, rows, strict=True):
+            for axes, picture, title in zip(row, pictures, ("as recorded", "corrected"), strict=True):
+                shown = picture if picture.shape[-1] == 3 else picture[..., 0]
+                axes.imshow(shown, cmap="gray", interpolation="nearest", vmin=0, vmax=1)
+                axes.set_title(f"{title}: {part}", loc="left")
                 axes.axis("off")
         figure.supxlabel(
-            "display-encoded, one exposure a row; below, the highlight 20 times closer", fontsize=8, color=GREY
+            f"one scale a row; above logarithmic, black {black:.1g} and white {white:.1g} 1/sr; below display-encoded",
+            fontsize=8,
+            color=GREY,
         )
     return figure
 
@@ -302,7 +321,11 @@ _COLUMNS = (
     _Column(
         ("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")
     ),
-    _Column(("entries", "supported"), "number", lambda r: _number(r.get("supported_share"), lambda x: f"{x:.0%}")),
+    _Column(
+        ("supported, of entries", "that hold a value"),
+        "number",
+        lambda r: _number(r.get("supported_share"), lambda x: f"{x:.0%}"),
+    ),
     _Column(
         ("noise of", "a pixel"),
         "number",

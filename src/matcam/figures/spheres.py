@@ -15,6 +15,8 @@ from matcam.core.io import replacing
 from matcam.figures.style import GREY, styled
 from matcam.files import tone_curve as srgb
 
+_INSIDE = 32
+"""Points along each side of a pixel over which it is averaged."""
 LAMP = np.radians(50.0)
 """Angle between lamp and camera."""
 
@@ -47,6 +49,21 @@ def table_sphere(
     return np.where(inside[..., None], light, 0.0)
 
 
+def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
+    """Compute the picture of `table_sphere`, the pixel of the highlight being the mean over its area.
+
+    A highlight may be much narrower than a pixel, so that no pixel's centre meets it.
+
+    Args:
+        values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr.
+        size: height and width, px.
+    """
+    picture = table_sphere(values, size)
+    row, column = size // 2, int((np.sin(LAMP / 2) + 1) / 2 * size)
+    picture[row, column] = table_sphere(values, _INSIDE, zoom=size).mean(axis=(0, 1))
+    return picture
+
+
 def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
     """Encode a radiance for a screen (sRGB), in [0, 1]: `white` is white, and what is brighter stays white."""
     return srgb.encoded(np.clip(picture / max(white, 1e-300), 0, 1))
@@ -58,15 +75,93 @@ def body_white(corrected: np.ndarray) -> float:
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
 
 
+_MOST_DECADES, _FEWEST_DECADES = 8.0, 2.0
+_DIMMEST = 0.05
+"""Quantile of the lit pixels that is drawn black, within the largest and smallest count of decades."""
+_BODY = 0.12
+"""Grey level of what is dimmer than the scale, so that a sphere without diffuse light is still seen."""
+_GROUND = 0.45
+"""Grey level of the ground behind a sphere on a logarithmic scale, so that a black body has a visible outline."""
+
+
+def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
+    """Compute the radiances that are drawn black and white where pictures are compared on one logarithmic scale.
+
+    Args:
+        pictures: radiances (height, width, channel), any count of them.
+
+    Returns:
+        The 5 % quantile of what is lit, but at least 2 and at most 8 decades below the largest value; and that value.
+    """
+    lit = np.concatenate([picture[picture > 0] for picture in pictures])
+    if not lit.size:
+        return 1e-2, 1.0
+    white = float(lit.max())
+    decades = np.clip(np.log10(white / np.quantile(lit, _DIMMEST)), _FEWEST_DECADES, _MOST_DECADES)
+    return white * 10.0 ** -float(decades), white
+
+
+def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
+    """Encode the radiance of `table_sphere` for a screen on a logarithmic scale, in [0, 1], before a grey ground.
+
+    A mirror's highlight is 10^6 times brighter than its body: on a linear scale the picture is a dot on black. The scale
+    acts on the brightest channel; the ratios of the channels, which are the colour, are those of sRGB.
+
+    Args:
+        picture: radiance (size, size, channel).
+        black: radiance that is black.
+        white: radiance that is white.
+    """
+    largest = picture.max(axis=-1, keepdims=True)
+    level = np.log(np.maximum(largest, black) / black) / np.log(white / black)
+    colour = srgb.encoded(np.clip(picture, 0, None) / np.where(largest > 0, largest, 1.0))
+    shown = np.where(largest > 0, _BODY + (1 - _BODY) * level * colour, _BODY)
+    t = (np.arange(len(picture)) + 0.5) / len(picture) * 2 - 1
+    shown[t[:, None] ** 2 + t**2 >= 1] = _GROUND
+    return np.clip(shown, 0, 1)
+
+
 SIZE = 64
 """Height of the picture and width of each half, px."""
+_INSET = 26
+"""Side of the magnified highlight in a thumbnail, px: it fits into the unlit side of the sphere."""
+_ZOOMS = (200.0, 60.0, 20.0, 6.0)
+"""Magnifications of a highlight, from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees."""
+_WHOLE = 0.3
+"""Share of its peak to which a highlight must fall before the border of a picture that shows it whole."""
+
+
+def highlight_zoom(*tables: np.ndarray) -> float | None:
+    """Compute the largest magnification at which a picture shows the highlight of each table whole; None: at none.
+
+    Args:
+        tables: values (theta_h, theta_d, phi_d, channel), 1/sr.
+    """
+    for zoom in _ZOOMS:
+        pictures = [table_sphere(values, _INSET, zoom).max(axis=-1) for values in tables]
+        border = np.ones((_INSET, _INSET), bool)
+        border[1:-1, 1:-1] = False
+        if all(one[border].max() < _WHOLE * one.max() for one in pictures):
+            return zoom
+    return None
 
 
 def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray, *, force: bool = False) -> None:
-    """Write a PNG of 128 x 64 px: a sphere from the recorded table (left) and from the corrected one (right)."""
-    before, after = (table_sphere(table.values, SIZE) for table in (raw, corrected))
-    white = body_white(after)
-    both = np.concatenate([encoded_for_screen(half, white) for half in (before, after)], axis=1)
+    """Write a PNG of 128 x 64 px: a sphere from the recorded table (left) and from the corrected one (right).
+
+    Brightness is logarithmic, on one scale for both. The highlight is magnified in the lower left corner, on a linear scale.
+    """
+    tables = raw.values, corrected.values
+    spheres = [whole_sphere(table, SIZE) for table in tables]
+    black, brightest = logarithmic_range(*spheres)
+    halves = [logarithmic(one, black, brightest) for one in spheres]
+    if zoom := highlight_zoom(*tables):
+        closer = [table_sphere(table, _INSET, zoom) for table in tables]
+        white = max(float(one.max()) for one in closer)
+        for half, inset in zip(halves, closer, strict=True):
+            half[-_INSET - 1 :, : _INSET + 1] = _GROUND
+            half[-_INSET:, :_INSET] = encoded_for_screen(inset, white)
+    both = np.concatenate(halves, axis=1)
     if both.shape[-1] != 3:
         both = np.repeat(both[..., :1], 3, axis=-1)
     encoded = imagecodecs.png_encode(np.ascontiguousarray((both * 255 + 0.5).astype(np.uint8)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import textwrap
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 from matcam.core.io import check_picture, replacing
@@ -27,6 +29,12 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
 )  # fmt: skip
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#6E6E6E"
+_COLOUR_BAR = "<colorbar>"
+"""Label that Matplotlib gives to the axes of a colour bar, which stands beside its panel and below the panel's title."""
+_GAP = 10.0
+"""Distance between titles of neighbouring panels, and difference in height of panels of one row, dots."""
+_SMALLEST = 7.0
+"""Smallest size of a title, points: the size of the smallest labels."""
 
 _RC: Any = {
     "font.size": 9.5,
@@ -59,10 +67,53 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
         metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[path.suffix.lower()]
         stream = io.BytesIO()  # on a full disk Matplotlib would raise what it likes
         with styled():
+            figure.draw_without_rendering()
+            fit_titles(figure)
             figure.savefig(stream, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
         drawn = stream.getvalue()  # an open view of it, kept by an error, brings Python 3.12 down
     with replacing(path, force=force) as temporary:
         temporary.write_bytes(drawn)
+
+
+def fit_titles(figure: Figure) -> bool:
+    """Shrink each title of a drawn figure that would leave the figure or run into the panel to its right.
+
+    Titles hold names of files and parameters of rigs, which may be long; Matplotlib clips them. A title that would have to
+    become smaller than 7 points is broken into lines as well.
+
+    Returns:
+        True if a title was changed, so that the figure must be drawn again.
+    """
+    changed = False
+    for axes in figure.axes:
+        titles = [one for one in axes.get_children() if isinstance(one, Text) and one not in axes.texts]
+        for title in titles:
+            changed |= bool(title.get_text()) and _fit(title, _end(figure, axes) - title.get_window_extent().x0)
+    for title in figure.texts:
+        changed |= bool(title.get_text()) and _fit(title, figure.bbox.width - title.get_window_extent().x0)
+    return changed
+
+
+def _end(figure: Figure, axes: Axes) -> float:
+    """Compute the position at which a panel's title must end, in dots: at the next panel of its row, or the figure's edge."""
+    here = axes.get_window_extent()
+    panels = [one.get_window_extent() for one in figure.axes if one.get_label() != _COLOUR_BAR]
+    right = [box.x0 - _GAP for box in panels if box.x0 >= here.x1 and box.y0 < here.y1 < box.y1 + _GAP]
+    return min([*right, figure.bbox.width])
+
+
+def _fit(title: Text, room: float) -> bool:
+    """Make a title fit a width in dots. Return whether it had to be changed."""
+    width = title.get_window_extent().width
+    if width <= room:
+        return False
+    size = float(title.get_fontsize())
+    smaller = max(size * 0.98 * room / width, min(size, _SMALLEST))
+    title.set_fontsize(smaller)
+    if (needed := width * smaller / size) > room and title.get_text().count("$") < 2:  # a formula cannot be broken
+        longest = max(map(len, title.get_text().splitlines()))
+        title.set_text(textwrap.fill(title.get_text(), max(int(longest * room / needed) - 1, 10)))
+    return True
 
 
 def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
@@ -90,6 +141,8 @@ def _png(figure: Figure, dpi: float) -> bytes:
         figure.dpi = dpi
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
+        if fit_titles(figure):
+            canvas.draw()
         figure.dpi = drawn_for
     Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(stream, format="png")
     return stream.getvalue()

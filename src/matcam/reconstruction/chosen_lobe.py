@@ -31,6 +31,8 @@ _CLEARLY, _AT_ONCE = 0.9, 0.5
 """Of the unexplained share: below which a bent lobe must come in the end, and before anything else is blamed."""
 _CONTRADICTED = 2.5
 """Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
+_FAR = 10.0
+"""Standard deviations beyond which a distance is not printed: it is a first-order estimate."""
 _EACH = 4.0
 """By how much a source must explain more for each value that it states: many values explain much by chance."""
 _MUCH = 20.0
@@ -363,9 +365,15 @@ def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Rema
     pull = max(blamed.pull, _CONTRADICTED)
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
-        f"{_WIDENED[blamed.source]}: off by {pull:.1f} times the stated standard deviation, which was widened",
+        f"{_WIDENED[blamed.source]}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is "
+        "extrapolated from the fit within it",
     )
     return blamed.source, 1.5 * pull, remark
+
+
+def times_off(pull: float) -> str:
+    """Format a distance in standard deviations. It is a first-order estimate, whose digits mean nothing far away."""
+    return f"off by more than {_FAR:.0f} times" if pull > _FAR else f"off by about {pull:.0f} times"
 
 
 def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:

@@ -205,7 +205,7 @@ class Reconstruction:
         lobe = f"{self.fit.kind.family} lobe{bent} of half width {half_width}"
         words = [
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
-            f"{self.supported_share:.0%} of the table's entries are supported."
+            f"{self.supported_share:.0%} of the entries that hold a value are supported (known to 5 %)."
         ]
         if self.fit.solution.unexplained > _POOR:
             words.append(
@@ -242,7 +242,7 @@ class Reconstruction:
 
     @property
     def supported_share(self) -> float:
-        """Share of the table's entries that are supported, no unit."""
+        """Share of the entries that hold a value which are supported, no unit."""
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
     def to_dict(self) -> dict[str, Any]:

@@ -65,6 +65,10 @@ class Sample(eqx.Module):
         """Return the shape's name in files: "sphere", "cylinder" or "flat"."""
         return type(self).__name__.lower()
 
+    def in_words(self) -> str:
+        """Describe the shape and its size in the picture, for titles and pages."""
+        return f"{self.kind} sample"
+
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal away from the half vector, px/rad.
@@ -129,6 +133,11 @@ class Curved(Sample):
     radius: eqx.AbstractVar[jax.Array]
     distance: eqx.AbstractVar[jax.Array]
     distant: eqx.AbstractVar[bool]
+
+    def in_words(self) -> str:
+        """Describe the shape, its radius in px and a near camera's distance in radii, for titles and pages."""
+        camera = "" if self.distant else f", camera at {float(self.distance):g} radii"
+        return f"{self.kind} of {float(self.radius):g} px radius{camera}"
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:

@@ -29,7 +29,7 @@ from matcam.app.exploring.explored import (
 from matcam.app.exploring.fitted_pictures import opened_captures
 from matcam.app.exploring.opened import Openable, OpenedTable, entries_of
 from matcam.app.exploring.photographs_panel import PhotographsPanel
-from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, picture_figure
+from matcam.app.plots import BLUE, GREY, ORANGE, VERMILION, curve_figure, hover, on_black, picture_figure
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import DRAINED, Newest
 from matcam.core.errors import ArgumentError, MatcamError
@@ -62,6 +62,7 @@ class ExploreView:
         self._entries: list[Openable] = []
         self._read: dict[int, OpenedTable] = {}
         self._shown: dict[str, Any] = {}
+        self._before = ["", _NONE]  # what was chosen when tables were last shown
         self._controls = {one.name: NumberControl(one, self.refresh, lambda: None) for one in SETTINGS}
         self._chosen = [
             Select(title=title, value="", options=[], width=WIDTH - 16, margin=(2, 8, 2, 8), name=name)
@@ -242,7 +243,22 @@ class ExploreView:
             self._chosen[0].value = str(first)
 
     def _dropped(self, path: Path) -> None:
-        self._slow.ask(lambda: entries_of(path), self._add)
+        """List a file once its first material has been read. One that cannot be read changes nothing but the message."""
+
+        def read() -> tuple[list[Openable], OpenedTable | None]:
+            entries = entries_of(path)
+            return entries, entries[0].read() if entries else None
+
+        def add(found: tuple[list[Openable], OpenedTable | None]) -> None:
+            entries, first = found
+            index = len(self._entries)
+            if first is not None:
+                self._read[index] = first
+            self._add(entries)
+            self._have_read({} if first is None else {index: first})
+
+        self._status.text = f"reading {escape(path.name)} ..."
+        self._slow.ask(read, add)
 
     def _index(self, select: Select) -> int:
         return int(select.value) if select.value.isdigit() else -1
@@ -274,6 +290,7 @@ class ExploreView:
         for index, table in found.items():
             if isinstance(table, MatcamError):
                 self._complain(str(table))
+                self._go_back(index)
             else:
                 self._read[index] = table
                 if table.pictures and index == self._index(self._chosen[0]):  # elsewhere a pinhole has nothing to show
@@ -284,8 +301,15 @@ class ExploreView:
             del self._read[index]
         self.refresh()
 
+    def _go_back(self, index: int) -> None:
+        """Choose what was shown before, where a material was chosen that cannot be read."""
+        for select, before in zip(self._chosen, self._before, strict=True):
+            if self._index(select) == index and before != select.value:
+                select.value = before
+
     def _show(self, found: dict[str, Any]) -> None:
         self._shown = found
+        self._before = [select.value for select in self._chosen]
         table = self._read.get(self._index(self._chosen[0]))
         self._looked_at.visible = table is not None and bool(table.pictures)
         self._turn()
@@ -346,11 +370,13 @@ class _SpherePlot:
         self.plot = picture_figure(
             title, SIDE, "x [radii]", "y [radii]", x_range=(-1, 1), y_range=(-1, 1), tools="", toolbar_location=None
         )
-        self.plot.image_rgba("image", x=-1, y=-1, dw=2, dh=2, source=self._source)
+        self._drawn = self.plot.image_rgba("image", x=-1, y=-1, dw=2, dh=2, source=self._source, visible=False)
 
     def show(self, light: np.ndarray | None, name: str, exposure: float) -> None:
         """Show a radiance; None: nothing."""
-        self._source.data = {"image": [np.zeros((2, 2), np.uint32) if light is None else on_screen(light, exposure)]}
+        if light is not None:
+            self._source.data = {"image": [on_screen(light, exposure)]}
+        on_black(self.plot, self._drawn, shown=light is not None)
         self.plot.title.text = name if len(name) < 30 else f"{name[:27]}..."
 
 

@@ -230,10 +230,13 @@ def fit_remarks(
         text = "the roughness is not determined: its standard deviation exceeds 5 %"
         remarks.append(Remark("roughness-not-determined", text))
     if noise_given and solution.misfit > 1 + 5 * np.sqrt(2 / max(solution.freedom, 1)):
-        text = f"the data miss the model by {np.sqrt(solution.misfit):.1f} times the stated noise"
+        text = f"the residuals are {np.sqrt(solution.misfit):.1f} times the given noise: the model does not explain the data"
         remarks.append(Remark("misfit", text))
     if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
-        text = "the data miss the model by more than any pixel's noise: the camera or the family of the lobe is wrong"
+        text = (
+            f"the residuals are {noise.relative:.0%} of a pixel's value and {noise.floor:.1%} of its picture's peak, more than "
+            "the noise of any camera: the camera or the family of the lobe is wrong"
+        )
         remarks.append(Remark("misfit", text))
     return tuple(remarks)
 

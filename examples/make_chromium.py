@@ -1,8 +1,8 @@
-"""Make chromium.npz: what the MERL rig records of polished chromium (GGX, alpha 0.004) in 13 of 90 slices,
-with 1 % noise a pixel.
+"""Make the data of `matcam.io.example_table`: what the MERL rig records of polished chromium (GGX, alpha 0.004) in 13 of
+90 slices, with 1 % noise a pixel.
 
 The values come from the tests' oracle, which shares no code with matcam. In each slice about 100 cells are filled, one of
-every pixel; all others are missing. Run it in the root of the sources: `PYTHONPATH=. python examples/data/make_chromium.py`
+every pixel; all others are missing. Run it in the root of the sources: `PYTHONPATH=. python examples/make_chromium.py`
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ random = np.random.default_rng(7)
 lobe = shot.rule.ways(oracle.GGX(0.004))
 values = [shot.rule.noisy(lobe * fresnel[:, None, None, c], random, gain=0.0) for c in range(3)]
 np.savez_compressed(
-    Path(__file__).with_name("chromium.npz"),
+    Path(__file__).parents[1] / "src" / "matcam" / "data" / "chromium.npz",
     theta_h=shot.cells.i_theta_h.astype(np.int16),
     theta_d=np.asarray(shot.cells.slices, np.int16),
     phi_d=shot.cells.i_phi_d.astype(np.int16),

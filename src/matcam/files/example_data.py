@@ -1,0 +1,35 @@
+"""The table of the tutorials: polished chromium as the rig of the MERL database records it."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+import xarray as xr
+
+from matcam.core.grid import CHANNELS, GRID_SHAPE, brdf_table
+
+FILE = "data/chromium.npz"
+
+
+def example_table() -> xr.DataArray:
+    """Load a simulated record of a polished chromium sphere.
+
+    The lobe is GGX of roughness alpha 0.004. The rig is that of the MERL database: a Gaussian lens of 0.5 px, a full pixel,
+    and a sphere of 256 px. The noise of a pixel is 1 %. An independent program made the values, which shares no code with
+    matcam (`examples/make_chromium.py` in the sources). The table holds what a fit uses: 13 of the 90 slices, and one cell of
+    each pixel. All other cells are missing.
+
+    Returns:
+        BRDF on the MERL grid, (90, 90, 180, 3), 1/sr; NaN where it is missing.
+
+    Example:
+        >>> table = matcam.io.example_table()
+        >>> table.shape, table.attrs["sample"]
+        ((90, 90, 180, 3), 'sphere')
+    """
+    with resources.files("matcam").joinpath(FILE).open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        cells, slices = stored["valid"], np.broadcast_to(stored["theta_d"][:, None], stored["valid"].shape)
+        values = np.full((*GRID_SHAPE, len(CHANNELS)), np.nan)
+        values[stored["theta_h"][cells], slices[cells], stored["phi_d"][cells]] = stored["value"][cells]
+    return brdf_table(values, "centre", sample="sphere", source="simulated polished chromium")
