@@ -27,6 +27,7 @@ from matcam.forward.measurement import simulated_chromium
 from tests.files.test_open_photograph import write_dng
 from tests.oracle import slanted_squares
 from tests.oracle.chart_camera import ChartCamera
+from tests.oracle.merl_lobe import THETA_D, conductor
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
@@ -207,6 +208,58 @@ def uses_every_target(ran):
     """Where the chart has a star and is described, the star is measured."""
     profile = matcam.Camera.load(next(path for path in ran.outputs if path.suffix == ".json"))
     assert 0.4 < profile.optics.sigma < 0.8
+
+
+def corrected_files(ran):
+    """Recorded table, the table of values, and the data set of a `correct` of one table; None of a run of many."""
+    written = {path.suffix: path for path in ran.outputs}
+    if not {".binary", ".nc", ".json"} <= set(written):
+        return None
+    source = json.loads(written[".json"].read_text())["file"]
+    return (
+        matcam.read_merl(ran.folder / source),
+        matcam.read_merl(written[".binary"]),
+        matcam.read_netcdf(written[".nc"]),
+    )
+
+
+@checks("correct")
+def prints_what_the_files_hold(ran):
+    """The printed gain and share are those of the files, and the file of values holds what is supported."""
+    files = corrected_files(ran)
+    if files is None:
+        return
+    recorded, values, data = files
+    supported = data["supported"].values
+    peak = (0, 75, 90)
+    gain = 1 / np.mean(recorded.values[peak] / data["brdf"].values[peak])
+    (stated,) = re.findall(r"the peak at 75° was raised by a factor of ([\d.]+)", ran.printed)
+    assert float(stated) == pytest.approx(gain, abs=0.006)
+    share = supported[np.isfinite(data["brdf_std"].values)].mean()
+    (stated,) = re.findall(r"(\d+)% of the entries that can be judged", ran.printed)
+    assert float(stated) == pytest.approx(100 * share, abs=0.51)
+    np.testing.assert_allclose(values.values, np.where(supported, data["brdf"].values, recorded.values), rtol=1e-12)
+
+
+@checks("correct")
+def gives_the_simulated_peaks_back(ran):
+    """Every peak of the demo's chromium from 5 to 80 degrees is that of a mirror of its F, relative to 30 degrees.
+
+    F over cos^2 theta_d is the peak of a narrow lobe. The first ring lies in one pixel, so that its mean over the channels has
+    a noise of 0.6 %.
+    """
+    files = corrected_files(ran)
+    if files is None or files[0].attrs.get("source", "").find("chromium") < 0:
+        return
+    recorded, _, data = files
+    theta_d = THETA_D[5:81, None]
+    n, k, _ = matcam.metal("Cr", [610e-9, 550e-9, 465e-9], "rakic")
+    truth = conductor(theta_d, np.asarray(n), np.asarray(k)) / np.cos(theta_d) ** 2
+    shown = (data["brdf"].values[0, 5:81].mean(axis=1) / truth).mean(axis=-1)
+    assert np.abs(shown / shown[25] - 1).max() < 0.03
+    assert data["supported"].values[0, 5:81].mean() >= 0.95
+    raw = (recorded.values[0, 5:81].mean(axis=1) / truth).mean(axis=-1)
+    assert raw[70] / raw[25] < 0.4  # the camera took the rest
 
 
 def provide(folder, words, made):

@@ -89,7 +89,7 @@ def test_pages_do_not_overflow_sideways(browser, template, width, tmp_path):
 def test_an_index_says_of_what_a_share_is(tmp_path):
     write_run_index(tmp_path / "index.html", [("a", record("a"))], [])
     page = (tmp_path / "index.html").read_text()
-    assert "supported, of entries<br>that hold a value" in page
+    assert "supported, of entries<br>that can be judged" in page
 
 
 @pytest.mark.parametrize("layout", ["constrained", None])

@@ -221,7 +221,7 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
         return
     print_fit(document["fit"], name)
     show.say(
-        f"supported (the correction is known to 5 %): {document['supported_share']:.0%} of the entries that hold a value; "
+        f"supported (the correction is known to 5 %): {document['supported_share']:.0%} of the entries that can be judged; "
         f"the peak at 75° was raised by a factor of {document['peak_gain_75']:.2f}"
     )
     for remark in document["remarks"]:

@@ -322,7 +322,7 @@ _COLUMNS = (
         ("std of correction", "at 75°"), "number", lambda r: _number(r.get("correction_std_75"), lambda x: f"{x:.0%}")
     ),
     _Column(
-        ("supported, of entries", "that hold a value"),
+        ("supported, of entries", "that can be judged"),
         "number",
         lambda r: _number(r.get("supported_share"), lambda x: f"{x:.0%}"),
     ),

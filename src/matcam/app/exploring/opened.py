@@ -19,8 +19,6 @@ from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import check_within, read_json
 
 _WIDTHS = ("alpha", "beta", "width", "hwhm_rad")
-_DIGITS = 1e-3
-"""Relative error from which a difference of squares is not used."""
 _LARGEST_RECORD = 4 << 20
 """Largest record of a material that is read, bytes."""
 
@@ -139,22 +137,10 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
             )  # fmt: skip
         if not parts:
             return OpenedTable(name, recorded=corrected, record=record)
-        recorded = _recorded(recorded_table(data), data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
+        recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
     except (ArgumentError, ValueError) as error:  # shapes that contradict each other
         raise FileFormatError(f"{name}: damaged: {error}") from None
     return OpenedTable(name, recorded, corrected, parts.get("brdf_std"), parts.get("supported"), record)
-
-
-def _recorded(recorded: xr.DataArray, data: xr.Dataset) -> xr.DataArray:
-    """Replace entries of a recorded table for which the stored standard deviations have too few digits.
-
-    They follow from the difference of the squares of two standard deviations, which are stored as float32. Where its relative
-    error exceeds 1e-3, an entry is the corrected value times the response, as it is where there is no difference.
-    """
-    total, noise = (data[name].values.astype(float) for name in ("brdf_std", "noise_std"))
-    digits = float(np.finfo(data["brdf_std"].dtype).eps)
-    few = total**2 - noise**2 < digits / _DIGITS * total**2
-    return recorded.copy(data=np.where(few, data["brdf"].values * data["response"].values[..., None], recorded.values))
 
 
 def _of_run(table: Path, record: Path) -> Openable:

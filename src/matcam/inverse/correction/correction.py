@@ -442,7 +442,7 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
     Returns:
         The recorded table, 1/sr, NaN where it was missing.
     """
-    body = np.asarray(table.attrs["body"])
+    body = np.asarray(table.attrs.get("body", 0.0))
     changed = np.isfinite(table["brdf_std"].values)
     response = np.where(changed, table["response"].values[..., None], 1.0)
     return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)
