@@ -44,6 +44,8 @@ _MISFIT_SCALES = 1e-2, 1e-4
 """Means of the exponential priors of tau and tau_f: a model that is off by much more is not an explanation."""
 _TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
 """Noise of a pixel from which its estimate starts."""
+_MOSTLY_MISFIT = 2.0
+"""chi^2 from which more than half of the residual variance is misfit."""
 _FEWEST_PAIRS = 100
 """Pairs of cells from which a noise is estimated to 7 % or better."""
 _HUBER = 3.0
@@ -194,11 +196,14 @@ class Weighing(NamedTuple):
     Attributes:
         noise: of a pixel.
         kappa: share of pixel noise in the variance of the best explanation.
+        chi2: mean squared residual of the best explanation in standard deviations of pixel noise, or, where that is not
+            known, of a typical camera's noise.
         known: whether the data show the noise of a pixel without a model.
     """
 
     noise: PixelNoise
     kappa: float
+    chi2: float
     known: bool
 
     @classmethod
@@ -207,9 +212,19 @@ class Weighing(NamedTuple):
         if noise is None:
             left = [fit.noise for fit in fits]
             least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)
-            return cls(_at_least(least, LEAST_NOISE), UNKNOWN_SHARE, known=False)
+            chi2 = min(explained(fit, _TYPICAL).chi2 for fit in fits)
+            return cls(_at_least(least, LEAST_NOISE), UNKNOWN_SHARE, chi2, known=False)
         chi2 = min(explained(fit, noise).chi2 for fit in fits)
-        return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), known=True)
+        return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
+
+    def at_most(self, other: Weighing) -> Weighing:
+        """Return the one whose best explanation leaves less."""
+        return self if self.chi2 < other.chi2 else other
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether most of the residual variance of the best explanation is misfit."""
+        return self.chi2 > _MOSTLY_MISFIT
 
     def complete(self, fit: MaterialFit) -> bool:
         """Whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""

@@ -62,8 +62,6 @@ _NEGLIGIBLE = 1e-3
 """Probability below which another lobe counts for nothing."""
 UNEXPLAINED = "unexplained"
 """Code of the remark that no member of the list explains the data."""
-_MOSTLY_MISFIT = 0.5
-"""Share of pixel noise in the residual variance below which the list does not explain the data."""
 
 
 class Member(NamedTuple):
@@ -158,7 +156,7 @@ class Explanation(NamedTuple):
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.is_bent:
             remarks.append(self.shape.remark(self.fit.family))
-        if self.weighing.known and self.weighing.kappa < _MOSTLY_MISFIT:
+        if self.weighing.known and self.weighing.unexplained:
             remarks.append(
                 Remark(
                     UNEXPLAINED,
@@ -208,30 +206,25 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     weighing = _weighing(ranked, noise)
     if not any(weighing.complete(one.fit) for one in ranked):
         ranked += [_solved(few.with_(ndf=family)) for family in ((STUDENT, TWO_LOBES) if ndf == AUTO else ())]
-        cores = [one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked
-        ranked.append(_bent(max(cores, key=lambda one: weighing.log_evidence(one.fit))))
-        weighing = _weighing(ranked, noise)
-    logs = [weighing.log_evidence(one.fit) for one in ranked]
-    best = ranked[int(np.argmax(logs))]
-
-    blind = _without_camera(best, rig)
-    blinds = [blind]
-    if weighing.kappa < _MOSTLY_MISFIT:
-        blinds.append(_shadowed(blind))
-    by_camera = np.logaddexp.reduce(logs)
-    by_none = np.logaddexp.reduce([weighing.log_evidence(one.fit) for one in blinds])
+        ranked.append(_bent(_closest([one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked, noise)))
+    others = [_without_camera(_closest(ranked, noise), rig)]
+    weighing = _weighing([*ranked, *others], noise)
+    if weighing.unexplained:
+        others.append(_shadowed(others[0]))
+        weighing = _weighing([*ranked, *others], noise)
+    logs, logs_without = ([weighing.log_evidence(one.fit) for one in some] for some in (ranked, others))
+    by_camera, by_none = (np.logaddexp.reduce(some) for some in (logs, logs_without))
     no_camera = float(1 / (1 + np.exp(np.clip(by_camera - by_none, -500, 500))))
-    shadowed = blinds[-1].fit if len(blinds) > 1 else None
-    if shadowed is not None and weighing.log_evidence(shadowed) < weighing.log_evidence(blind.fit):
-        shadowed = None
+    blind = others[0]
+    shadowed = others[-1].fit if int(np.argmax(logs_without)) else None
 
     kept = [one for one, log in zip(ranked, logs, strict=True) if log > max(logs) - _HOPELESS]
     whole = [_in_more_slices(one, every) for one in kept]
-    weighing = _weighing(whole, noise)
+    weighing = weighing.at_most(_weighing(whole, noise))
     shares = weighing.probabilities([one.fit for one in whole])
     first = int(np.argmax(shares))
     found = whole[first]
-    others = tuple(
+    averaged = tuple(
         OtherLobe(one.fit, one.setup, float(share))
         for n, (one, share) in enumerate(zip(whole, shares, strict=True))
         if n != first and share > _NEGLIGIBLE
@@ -243,13 +236,18 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     base = kept[first] if found.fit.is_bent else found
     return Explanation(
         located=located, setup=found.setup, candidates=[one.fit for one in whole], fit=found.fit, shape=shape,
-        base=base.fit, others=others, doubts=rig_doubts(base.setup, rig, base.fit), blind_setup=blind.setup,
+        base=base.fit, others=averaged, doubts=rig_doubts(base.setup, rig, base.fit), blind_setup=blind.setup,
         blind=blind.fit, no_camera=no_camera, shadowed=shadowed, weighing=weighing,
     )  # fmt: skip
 
 
 def _weighing(members: list[Member], noise: PixelNoise | None) -> Weighing:
     return Weighing.of([one.fit for one in members], noise)
+
+
+def _closest(members: list[Member], noise: PixelNoise | None) -> Member:
+    """Return the member that leaves the smallest residuals."""
+    return min(members, key=lambda one: _weighing([one], noise).chi2)
 
 
 def _solved(setup: FitSetup) -> Member:
