@@ -73,6 +73,8 @@ def check(
                 "lamps": len(capture.lamps),
                 "centre_px": list(found.centre[:2]),
                 "radius_px": found.centre[2],
+                "turn_deg": [math.degrees(one) for one in found.turn],
+                "turn_std_deg": [math.degrees(one) for one in found.turn_std],
                 "radiometry": None if found.radiometry is None else found.radiometry.to_dict(),
             }
         )
@@ -81,7 +83,9 @@ def check(
     if found.radiometry is not None:
         _print_radiometry(found.radiometry)
     if math.isfinite(found.centre[2]):
-        show.say("sphere that the highlights want: column {:.1f}, row {:.1f}, radius {:.1f} px".format(*found.centre))
+        column, row, radius = found.centre
+        where = f"column {column:.1f}" + (f", row {row:.1f}" if math.isfinite(row) else "")
+        show.say(f"outline by highlights and outline frames: {where}, radius {radius:.1f} px")
     for remark in found.notes:
         show.say(f"note: {remark}")
     for remark in found.findings:

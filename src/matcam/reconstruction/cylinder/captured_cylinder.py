@@ -13,7 +13,7 @@ from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
-from matcam.reconstruction.cylinder.straight_outline import StraightOutline, straight_outline
+from matcam.acquisition.limb.straight_outline import StraightOutline, straight_outline
 from matcam.reconstruction.cylinder.strips import Strip
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
