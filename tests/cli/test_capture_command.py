@@ -22,8 +22,10 @@ from tests.oracle.sphere_picture import Surface, View, picture
 def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
     folder = tmp_path / "new"
     matcam("capture", "init", folder)
-    settings = read_settings(folder / "capture.toml")
-    assert settings["lamp"]["motion"] == "arc"
+    # what is active in it is what holds without it
+    bare = tmp_path / "bare.toml"
+    bare.write_text('format = "matcam capture"\nversion = 1\n')
+    assert read_settings(folder / "capture.toml") == read_settings(bare)
     assert "--force" in matcam("capture", "init", folder, code=2).stderr
     empty = matcam("capture", "check", folder, code=2)
     assert "no frame of the sample" in empty.stderr
@@ -37,6 +39,19 @@ def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
         "\n".join(line for line in lines if not any(words in line for words in others))
     )
     assert read_settings(folder / "capture.toml")["sample"]["region_px"] == [800, 600, 900, 900]
+
+
+def test_a_capture_is_filled_from_a_folder_of_photographs(matcam, tmp_path):
+    """From empty folder to check without a typed line; photographs already in the capture are only listed."""
+    drawn = small()
+    drawn.write(tmp_path / "photographs")
+    matcam("capture", "init", "new", "--from", "photographs/frames")
+    capture = read_capture(tmp_path / "new")
+    assert (len(capture.lamps), len(capture.exposures), len(capture.frames)) == (4, 5, 20)
+    found = json.loads(matcam("capture", "init", "photographs", "--from", "photographs", "--force", "--json").stdout)
+    assert found["frames"] == len(drawn.rows)
+    assert read_capture(tmp_path / "photographs").problems == ()
+    assert "give both" in matcam("capture", "init", "other", "--lamps", "a.lp", code=2).stderr
 
 
 def test_check_says_what_it_found(matcam, tmp_path):
@@ -144,6 +159,8 @@ def test_a_plan_is_for_the_rigs_own_distances():
         ((), "give --output"),
         (("-o", "a.exr", "--capture", "b"), "give --output"),
         (("--capture", "b", "--exposure", "3"), "leave out"),
+        (("--capture", "b", "--size", "30", "40"), "follows from the radius"),
+        (("--capture", "b", "--sample", "flat", "--lamp-distance", "40"), "distant lamp"),
     ],
 )
 def test_what_simulate_needs(matcam, options, message):

@@ -134,7 +134,9 @@ class Reconstruction:
         rig = rig_covariance(covariance, layout.scene, layout.field, own, frames, fit.lamps)
         turns = [f"{name} {turn}" for name in fit.names for turn in "ab"]
         captured = self.captured
-        radius = None if captured is None or captured.sample_radius is None else captured.sample_radius.value
+        radius = None
+        if captured is not None and captured.sample_radius is not None:
+            radius = captured.sample_radius.value * float(np.exp(p[layout.sample_radius]))
         return {
             "frame_px": None if captured is None or captured.frame is None else list(captured.frame),
             "sample_radius_mm": radius,

@@ -28,7 +28,9 @@ from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
     known_nearness,
+    known_radius,
     lamp_radius_of,
+    with_radius,
 )
 from matcam.reconstruction.stated.undistorted import undistorted_sphere
 
@@ -107,8 +109,9 @@ def captured_scene(
         )
         remarks.extend(said)
         camera = camera.with_field(earlier.field)
-    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks if rig is None else [])
-    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks if rig is None else [])
+    camera_nearness = known_nearness(capture, "camera", remarks if rig is None else [])
+    lamp_nearness = known_nearness(capture, "lamp", remarks if rig is None else [])
+    sample_radius = known_radius(capture)
     if rig is not None:
         std = np.sqrt(np.diag(rig.covariance))
         camera_nearness, lamp_nearness = (
@@ -161,7 +164,7 @@ def captured_scene(
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
     lamps = first_lamps(lamps, covariances, stated, stds)
-    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
     lamp_radius = lamp_radius_of(capture)
     scene = SphereScene(
         camera=camera,
@@ -180,6 +183,7 @@ def captured_scene(
         gain_correlation=correlation(light.covariance),
         rig=rig,
         unstated_field=None if camera.field is not None else unstated_distortion(ball),
+        sample_radius=sample_radius,
     )
     units = None if light.units is None else tuple(Known(*one) for one in light.units)
     said_once = tuple(dict.fromkeys(remarks))
