@@ -15,9 +15,11 @@ import numpy as np
 
 from matcam.acquisition.check.flat_check import flat_remarks
 from matcam.acquisition.check.quick_highlights import black_level, quick_highlights
-from matcam.acquisition.check.quick_outline import dark_disc, quick_outline
+from matcam.acquisition.check.quick_outline import QuickOutline, dark_disc, quick_outline
 from matcam.acquisition.check.table_check import TableCheck, check_table
+from matcam.acquisition.light.reference_patch import ReferencePatch, patch_geometry
 from matcam.acquisition.merging import bracket_misfit, merge_position, misfit_remark
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.radiometry import Radiometry, capture_camera, measure_radiometry
 from matcam.core.errors import MatcamError
 from matcam.core.remark import Remark
@@ -84,7 +86,6 @@ def check_capture(capture: Capture) -> CaptureCheck:
             )
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
-    found += _lamp_remarks(capture, radiometry)
     if radiometry is not None:
         for lamp in radiometry.used:
             misfit = bracket_misfit(capture, lamp, radiometry, merge_position(capture, lamp, radiometry))
@@ -98,6 +99,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
         found += coverage_remarks(capture.lamps)
         outline, said = quick_outline(capture, black_level(radiometry))
         found += said
+    found += _lamp_remarks(capture, radiometry, outline)
     camera = capture.camera_radii
     highlights = quick_highlights(capture, radiometry, outline, math.inf if camera is None else camera.value)
     found += highlights.remarks
@@ -146,17 +148,38 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     return found
 
 
-def _lamp_remarks(capture: Capture, radiometry: Radiometry | None) -> list[Remark]:
+def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, outline: QuickOutline | None) -> list[Remark]:
     """Return whether the lamp's light scatters more than is stated, by the reference."""
     if radiometry is None or capture.reference_place is None:
         return []
-    values = {lamp: out.value for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
+    values = {
+        lamp: out.value / _near_light(capture, lamp, outline)
+        for lamp, out in radiometry.lamp_output.items()
+        if math.isfinite(out.value)
+    }
     if len(values) < 2:
         return [Remark("no-reference", "the reference is dark, clipped or not there: lamp drift is not measured")]
     stated = capture.settings["lamp"]["gain_std"]
-    scatter = float(np.std(list(values.values()), ddof=1))
+    scatter = float(np.std(list(values.values()), ddof=1) / np.mean(list(values.values())))
     if scatter <= 2 * stated + 0.002:
         return []
+    mean = float(np.mean(list(values.values())))
+    values = {lamp: value / mean for lamp, value in values.items()}
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
     text = f"lamp {worst}: the reference is {values[worst] - 1:+.1%} off the mean of all; they scatter by {scatter:.1%}, and "
     return [Remark("lamp-drifts", f"{text}lamp.gain_std states {stated:.1%}")]
+
+
+def _near_light(capture: Capture, lamp: str, outline: QuickOutline | None) -> float:
+    """Return the light of a near lamp on a white patch over that of a distant one; 1 where either is not known."""
+    section, place, far = capture.settings["reference"], capture.reference_place, capture.lamp_radii
+    if section["kind"] != "diffuse" or place is None or far is None or outline is None:
+        return 1.0
+    camera = capture.camera_radii
+    row = outline.row if math.isfinite(outline.row) else place[1] + (place[3] - 1) / 2
+    ball = MirrorBall(row, outline.column, outline.radius, math.inf if camera is None else camera.value)
+    depth, radius = section["depth_mm"], capture.radius_mm
+    at = ReferencePatch(place).place(ball, 0.0 if depth is None or radius is None else depth[0] / radius.value)
+    towards = capture.lamps[lamp].direction[None]
+    near, distant = (patch_geometry(towards, nearness, at)[0][0] for nearness in (1 / far.value, 0.0))
+    return float(near / distant)

@@ -163,7 +163,9 @@ def command(
         if table or preview or exposure:
             raise ArgumentError("--capture is for the lobe of a metal: leave out TABLE, --preview and --exposure")
         rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near)
-        plan = {"azimuth": math.radians(azimuth), "shape": size}
+        plan: dict[str, Any] = {"azimuth": math.radians(azimuth), "shape": size}
+        if sample == "flat":
+            plan["exposures"] = 2  # that do not clip
         _capture(lobe, rig, plan, positions, capture, seed, force, json)
         return
     assert output is not None

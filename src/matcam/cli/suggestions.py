@@ -45,6 +45,15 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
     return ["matcam", "inspect", output]
 
 
+def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
+    output = values["output"]
+    if output is None:
+        return None
+    # a flat sample, and an anisotropic material, have no MERL file
+    written = [file for file in (output, output.with_suffix(".nc")) if file.exists()]
+    return ["matcam", "inspect", written[0]] if written else None
+
+
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     file = values["file"]
     if file.suffix.lower() in (".binary", ".csv"):
@@ -90,7 +99,7 @@ _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "inspect": _after_inspect,
     "convert": lambda v: ["matcam", "inspect", v["target"]],
     "correct": _after_correct,
-    "reconstruct": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
+    "reconstruct": _after_reconstruct,
     "fit": lambda v: _of_table(v, v["files"][0]),
     "fresnel": lambda v: _of_table(v, v["file"]),
     "data merl": _after_data,

@@ -94,8 +94,8 @@ def simulate_capture(
 ) -> dict[str, Any]:
     """Write a capture of a sphere, a cylinder or a flat sample, and its truth beside it (truth.json).
 
-    A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted from picture to picture
-    under one distant lamp, and its capture has neither reference nor outline frames.
+    A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted from picture to
+    picture under one distant lamp, and its capture has neither reference nor outline frames.
 
     Args:
         material: of the sample.
@@ -134,6 +134,8 @@ def simulate_capture(
     well = float(sensor.full_well)
     scale = _FILLED * well / max(lamp["gain"] * float(p.max()) for lamp, p in zip(lamps, pictures, strict=True))
     relative = plan.step ** np.arange(plan.exposures)
+    if not sample.may_clip:
+        scale /= relative[-1]
     nominal = relative / 1000 * np.exp(plan.time_std * rng.standard_normal(plan.exposures))
     names = [f"E{k + 1}" for k in range(plan.exposures)]
     rows: list[dict[str, Any]] = []
@@ -192,7 +194,7 @@ def simulate_capture(
 
 
 def sensor_or_usual(rig: Rig) -> Rig:
-    """Return the rig, with a usual sensor (30,000 electrons, 14 bits) where its camera states none: RGGB, of a flat sample grey."""
+    """Return the rig, with a usual sensor where its camera states none: 30,000 electrons, 14 bits, RGGB, flat: grey."""
     camera = rig.camera
     if camera.sensor is not None:
         return rig

@@ -46,6 +46,8 @@ class SyntheticSample(Protocol):
     """A sample in a synthetic capture: what a kind of sample decides of its pictures and of capture.toml."""
 
     shape: tuple[int, int]
+    may_clip: bool
+    """Whether the longer exposures may clip: a flat sample's pictures are transformed, and a clipped pixel has no value."""
 
     def lamps(
         self, theta_d: np.ndarray, azimuth: float, errors: LampErrors, rng: np.random.Generator
@@ -108,6 +110,8 @@ def _lamp(
 
 class _CurvedSample:
     """A sphere or a cylinder on the optical axis."""
+
+    may_clip = True
 
     def __init__(self, rig: Rig, shape: tuple[int, int]):
         assert isinstance(rig.sample, Curved)
@@ -186,6 +190,8 @@ class _CylinderSample(_CurvedSample):
 
 class _FlatSample:
     """A flat sample with textures of diffuse albedo and specular strength, tilted under a fixed distant lamp."""
+
+    may_clip = False
 
     def __init__(self, rig: Rig, shape: tuple[int, int], seed: int):
         if isinstance(rig.lamp, NearLamp):

@@ -165,6 +165,8 @@ def chosen_fit(
         name = f"{best.kind.family}, bent"
         if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
             return best
+        if best.stuck:
+            return best  # a fit that finds no rest with few parameters finds none with many
         if not bends or bends[0] is not best:  # else it is the same fit, met again
             bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
         other = bends[1]

@@ -22,7 +22,7 @@ _MUCH = 20.0
 """Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
 _FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
 _LENGTH = 0.1
-"""Relative standard deviation that a length has at least once it is freed: a length that is stated as exact may be 2 % wrong."""
+"""Relative standard deviation of a length that is freed, at least: a length stated as exact may be 2 % wrong."""
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources that state something of each picture."""
 _WIDENED = {

@@ -226,6 +226,7 @@ def fit_sphere(
         tally.begin()
         last = None if solution is None else solution.problem.pixels
         problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
+        p = p.copy()  # the round before may be returned
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
