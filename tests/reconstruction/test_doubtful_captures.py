@@ -1,4 +1,4 @@
-"""Captures of which one statement or one picture is wrong: it is named, and the errors contain it. Pictures that no lobe explains.
+"""Captures of which one statement or picture is wrong: it is named, and the errors contain it. Pictures that no lobe explains.
 
 Chromium on a small sphere, drawn by the independent renderer.
 """
@@ -87,7 +87,7 @@ def test_pictures_that_no_lobe_explains_end_with_a_verdict(tmp_path):
     result = reconstruct(capture.write(tmp_path), progress=lambda step, done, total: said.append(step))
     print(result.verdict, result.tried, len(said))
     assert "fit-stuck" in {remark.code for remark in result.remarks}
-    assert "unexplained" in result.verdict
+    assert "did not come to rest" in result.verdict
     rounds = [step for step in said if "round" in step]
     assert len(rounds) < 24
     assert any("s left" in step for step in rounds)

@@ -69,7 +69,7 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
 
 
 def are_unit_vectors(positions: list[LightPosition]) -> bool:
-    """Whether the positions are directions: their lengths say nothing of the lamp's distance."""
+    """Tell whether the positions are directions, whose lengths indicate no distance."""
     return all(abs(float(np.linalg.norm(one.position)) - 1) < _UNIT for one in positions)
 
 

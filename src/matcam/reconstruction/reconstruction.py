@@ -186,6 +186,8 @@ class Reconstruction:
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the table's entries are supported."
         ]
+        if self.fit.stuck:
+            words.append("The fit did not come to rest, and no lobe explains the pictures: do not use these values.")
         if self.fit.solution.unexplained > _POOR:
             words.append(
                 f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every "

@@ -40,5 +40,5 @@ class Rounds:
 
     @property
     def stuck(self) -> bool:
-        """Whether the last round leaves more of the light unexplained than one before it, and much."""
+        """Tell whether the last round leaves more of the light unexplained than one before it, and much."""
         return self.shares[-1] > max(_STUCK, _RISE * min(self.shares))
