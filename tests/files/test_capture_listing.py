@@ -61,6 +61,8 @@ def test_brackets_are_told_by_names(tmp_path):
     for lamp in ("left", "right"):
         for exposure in ("E1", "E2"):
             shot(tmp_path, f"{lamp}_{exposure}.tif")
+    shot(tmp_path / "dark", "covered_E2.tif")
+    assert rows(list_photographs(tmp_path), "dark")[0][2] == "E2"
     assert [row[1:3] for row in rows(list_photographs(tmp_path))] == [
         ("left", "E1"), ("left", "E2"), ("right", "E1"), ("right", "E2"),
     ]  # fmt: skip
@@ -93,6 +95,14 @@ def test_light_positions_are_the_lamp_table(tmp_path):
     positions = read_light_positions(tmp_path / "lamps.lp")
     assert positions[0].angles == pytest.approx((np.pi / 4, 0.0))
     assert not are_unit_vectors(positions)
+
+
+def test_a_table_that_names_one_photograph_of_a_bracket_is_enough(tmp_path):
+    for name in ("a_1.tif", "a_2.tif", "b_1.tif", "b_2.tif"):
+        shot(tmp_path, name)
+    (tmp_path / "lamps.lp").write_text("2\na_1.tif 0 0 1\nb_1.tif 1 0 0\n")
+    found = [(row["lamp"], row["exposure"], row["angle_deg"]) for row in list_photographs(tmp_path).rows]
+    assert found == [("a", "1", "0.0000"), ("a", "2", "0.0000"), ("b", "1", "90.0000"), ("b", "2", "90.0000")]
 
 
 @pytest.mark.parametrize(

@@ -104,14 +104,19 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
     positions = _light_positions(source, light_positions)
     lamps = _lamp_names(found["frames"], times, positions)
     directions = {} if positions is None else {one.file.lower(): one for one in positions}
+    of_lamp = {lamp: one for path, (lamp, _) in lamps.items() if (one := _matching(path, directions)) is not None}
+    by_suffix = {suffix for _, suffix in lamps.values()}
     for kind in KINDS:
         for path in found[kind]:
             lamp, suffix = lamps.get(path, ("", ""))
+            ending = _SPLIT.fullmatch(path.stem)
+            if kind != "frames" and ending is not None and ending["exposure"] in by_suffix:
+                suffix = ending["exposure"]
             row: dict[str, Any] = {"file": f"{kind}/{path.name}", "lamp": lamp}
             time = times[path]
             least, name = (None, suffix or "E1") if time is None else _exposure(time, names)
             row |= {"exposure": name, "time_s": "" if least is None else f"{least:.6g}"}
-            position = _matching(path, directions) if kind == "frames" else None
+            position = _matching(path, directions) or of_lamp.get(lamp) if kind == "frames" else None
             if position is not None:
                 angle, azimuth = np.degrees(position.angles)
                 row |= {"angle_deg": f"{angle:.4f}", "azimuth_deg": f"{azimuth + 0.0:.4f}"}
@@ -173,14 +178,12 @@ def _lamp_names(
     frames: Sequence[Path], times: dict[Path, float | None], positions: list[LightPosition] | None
 ) -> dict[Path, tuple[str, str]]:
     """Return the lamp position of each photograph, and the exposure that its name states, empty where it states none."""
-    if positions is not None:
-        by_name = {one.file.lower(): one for one in positions}
+    by_name = {one.file.lower(): one for one in positions or ()}
+    stated = {path: one for path in frames if (one := _matching(path, by_name)) is not None}
+    if stated and len(stated) == len(frames):  # of a bracket some tables name one photograph
         seen: list[np.ndarray] = []
         found = {}
-        for path in frames:
-            one = _matching(path, by_name)
-            if one is None:
-                continue
+        for path, one in stated.items():
             towards = one.position / np.linalg.norm(one.position)
             same = [k for k, other in enumerate(seen) if np.linalg.norm(towards - other) < _SAME_LAMP]
             if not same:
