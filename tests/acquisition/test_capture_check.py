@@ -130,6 +130,11 @@ def test_clipping_is_looked_for_in_every_lamp_position(good, tmp_path):
     assert "L01" in codes(changed(good, frames=frames), tmp_path)["peak-clipped"]
 
 
+def test_a_near_lamp_on_a_white_patch_is_no_drift(tmp_path):
+    """The patch stands 1.2 radii aside, the lamp at 25 radii: its light there differs by a tenth from one side to the other."""
+    assert "lamp-drifts" not in codes(small(reference="diffuse"), tmp_path)
+
+
 def of_cylinder(**more):
     stand = cylinder_picture.Stand(radius=70.0, camera=40.0, lamp=25.0, column=82.4, row=24.0, shape=(48, 166))
     angles = 2 * np.radians([8, 19, 30, 41, 52, 63, 74])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-_STUCK = 0.05
+_STUCK = 0.1
 """Unexplained share of the light up to which a rise is no reason to end: windows laid anew hold other pixels."""
 _RISE = 1.05
 """Relative rise of the share, from its least, from which a round has explained no more."""
