@@ -9,7 +9,8 @@ from scipy.ndimage import gaussian_filter
 
 from matcam.reconstruction.from_capture import reconstruct
 from tests.oracle.capture import METALS, Faults, Sensor, draw
-from tests.oracle.sphere_picture import Surface, View, fresnel, picture
+from tests.oracle.sphere_picture import Surface, View, direction, fresnel, picture
+from tests.reconstruction import test_wrong_light as wrong_light
 
 N, K = METALS["Cr"][0][1], METALS["Cr"][1][1]
 SURFACE = Surface("ggx", 0.03, n=(N,), k=(K,))
@@ -43,30 +44,27 @@ def test_a_radius_that_is_stated_wrongly_is_named(tmp_path, stated):
         assert abs(value - true) < 3 * std
 
 
-def test_a_second_lamp_on_one_highlight_is_named_and_counted(tmp_path):
-    """2 % of the light, from 4 degrees beside L02: its highlight holds both, the others stand apart."""
-    capture = drawn(FAR)
-    towards = np.add(capture.truth["lamps"][2]["direction"], [0.06, 0.05, 0.0])
-    clean = picture(SURFACE, FAR, towards / np.linalg.norm(towards))[..., 0]
-    random = np.random.default_rng(7)
+def test_a_second_lamp_beside_one_highlight_is_named_and_counted(tmp_path):
+    """2 % of the light, in all pictures: in L02 it stands 2.5 roughnesses from the highlight, in the others apart."""
+    surface = wrong_light.chromium("ggx", 0.02)
+    capture = wrong_light.drawn(surface, 1)
+    clean = picture(surface, wrong_light.VIEW, direction(np.radians(50), np.radians(200)))[..., 0]
+    random = np.random.default_rng(9)
     for row in capture.rows:
         if row["file"].startswith("frames/"):
-            ratio = 6.0 ** int(row["exposure"][1:])
-            light = 0.02 * capture.truth["electrons_per_radiance"] * ratio * clean
+            light = 0.02 * capture.truth["electrons_per_radiance"] * 4.0 ** int(row["exposure"][1:]) * clean
             codes = capture.frames[row["file"]] + 0.5 * random.poisson(np.minimum(light, 1e6))
             capture.frames[row["file"]] = np.minimum(np.round(codes), 15256).astype(np.uint16)
     result = reconstruct(capture.write(tmp_path), "ggx")
-    odd = [remark.text for remark in result.remarks if remark.code == "picture-odd"]
-    assert any(text.startswith("L02") for text in odd)
-    document = {one["name"]: one["chi2"] for one in result.to_dict()["pictures"]}
-    assert f"{document['L02']:.1f}" in next(text for text in odd if text.startswith("L02"))
+    (odd,) = [remark.text for remark in result.remarks if remark.code == "picture-odd"]
+    chi2 = {one["name"]: one["chi2"] for one in result.to_dict()["pictures"]}
+    assert odd.startswith(f"L02: its chi squared is {chi2['L02']:.1f}")
     truth = fresnel(np.cos(result.fit.solution.theta_d), N, K)
     relative = result.fit.strengths[:, 0] / truth
     relative /= np.median(relative)
     std = result.fit.strengths_std[:, 0] / result.fit.strengths[:, 0]
-    print(dict(zip(document, zip(relative - 1, std, strict=True), strict=True)), document)
     assert abs(relative[2] - 1) < 2 * std[2]
-    assert std[2] > 1.5 * np.median(std)
+    assert std[2] > 2 * np.median(std)
 
 
 def test_pictures_that_no_lobe_explains_end_with_a_verdict(tmp_path):
@@ -87,7 +85,7 @@ def test_pictures_that_no_lobe_explains_end_with_a_verdict(tmp_path):
     result = reconstruct(capture.write(tmp_path), progress=lambda step, done, total: said.append(step))
     print(result.verdict, result.tried, len(said))
     assert "fit-stuck" in {remark.code for remark in result.remarks}
-    assert "did not come to rest" in result.verdict
+    assert "No lobe explains the pictures" in result.verdict
     rounds = [step for step in said if "round" in step]
     assert len(rounds) < 24
     assert any("s left" in step for step in rounds)

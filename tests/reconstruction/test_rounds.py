@@ -31,6 +31,9 @@ def test_rounds_end_where_much_is_unexplained_and_more_from_round_to_round():
 
     assert stuck(0.206, 0.291)
     assert stuck(0.2, 0.1, 0.15)
+    assert stuck(1.0, 1.0)
+    assert not stuck(1.0, 0.7)
+    assert not stuck(1.0)
     assert not stuck(0.206)
     assert not stuck(0.2, 0.15)
     assert not stuck(0.2, 0.201)

@@ -187,7 +187,9 @@ class Reconstruction:
             f"{self.supported_share:.0%} of the table's entries are supported."
         ]
         if self.fit.stuck:
-            words.append("The fit did not come to rest, and no lobe explains the pictures: do not use these values.")
+            words.append(
+                "No lobe explains the pictures, and more rounds of the fit explain no more: do not use these values."
+            )
         if self.fit.solution.unexplained > _POOR:
             words.append(
                 f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every "

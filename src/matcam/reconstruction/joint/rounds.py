@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -9,6 +10,9 @@ _STUCK = 0.1
 """Unexplained share of the light up to which a rise is no reason to end: windows laid anew hold other pixels."""
 _RISE = 1.05
 """Relative rise of the share, from its least, from which a round has explained no more."""
+
+_NOTHING, _FALL = 0.5, 0.95
+"""Unexplained share from which a round must lower it, and to what part of the least: beyond it the model explains nothing."""
 
 
 class Rounds:
@@ -40,5 +44,7 @@ class Rounds:
 
     @property
     def stuck(self) -> bool:
-        """Tell whether the last round leaves more of the light unexplained than one before it, and much."""
-        return self.shares[-1] > max(_STUCK, _RISE * min(self.shares))
+        """Tell whether the last round explains no more of the light than one before it, and leaves much unexplained."""
+        *before, share = self.shares
+        least = min(before, default=math.inf)
+        return share > max(_STUCK, _RISE * least) or share > max(_NOTHING, _FALL * least)
