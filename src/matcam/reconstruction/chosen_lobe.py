@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -134,7 +134,8 @@ def chosen_fit(
 
     def with_shape(best: SphereFit) -> SphereFit:
         """Return the fit whose diffuse part is not Lambert's, where that leaves less unexplained."""
-        if not diffuse or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
+        # a fit that finds no rest with few parameters finds none with many
+        if not diffuse or best.stuck or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
             return best
         other = fitted(best.kind.family, scene, start=best, shaped=True)
         tried[f"{best.kind.family}, diffuse part shaped"] = other.solution.unexplained
@@ -166,7 +167,7 @@ def chosen_fit(
         if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
             return best
         if best.stuck:
-            return best  # a fit that finds no rest with few parameters finds none with many
+            return best
         if not bends or bends[0] is not best:  # else it is the same fit, met again
             bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
         other = bends[1]
@@ -276,6 +277,7 @@ def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
 
 def _described(name: str, more: Mapping[str, object], widened: Mapping[str, float]) -> str:
     """Return what a fit tries, for the progress: its lobe, and what is no longer taken as stated."""
+    name = " or ".join([name, *(str(one) for one in cast("Sequence[str]", more.get("rivals", ())))])
     bent = " bent" if more.get("bend") else ""
     shape = ", diffuse part shaped" if more.get("shaped") else ""
     return f"{name}{bent}{shape}" + (f", {' and '.join(widened)} widened" if widened else "")
