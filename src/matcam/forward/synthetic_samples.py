@@ -82,9 +82,9 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
             "the size of a capture's pictures follows from the radius: leave it out for a sphere or cylinder"
         )
     if isinstance(rig.sample, Sphere):
-        return _SphereSample(rig)
+        return _SphereSample(rig, rig.sample)
     if isinstance(rig.sample, Cylinder):
-        return _CylinderSample(rig)
+        return _CylinderSample(rig, rig.sample)
     raise ArgumentError(
         f"a capture can be simulated of a Sphere, a Cylinder or a Flat, not of a {type(rig.sample).__name__}"
     )
@@ -155,8 +155,8 @@ class _CurvedSample:
 
 
 class _SphereSample(_CurvedSample):
-    def __init__(self, rig: Rig):
-        side = 2 * (math.ceil(float(rig.sample.radius)) + MARGIN)
+    def __init__(self, rig: Rig, sphere: Sphere):
+        side = 2 * (math.ceil(float(sphere.radius)) + MARGIN)
         super().__init__(rig, (side, side))
 
     def before_field(self, shift: np.ndarray) -> np.ndarray:
@@ -171,8 +171,8 @@ class _SphereSample(_CurvedSample):
 class _CylinderSample(_CurvedSample):
     """One strip of material round an upright cylinder."""
 
-    def __init__(self, rig: Rig):
-        super().__init__(rig, (_ROWS, 2 * (math.ceil(float(rig.sample.radius)) + MARGIN)))
+    def __init__(self, rig: Rig, cylinder: Cylinder):
+        super().__init__(rig, (_ROWS, 2 * (math.ceil(float(cylinder.radius)) + MARGIN)))
 
     def before_field(self, shift: np.ndarray) -> np.ndarray:
         x, _ = self._from_centre(shift)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -120,7 +121,7 @@ def _of_sphere(
     free = start.copy()
     loose = np.array([0, 0, 0, np.inf, np.inf, np.inf])
     errors = _errors(capture, seen, start[5])
-    right, flipped = (_fitted(lambda p, way=way: expected(p, way), free, loose, places, errors) for way in (1.0, -1.0))
+    right, flipped = (_fitted(partial(expected, flip=way), free, loose, places, errors) for way in (1.0, -1.0))
     spread = float(np.ptp(directions[:, 1]))
     apart, other = float(np.median(right.off)), float(np.median(flipped.off))
     if spread > 0.2 and other < 0.2 * apart and apart > 2:
@@ -266,7 +267,7 @@ def cylinder_line(direction: np.ndarray, camera: float, lamp: float) -> float:
     normal = np.array([0.0, 0.0, 1.0])
     for _ in range(30):
         light, view = direction - w * normal, np.array([0.0, 0.0, 1.0]) - q * normal
-        half = light / max(np.linalg.norm(light), 1e-12) + view / np.linalg.norm(view)
+        half = light / max(float(np.linalg.norm(light)), 1e-12) + view / np.linalg.norm(view)
         normal = np.array([half[0], 0.0, half[2]])
-        normal /= max(np.linalg.norm(normal), 1e-12)
+        normal /= max(float(np.linalg.norm(normal)), 1e-12)
     return float(math.sqrt(1 - q**2) * normal[0] / (1 - q * normal[2]))
