@@ -2,13 +2,18 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from matcam.acquisition.capture_check import check_capture, coverage_remarks, dark_disc, mirror_normal
+from matcam.acquisition.capture_check import check_capture, coverage_remarks
+from matcam.acquisition.check.quick_outline import dark_disc
+from matcam.acquisition.check.table_check import cylinder_line
+from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.files.capture import read_capture
 from matcam.files.capture_frames import LampGuess
 from matcam.reconstruction.stated.stated_rig import captured_lens
 from tests.acquisition.drawn import VIEW, changed, small, surface
-from tests.oracle.capture import Faults, direction, draw, lamp_angle
+from tests.oracle import cylinder_picture, flat_picture
+from tests.oracle.capture import Faults, Sensor, direction, draw, lamp_angle
 from tests.oracle.sphere_picture import backlit, mirror_angle
 
 
@@ -70,9 +75,15 @@ def test_check_and_reconstruct_say_the_same_of_a_lens_without_a_profile(tmp_path
     assert not any("told apart" in one.text for one in coverage_remarks({"L0": LampGuess(0.2, 0.0)}))
 
 
-def test_a_steady_lamp_near_a_white_patch_does_not_drift(tmp_path):
-    """At 25 radii its light on a patch beside the sphere differs by 6 % from that of a distant lamp."""
-    capture = read_capture(small(reference="diffuse").write(tmp_path))
+@pytest.mark.parametrize("outline", [True, False])
+def test_a_steady_lamp_near_a_white_patch_does_not_drift(tmp_path, outline):
+    """At 25 radii its light on a patch beside the sphere differs by 6 % from that of a distant lamp.
+
+    Without an outline frame the highlights indicate where the sphere is.
+    """
+    drawn = small(reference="diffuse")
+    rows = [row for row in drawn.rows if outline or not row["file"].startswith("outline")]
+    capture = read_capture(changed(drawn, rows=rows).write(tmp_path))
     assert "lamp-drifts" not in {one.code for one in check_capture(capture).findings}
 
 
@@ -103,12 +114,113 @@ def test_gaps_are_named():
 
 
 def test_mirror_normals_are_alhazens():
+    """The sphere's highlight, and in the plane across the axis the line on a cylinder."""
+    ball = MirrorBall(0.0, 0.0, 1.0, VIEW.camera)
     for theta in (0.2, 0.8, 1.4):
         angle = lamp_angle(theta, VIEW)
         t = mirror_angle(angle, VIEW)
         q = 1 / VIEW.camera
-        expected = np.sqrt(1 - q**2) * np.sin(t) / (1 - q * np.cos(t)) * np.array([np.cos(0.7), np.sin(0.7)])
-        assert mirror_normal(direction(angle, 0.7), VIEW.camera, VIEW.lamp) == pytest.approx(expected, abs=1e-9)
+        away = np.sqrt(1 - q**2) * np.sin(t) / (1 - q * np.cos(t))
+        row, column = ball.mirror_place(direction(angle, 0.7), VIEW.lamp)
+        assert (column, -row) == pytest.approx(away * np.array([np.cos(0.7), np.sin(0.7)]), abs=1e-9)
+        assert cylinder_line(direction(angle, 0.0), VIEW.camera, VIEW.lamp) == pytest.approx(away, abs=1e-9)
+
+
+def turned(drawn, degrees):
+    """The capture with a lamp table turned by a rotation vector."""
+    turn = Rotation.from_rotvec(np.radians(degrees))
+    rows = []
+    for row in drawn.rows:
+        row = dict(row)
+        if row["angle_deg"]:
+            x, y, z = turn.apply(direction(*np.radians([float(row["angle_deg"]), float(row["azimuth_deg"])])))
+            row |= {
+                "angle_deg": f"{np.degrees(np.arccos(z)):.4f}",
+                "azimuth_deg": f"{np.degrees(np.arctan2(y, x)):.4f}",
+            }
+        rows.append(row)
+    return changed(drawn, rows=rows)
+
+
+@pytest.mark.parametrize("degrees", [(5.0, 0.0, 0.0), (0.0, 0.0, -5.0)])
+def test_a_turned_lamp_table_is_found_with_its_size(good, tmp_path, degrees):
+    """A turn about an axis in the picture moves all highlights alike: only the outline tells it from a moved sphere."""
+    found = check_capture(read_capture(turned(good, degrees).write(tmp_path)))
+    assert "5." in next(one.text for one in found.findings if one.code == "table-turned")
+    assert np.degrees(found.turn_std).max() < 1
+    assert np.all(np.abs(found.turn + np.radians(degrees)) < 3 * found.turn_std)
+
+
+def test_clipping_is_looked_for_in_every_lamp_position(good, tmp_path):
+    """L01 is none of the four whose exposures are all read."""
+    frames = dict(good.frames)
+    frames["frames/L01_E0.tif"] = np.where(frames["frames/L01_E0.tif"] > 1000, 15256, frames["frames/L01_E0.tif"])
+    assert "L01" in codes(changed(good, frames=frames), tmp_path)["peak-clipped"]
+
+
+def test_clipping_without_a_bracket_is_found_in_every_lamp_position(tmp_path):
+    """One exposure: L01, whose frame is read for its highlight only, stands at a code below the largest of the file."""
+    drawn = draw(
+        surface(alpha=0.08), VIEW, np.radians([6, 17, 28, 39, 50, 61, 72]), exposures=1, seed=4, reference=None,
+        sensor=Sensor(cfa=None),
+    )  # fmt: skip
+    assert "peak-clipped" not in codes(drawn, tmp_path / "good")
+    seen = drawn.frames["frames/L01_E0.tif"]
+    frames = drawn.frames | {"frames/L01_E0.tif": np.minimum(seen, np.quantile(seen, 0.995).astype(seen.dtype))}
+    assert "L01" in codes(changed(drawn, frames=frames), tmp_path / "clipped")["peak-clipped"]
+
+
+def test_a_stated_circle_is_compared_with_the_highlights(good, tmp_path):
+    """It is used without outline frames, and goes before them."""
+    circle = {"centre_px": [VIEW.column, VIEW.row], "radius_px": [1.1 * VIEW.radius, 0.3]}
+    drawn = changed(good, settings=good.settings | {"outline": circle})
+    assert "radius-mismatch" in codes(drawn, tmp_path / "with")
+    rows = [row for row in drawn.rows if not row["file"].startswith("outline")]
+    assert "radius-mismatch" in codes(changed(drawn, rows=rows), tmp_path / "without")
+
+
+def of_cylinder(**more):
+    stand = cylinder_picture.Stand(radius=70.0, camera=40.0, lamp=25.0, column=82.4, row=24.0, shape=(48, 166))
+    angles = 2 * np.radians([8, 19, 30, 41, 52, 63, 74])
+    return cylinder_picture.draw(
+        cylinder_picture.Bent((0.1, 0.1), (3.18,), (3.33,)), stand, angles, np.radians([3, 178, -4, 175, 6, 3, -3]),
+        lamp_std=np.radians(0.2), seed=3, **more,
+    )  # fmt: skip
+
+
+def test_a_cylinder_is_judged_as_a_cylinder(tmp_path):
+    drawn = of_cylinder()
+    assert codes(drawn, tmp_path / "good") == {}
+    assert "about y" in codes(turned(drawn, (0, 5, 0)), tmp_path / "turned")["table-turned"]
+    frames = drawn.frames | {"outline/O0.tif": drawn.frames["frames/L00_E0.tif"]}
+    assert "O0.tif" in codes(changed(drawn, frames=frames), tmp_path / "stripe")["no-stripe"]
+    # the stated outline then takes its place, as in `reconstruct`
+    sample = drawn.settings["sample"] | {"outline_radius_px": [70.0, 0.1], "axis_column_px": [82.4, 0.1]}
+    stated = turned(changed(drawn, frames=frames, settings=drawn.settings | {"sample": sample}), (0, 5, 0))
+    assert {"no-stripe", "table-turned"} <= set(codes(stated, tmp_path / "stated"))
+
+
+def test_a_clipped_field_behind_a_cylinder_is_found(tmp_path):
+    drawn = of_cylinder()
+    field = drawn.frames["outline/O0.tif"]
+    frames = drawn.frames | {"outline/O0.tif": np.minimum(field, np.quantile(field, 0.9).astype(field.dtype))}
+    found = codes(changed(drawn, frames=frames), tmp_path)
+    assert "O0.tif" in found["outline-clipped"]
+    assert "radius-mismatch" not in found
+
+
+def test_a_flat_sample_is_not_judged_as_a_sphere(tmp_path):
+    random = np.random.default_rng(1)
+    textures = [flat_picture.random_texture(mean, mean / 5, -2.0, 192, random) for mean in (0.4, 0.06)]
+
+    def drawn(tilts):
+        stand = flat_picture.FlatStand(shape=(128, 128))
+        return flat_picture.draw(*textures, stand, np.radians(tilts), [(np.radians(20), 0.0)] * 4, seed=2)
+
+    found = check_capture(read_capture(drawn([0, 10, 20, 30]).write(tmp_path / "good")))
+    assert found.findings == ()
+    assert "not-checked" in {note.code for note in found.notes}
+    assert list(codes(drawn([10, 11, 12, 11]), tmp_path / "alike")) == ["half-angles-alike"]
 
 
 def test_a_dark_disc_is_found_and_its_absence_too():

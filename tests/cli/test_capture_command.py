@@ -16,14 +16,17 @@ from matcam.lamp.lamps import NearLamp
 from matcam.material.optical_constants import metal
 from tests.acquisition.drawn import small
 from tests.oracle.capture import MOSAICS
-from tests.oracle.sphere_picture import Surface, View, picture
+from tests.oracle.flat_picture import FlatStand
+from tests.oracle.sphere_picture import Surface, View, fresnel, picture
 
 
 def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
     folder = tmp_path / "new"
     matcam("capture", "init", folder)
-    settings = read_settings(folder / "capture.toml")
-    assert settings["lamp"]["motion"] == "arc"
+    # what is active in it is what holds without it
+    bare = tmp_path / "bare.toml"
+    bare.write_text('format = "matcam capture"\nversion = 1\n')
+    assert read_settings(folder / "capture.toml") == read_settings(bare)
     assert "--force" in matcam("capture", "init", folder, code=2).stderr
     empty = matcam("capture", "check", folder, code=2)
     assert "no frame of the sample" in empty.stderr
@@ -37,6 +40,19 @@ def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
         "\n".join(line for line in lines if not any(words in line for words in others))
     )
     assert read_settings(folder / "capture.toml")["sample"]["region_px"] == [800, 600, 900, 900]
+
+
+def test_a_capture_is_filled_from_a_folder_of_photographs(matcam, tmp_path):
+    """From empty folder to check without a typed line; photographs already in the capture are only listed."""
+    drawn = small()
+    drawn.write(tmp_path / "photographs")
+    matcam("capture", "init", "new", "--from", "photographs/frames")
+    capture = read_capture(tmp_path / "new")
+    assert (len(capture.lamps), len(capture.exposures), len(capture.frames)) == (4, 5, 20)
+    found = json.loads(matcam("capture", "init", "photographs", "--from", "photographs", "--force", "--json").stdout)
+    assert found["frames"] == len(drawn.rows)
+    assert read_capture(tmp_path / "photographs").problems == ()
+    assert "give both" in matcam("capture", "init", "other", "--lamps", "a.lp", code=2).stderr
 
 
 def test_check_says_what_it_found(matcam, tmp_path):
@@ -61,6 +77,47 @@ def test_what_an_ended_run_left_is_no_obstacle(matcam, tmp_path, monkeypatch):
     assert "as far as the pictures" in matcam(*again, code=2).stderr
     (folder / "frames" / "L01_E1.tif").write_bytes(b"somebody's")
     assert "is not empty: use --force" in matcam(*again, code=2).stderr
+
+
+def test_a_simulated_flat_sample_is_checked_as_one(matcam, tmp_path):
+    """Its pictures against their truth by another route: the mean of the texture follows cosine and lobe."""
+    options = (
+        "--sample",
+        "flat",
+        "--roughness",
+        "0.3",
+        "--diffuse",
+        "0.4",
+        "--lamp-positions",
+        "4",
+        "--size",
+        "96",
+        "96",
+    )
+    matcam("simulate", "--capture", "cloth", *options)
+    found = json.loads(matcam("capture", "check", "cloth", "--json", code=1).stdout)
+    assert {one["code"] for one in found["findings"]} <= {"times-wrong"}
+    capture, truth = read_capture(tmp_path / "cloth"), json.loads((tmp_path / "cloth" / "truth.json").read_text())
+    stand, n, k = FlatStand(alpha=0.3), *(np.mean(one) for one in metal("Cr", CHANNEL_WAVELENGTHS)[:2])
+    light = []
+    for lamp, frame in zip(truth["lamps"], capture.of("frames", exposure="E2"), strict=True):
+        white, lobe = stand.weights(np.radians(lamp["tilt_deg"]), np.array(lamp["direction"]))
+        reflectance = fresnel(np.cos(np.radians(10)), n, k)
+        expected = lamp["gain"] * (0.4 * white + reflectance * lobe)
+        light.append((capture.read(frame).values.astype(float).mean() - 256) / expected)
+    assert np.std(light) < 0.06 * np.mean(light)  # 96 px of a texture that varies over their length
+
+
+@pytest.mark.slow
+def test_a_simulated_cylinder_is_reconstructed(matcam, tmp_path):
+    options = ("--radius", "80", "--distance", "40", "--lamp-distance", "25", "--roughness", "0.08", "--azimuth", "5")
+    matcam("simulate", "--capture", "strip", "--sample", "cylinder", *options, "--lamp-positions", "5")
+    found = json.loads(matcam("capture", "check", "strip", "--json", code=1).stdout)
+    assert {one["code"] for one in found["findings"]} <= {"times-wrong", "angles-missed"}
+    matcam("reconstruct", "strip", "-o", "strip.binary", "--ndf", "ggx")
+    document = json.loads((tmp_path / "strip.json").read_text())
+    value, std = document["parameters"]["alpha"]
+    assert abs(value - 0.08) < 4 * std < 0.002
 
 
 @pytest.mark.slow
@@ -144,6 +201,8 @@ def test_a_plan_is_for_the_rigs_own_distances():
         ((), "give --output"),
         (("-o", "a.exr", "--capture", "b"), "give --output"),
         (("--capture", "b", "--exposure", "3"), "leave out"),
+        (("--capture", "b", "--size", "30", "40"), "follows from the radius"),
+        (("--capture", "b", "--sample", "flat", "--lamp-distance", "40"), "distant lamp"),
     ],
 )
 def test_what_simulate_needs(matcam, options, message):

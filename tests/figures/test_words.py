@@ -10,7 +10,7 @@ from matcam.cli import _run
 from matcam.cli.fit import print_fit
 from matcam.figures.curves import loss_figure
 from matcam.paper import figure_5
-from matcam.reconstruction.chosen_lobe import times_off
+from matcam.reconstruction.contradiction import times_off
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from matcam import Camera, GaussianOptics, reconstruct
+from matcam.acquisition.limb.straight_outline import straight_outline
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
 from matcam.reconstruction.cylinder.cylinder_fit import _cylinder_problem
-from matcam.reconstruction.cylinder.straight_outline import straight_outline
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
 from matcam.reconstruction.joint.joint_problem import JointLayout
 from matcam.reconstruction.picture_rule import WINDOW

@@ -12,6 +12,8 @@ import numpy as np
 
 MOST = 30_000
 """Pixels of one lamp position that are used at most."""
+_FAR = 4
+"""Distance, px, at which the noise of sharpened or demosaiced frames no longer correlates: a Gaussian of 1 px leaves 2 %."""
 
 
 class BracketSample(NamedTuple):
@@ -92,14 +94,30 @@ def noise_correlation(light: np.ndarray, around: np.ndarray, noise: float) -> tu
     """
     dark = (np.abs(around) < 1.5 * max(noise, 0.3)) & (np.abs(light) < 6 * max(noise, 0.3))
     products, squares, count = 0.0, 0.0, 0
-    for first, second in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
-        both = dark[first] & dark[second]
-        a, b = light[first][both].astype(np.float64), light[second][both].astype(np.float64)
-        if a.size < 100:
+    for axis in (0, 1):
+        product, square, pairs = _lagged(light, dark, axis, 1)
+        if pairs < 100:
             continue
-        a, b = a - a.mean(), b - b.mean()
-        products, squares, count = products + float(a @ b), squares + float(a @ a + b @ b) / 2, count + a.size
+        # faint light is smooth and correlates over several pixels; what sharpening or demosaicing does to noise does not
+        smooth, _, others = _lagged(light, dark, axis, _FAR)
+        smooth = min(max(smooth, 0.0), 0.9 * square) if others >= 100 else 0.0
+        products, squares, count = (
+            products + pairs * (product - smooth),
+            squares + pairs * (square - smooth),
+            count + pairs,
+        )
     return (products / squares, 1 / count**0.5) if squares > 0 else (0.0, float("inf"))
+
+
+def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[float, float, int]:
+    """Return covariance and variance of dark pixels at a distance along an axis, and the number of pairs."""
+    first, second = ((slice(None),) * axis + (part,) for part in (slice(lag, None), slice(-lag)))
+    both = dark[first] & dark[second]
+    a, b = light[first][both].astype(np.float64), light[second][both].astype(np.float64)
+    if a.size < 100:
+        return 0.0, 0.0, int(a.size)
+    a, b = a - a.mean(), b - b.mean()
+    return float(a @ b) / a.size, float(a @ a + b @ b) / (2 * a.size), int(a.size)
 
 
 def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:

@@ -33,21 +33,49 @@ def _group() -> None:
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture; it is made.")],
+    photographs: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FOLDER",
+            help="Folder of photographs: they are copied and listed in frames.csv, with exposure times from their metadata.",
+        ),
+    ] = None,
+    lamps: Annotated[
+        Path | None,
+        typer.Option(
+            "--lamps",
+            metavar="FILE",
+            help="Light position file (.lp) of the photographs of --from. Default: the one in that folder, if any.",
+        ),
+    ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Write a commented capture.toml, an empty frames.csv, and the folders of the frames.
+    """Write a commented capture.toml, a frames.csv, and the folders of the frames.
 
-    Example: `matcam capture init chromium`
+    Example: `matcam capture init chromium --from photographs`
     """
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output
+    from matcam.files.capture import LIST, SETTINGS
+    from matcam.files.capture_listing import Listing, list_photographs
     from matcam.files.capture_writing import write_template
 
-    files = write_template(folder, force=force)
+    if lamps is not None and photographs is None:
+        raise ArgumentError("--lamps is for the photographs of --from: give both")
+    listing = Listing() if photographs is None else list_photographs(photographs, lamps)
+    for name in (SETTINGS, LIST):
+        check_output(folder / name, force=force)
+    listing.copy_to(folder, force=force)
+    files = write_template(folder, listing.rows, force=force)
     if json:
-        show.as_json({"files": [str(path) for path in files]})
-    else:
-        for path in files:
-            show.say(f"template: {path}")
+        show.as_json({"files": [str(path) for path in files], "frames": len(listing.rows), "notes": listing.notes})
+        return
+    for path in files:
+        show.say(f"{'template' if not listing.rows or path.name == SETTINGS else 'list'}: {path}")
+    for note in listing.notes:
+        show.say(f"note: {note}")
 
 
 def check(
@@ -73,6 +101,8 @@ def check(
                 "lamps": len(capture.lamps),
                 "centre_px": list(found.centre[:2]),
                 "radius_px": found.centre[2],
+                "turn_deg": [math.degrees(one) for one in found.turn],
+                "turn_std_deg": [math.degrees(one) for one in found.turn_std],
                 "radiometry": None if found.radiometry is None else found.radiometry.to_dict(),
             }
         )
@@ -81,7 +111,9 @@ def check(
     if found.radiometry is not None:
         _print_radiometry(found.radiometry)
     if math.isfinite(found.centre[2]):
-        show.say("sphere that the highlights want: column {:.1f}, row {:.1f}, radius {:.1f} px".format(*found.centre))
+        column, row, radius = found.centre
+        where = f"column {column:.1f}" + (f", row {row:.1f}" if math.isfinite(row) else "")
+        show.say(f"outline by highlights and outline frames: {where}, radius {radius:.1f} px")
     for remark in found.notes:
         show.say(f"note: {remark}")
     for remark in found.findings:

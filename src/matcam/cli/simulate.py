@@ -126,7 +126,9 @@ def command(
     positions: Annotated[
         int,
         typer.Option(
-            "--lamp-positions", metavar="N", help="Lamp positions of --capture, theta_d from 5 to 82 degrees."
+            "--lamp-positions",
+            metavar="N",
+            help="Lamp positions of --capture, theta_d from 5 to 82 degrees; tilts of a flat sample, 0 to 40 degrees.",
         ),
     ] = 18,
     preview: Annotated[
@@ -158,12 +160,13 @@ def command(
     if (output is None) == (capture is None):
         raise ArgumentError("give --output for a table or a picture, or --capture for a folder")
     if capture is not None:
-        if table or preview or exposure or sample != "sphere":
-            raise ArgumentError(
-                "--capture is for a lobe on a sphere: leave out TABLE, --preview, --exposure and --sample"
-            )
+        if table or preview or exposure:
+            raise ArgumentError("--capture is for the lobe of a metal: leave out TABLE, --preview and --exposure")
         rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near)
-        _capture(lobe, rig, math.radians(azimuth), positions, capture, seed, force, json)
+        plan: dict[str, Any] = {"azimuth": math.radians(azimuth), "shape": size}
+        if sample == "flat":
+            plan["exposures"] = 2  # that do not clip
+        _capture(lobe, rig, plan, positions, capture, seed, force, json)
         return
     assert output is not None
     suffix = output.suffix.lower()
@@ -203,7 +206,14 @@ def command(
 
 
 def _capture(
-    lobe: dict[str, Any], rig: Any, azimuth: float, positions: int, folder: Path, seed: int, force: bool, json: bool
+    lobe: dict[str, Any],
+    rig: Any,
+    options: dict[str, Any],
+    positions: int,
+    folder: Path,
+    seed: int,
+    force: bool,
+    json: bool,
 ) -> None:
     """Write a whole capture; print what it consists of."""
     import numpy as np
@@ -213,9 +223,8 @@ def _capture(
 
     use_compilation_cache()
     material, described = _microfacet(lobe)
-    plan = CapturePlan(
-        tuple(np.radians(np.linspace(5, 82, positions)) if positions > 1 else [math.radians(45)]), azimuth
-    )
+    theta_d = np.radians(np.linspace(5, 82, positions)) if positions > 1 else [math.radians(45)]
+    plan = CapturePlan(tuple(theta_d), **options)
     with show.tallying("drawing") as progress:
         truth = simulate_capture(
             material, sensor_or_usual(rig), plan, folder, seed=seed, force=force, progress=progress

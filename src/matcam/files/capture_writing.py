@@ -44,7 +44,7 @@ kind = "sphere"                      # sphere | cylinder | flat
 
 [lamp]
 # radius_mm = [3.5, 0.05]            # of its luminous disc
-motion = "arc"                       # arc | free | table
+motion = "free"                      # arc | free | table
 intensity = "constant"               # reference | constant | table
 gain_std = 0.005                     # how well a picture's light is known, relative
 direction_std_deg = 1.0              # how well angle_deg and azimuth_deg of frames.csv are known
@@ -66,11 +66,12 @@ field_beyond_deg = 3.0               # by how much the bright field of outline f
 """
 
 
-def write_template(folder: str | Path, *, force: bool = False) -> list[Path]:
-    """Write a commented capture.toml, an empty frames.csv, and the folders of the frames.
+def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *, force: bool = False) -> list[Path]:
+    """Write a commented capture.toml, a frames.csv, and the folders of the frames.
 
     Args:
         folder: where the capture will lie; it is made.
+        rows: lines of frames.csv by column. Default: none.
         force: replace an existing capture.toml and frames.csv (no unit). Default: False.
 
     Returns:
@@ -80,7 +81,7 @@ def write_template(folder: str | Path, *, force: bool = False) -> list[Path]:
         OutputError: a file exists and `force` is False, or the folder cannot be written.
     """
     folder = _made(folder)
-    texts = {SETTINGS: TEMPLATE, LIST: ",".join(COLUMNS) + "\n"}
+    texts = {SETTINGS: TEMPLATE, LIST: _table(rows)}
     for name, text in texts.items():
         with replacing(folder / name, force=force) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -98,13 +99,17 @@ def write_description(
         rows: lines of frames.csv by column; what is missing stays empty.
         force: replace existing files (no unit). Default: False.
     """
+    for name, content in ((SETTINGS, as_toml(settings)), (LIST, _table(rows))):
+        with replacing(folder / name, force=force) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+
+
+def _table(rows: Iterable[Mapping[str, Any]]) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    for name, content in ((SETTINGS, as_toml(settings)), (LIST, text.getvalue())):
-        with replacing(folder / name, force=force) as temporary:
-            temporary.write_text(content, encoding="utf-8")
+    return text.getvalue()
 
 
 def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:

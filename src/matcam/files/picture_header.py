@@ -33,6 +33,7 @@ _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xC
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """PNG's colour types."""
 _MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
+_EXPOSURE_TIME = 0x829A
 _WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
 _ASCII, _LONGEST_TEXT = 2, 200
 _MOST_ENTRIES = 500
@@ -139,6 +140,28 @@ def read_exif(path: str | Path) -> Exif:
             return Exif() if base is None else _directory(file, base)
     except (OSError, struct.error, ValueError, KeyError, OverflowError):
         return Exif()
+
+
+def exposure_time(path: str | Path) -> float | None:
+    """Read the exposure time that a picture's Exif directory states, s; None where there is none (CIPA DC-008-2023, 4.6.5)."""
+    try:
+        with Path(path).open("rb") as file:
+            base = _start(file)
+            if base is None:
+                return None
+            file.seek(base)
+            head = file.read(8)
+            order = _TIFF[head[:4]]
+            found = _entries(file, base, struct.unpack(order + "I", head[4:])[0], order)
+            if _EXIF in found:
+                found |= _entries(file, base, struct.unpack(order + "I", found[_EXIF][2])[0], order)
+            if _EXPOSURE_TIME not in found:
+                return None
+            file.seek(base + struct.unpack(order + "I", found[_EXPOSURE_TIME][2])[0])
+            over, under = struct.unpack(order + "II", file.read(8))
+    except (OSError, struct.error, ValueError, KeyError, OverflowError):
+        return None
+    return over / under if over and under else None
 
 
 def _start(file: BinaryIO) -> int | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,20 +21,16 @@ from matcam.camera.optics.optics import checked_isotropic
 from matcam.camera.sensor import Sensor
 from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.io import replacing, write_json
-from matcam.core.jax import jnp
 from matcam.files.capture_writing import write_codes, write_description
-from matcam.forward.image import picture
+from matcam.forward.synthetic_samples import RADIUS_MM, LampErrors, SyntheticSample, synthetic_sample
 from matcam.lamp.lamps import NearLamp
 from matcam.material.material import Material
 from matcam.rigs import Rig
-from matcam.sample.curved import Sphere
+from matcam.sample.shape import Curved
 
-_MARGIN = 48  # px about the sphere, in which the reference stands
 _REFERENCE = (4, 4, 40, 40)
-_RADIUS_MM = 25.0
 _FILLED = 0.8  # of the full well, by the brightest pixel in the shortest exposure
 _FIELD = 0.6  # of the full well, by the bright field of an outline frame
-_FINE = 8  # points a px along a limb
 
 
 class WhitePatch(NamedTuple):
@@ -67,7 +63,9 @@ class CapturePlan(NamedTuple):
         error: of the drawn pictures, a share of their peak (`picture`). Default: 1e-4.
         shift_std: of the sphere from one lamp position to the next, along columns and rows, px. Default: 0.2.
         distance_std: error of the stated distances, relative. Default: 0.005.
-        patch: the white patch that is in every frame; None: light that follows the lamp's output. Default: a usual one.
+        patch: the white patch that is in every frame of a sphere or cylinder; None: light that follows the lamp's output.
+            Default: a usual one.
+        shape: (height, width) of a flat sample's pictures, px. Default: None, 256 x 256.
     """
 
     theta_d: Sequence[float]
@@ -81,6 +79,7 @@ class CapturePlan(NamedTuple):
     shift_std: float = 0.2
     distance_std: float = 0.005
     patch: WhitePatch | None = WhitePatch()
+    shape: tuple[int, int] | None = None
 
 
 def simulate_capture(
@@ -93,11 +92,14 @@ def simulate_capture(
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Write a capture of a sphere, and its truth beside it (truth.json).
+    """Write a capture of a sphere, a cylinder or a flat sample, and its truth beside it (truth.json).
+
+    A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted from picture to
+    picture under one distant lamp, and its capture has neither reference nor outline frames.
 
     Args:
-        material: of the sphere.
-        rig: camera with a sensor of at most 16 bits, a `Sphere` and a lamp.
+        material: of the sample.
+        rig: camera with a sensor of at most 16 bits, a sample and a lamp.
         plan: lamp positions, exposures, and errors of what is stated.
         folder: where to write; it is made.
         seed: of noise and errors. Default: 0.
@@ -108,13 +110,12 @@ def simulate_capture(
         The truth: as truth.json holds it.
 
     Raises:
-        ArgumentError: the rig has no sensor, no sphere, or the plan is out of range.
+        ArgumentError: the rig has no sensor, its sample cannot be simulated, or the plan is out of range.
         OutputError: a file exists and `force` is False, or cannot be written.
     """
     sensor = _sensor(rig)
-    sphere = rig.sample
-    if not isinstance(sphere, Sphere):
-        raise ArgumentError(f"a capture can be simulated of a Sphere, not of a {type(sphere).__name__}")
+    sample = synthetic_sample(rig, plan.shape, seed)
+    shape = sample.shape
     checked_isotropic(rig.camera.optics, "a capture, whose outline is an edge by any direction,")
     if not 1 <= plan.exposures <= 12 or not plan.step > 1 or not len(plan.theta_d):
         got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
@@ -123,15 +124,18 @@ def simulate_capture(
     if folder.exists() and (not folder.is_dir() or (_holds_files(folder) and not force)):
         raise OutputError(f"output {folder} exists and is not empty: use force=True to write into it")
     rng = np.random.default_rng(seed)
-    lamps = list(_lamps(plan, sphere, rig, rng))
+    errors = LampErrors(plan.lamp_std, plan.gain_std, plan.shift_std)
+    lamps = list(sample.lamps(np.asarray(plan.theta_d, dtype=float), plan.azimuth, errors, rng))
     pictures = []
     for number, lamp in enumerate(lamps):
-        pictures.append(_drawn(material, rig, sphere, plan, lamp))
+        pictures.append(_drawn(sample, material, lamp, plan.error))
         if progress:
             progress(number + 1, len(lamps))
     well = float(sensor.full_well)
     scale = _FILLED * well / max(lamp["gain"] * float(p.max()) for lamp, p in zip(lamps, pictures, strict=True))
     relative = plan.step ** np.arange(plan.exposures)
+    if not sample.may_clip:
+        scale /= relative[-1]
     nominal = relative / 1000 * np.exp(plan.time_std * rng.standard_normal(plan.exposures))
     names = [f"E{k + 1}" for k in range(plan.exposures)]
     rows: list[dict[str, Any]] = []
@@ -142,30 +146,33 @@ def simulate_capture(
         about |= {} if lamp is None else {"azimuth_deg": f"{lamp['stated_deg'][1]:.4f}"}
         rows.append({"file": file, "exposure": names[exposure], "time_s": f"{nominal[exposure]:.8g}", **about})
 
-    shape = pictures[0].shape[:2]
     for lamp, radiance in zip(lamps, pictures, strict=True):
         for k, share in enumerate(relative):
             electrons = scale * share * lamp["gain"] * _mosaic(sensor, radiance)
             column, row, width, height = _REFERENCE
             here = np.s_[row : row + height, column : column + width]
-            if plan.patch is None:
+            if not isinstance(rig.sample, Curved):
+                pass
+            elif plan.patch is None:
                 electrons[here] = _FIELD * well * share / relative[-1] * lamp["gain"]
             else:
-                electrons[here] = scale * share * lamp["gain"] * _patch_radiance(plan.patch, rig, sphere, lamp, shape)
+                electrons[here] = scale * share * lamp["gain"] * _patch_radiance(plan.patch, rig, lamp, shape)
             add(f"frames/{lamp['lamp']}_{names[k]}.tif", electrons, k, lamp)
     for k in range(plan.exposures):
         for number in (1, 2):
             add(f"dark/D{number}_{names[k]}.tif", np.zeros(shape), k)
     outline_shifts = plan.shift_std * rng.standard_normal((2, 2))
     for number, shift in enumerate(outline_shifts):
-        add(f"outline/O{number + 1}.tif", _FIELD * well * _before_field(rig, sphere, shape, shift), 0)
-    settings = _settings(rig, sphere, sensor, plan, rng)
+        field = sample.before_field(shift)
+        if field is not None:
+            add(f"outline/O{number + 1}.tif", _FIELD * well * field, 0)
+    settings = _settings(rig, sample, sensor, plan, rng)
     truth = {
         "format": "matcam capture truth",
         "material": repr(material),
-        "radius_px": float(sphere.radius),
+        "radius_px": _finite(_of_curved(rig, "radius")),
         "centre_px": [(shape[1] - 1) / 2, (shape[0] - 1) / 2],
-        "camera_radii": _finite(sphere.distance),
+        "camera_radii": _finite(_of_curved(rig, "distance")),
         "lamp_radii": _finite(_lamp_distance(rig)),
         "lamps": lamps,
         "outline_shift_px": outline_shifts.tolist(),
@@ -187,11 +194,12 @@ def simulate_capture(
 
 
 def sensor_or_usual(rig: Rig) -> Rig:
-    """Return the rig, with a usual sensor (30,000 electrons, 14 bits, RGGB) where its camera states none."""
+    """Return the rig, with a usual sensor where its camera states none: 30,000 electrons, 14 bits, RGGB, flat: grey."""
     camera = rig.camera
     if camera.sensor is not None:
         return rig
-    sensor = Sensor(5e-6, full_well=30_000, read_noise=3.0, gain=0.5, bits=14, cfa="RGGB", black_level=256)
+    cfa = "RGGB" if isinstance(rig.sample, Curved) else None
+    sensor = Sensor(5e-6, full_well=30_000, read_noise=3.0, gain=0.5, bits=14, cfa=cfa, black_level=256)
     whole = Camera(camera.optics, camera.pixel, sensor, uncertainty=camera.uncertainty, provenance=camera.provenance)
     return eqx.tree_at(lambda r: r.camera, rig, whole)
 
@@ -210,32 +218,9 @@ def _sensor(rig: Rig) -> Sensor:
     return sensor
 
 
-def _lamps(plan: CapturePlan, sphere: Sphere, rig: Rig, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Yield every lamp position: where it is, where it is stated to be, its light."""
-    angles = np.asarray(sphere.lamp_angle(jnp.asarray(plan.theta_d, dtype=float), rig.lamp.nearness))
-    for number, angle in enumerate(angles):
-        sin = math.sin(float(angle))
-        wrong = plan.lamp_std * rng.standard_normal(2) / [1, max(sin, 0.05)]
-        stated = np.degrees([min(max(float(angle) + wrong[0], 0.0), math.pi), plan.azimuth + wrong[1]])
-        yield {
-            "lamp": f"L{number + 1:02d}",
-            "direction": [sin * math.cos(plan.azimuth), sin * math.sin(plan.azimuth), math.cos(float(angle))],
-            "angle_deg": math.degrees(float(angle)),
-            "azimuth_deg": math.degrees(plan.azimuth),
-            "theta_d_deg": math.degrees(float(np.asarray(plan.theta_d, float)[number])),
-            "gain": math.exp(plan.gain_std * rng.standard_normal()),
-            "shift_px": (plan.shift_std * rng.standard_normal(2)).tolist(),
-            "stated_deg": stated.tolist(),
-        }
-
-
-def _drawn(material: Material, rig: Rig, sphere: Sphere, plan: CapturePlan, lamp: dict[str, Any]) -> np.ndarray:
+def _drawn(sample: SyntheticSample, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
     """Return radiance (height, width, channels) of one lamp position."""
-    side = 2 * (math.ceil(float(sphere.radius)) + _MARGIN)
-    angle = math.radians(lamp["angle_deg"])
-    shift = (lamp["shift_px"][0], lamp["shift_px"][1])
-    image = picture(material, rig, angle, plan.azimuth, shape=(side, side), shift=shift, error=plan.error).values
-    return image if image.ndim == 3 else image[..., None]
+    return sample.drawn(material, lamp, error)
 
 
 def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
@@ -255,41 +240,23 @@ def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) ->
     return np.clip(np.round(code + float(sensor.black_level)), 0, 2 ** int(sensor.bits or 16) - 1)
 
 
-def _patch_radiance(
-    patch: WhitePatch, rig: Rig, sphere: Sphere, lamp: dict[str, Any], shape: tuple[int, int]
-) -> np.ndarray:
+def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tuple[int, int]) -> np.ndarray:
     """Return the radiance of a white patch under unit irradiance at the sphere's centre (docs/model.md 10), 1/sr."""
     column, row, width, height = _REFERENCE
     x, y = np.meshgrid(
         np.arange(column, column + width) - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - np.arange(row, row + height)
     )
-    q, w = (0.0 if math.isinf(d) else 1 / d for d in (float(sphere.distance), _lamp_distance(rig)))
-    shrink = (1 - q * patch.depth) / (float(sphere.radius) * math.sqrt(1 - q**2))
+    q, w = (0.0 if math.isinf(d) else 1 / d for d in (_of_curved(rig, "distance"), _lamp_distance(rig)))
+    shrink = (1 - q * patch.depth) / (_of_curved(rig, "radius") * math.sqrt(1 - q**2))
     place = np.stack([x * shrink, y * shrink, np.full(x.shape, patch.depth)], axis=-1)
     way = np.array(lamp["direction"]) - w * place
     irradiance = np.maximum(way[..., 2], 0) / np.linalg.norm(way, axis=-1) ** 3
     return np.asarray(patch.reflectance / math.pi * irradiance)
 
 
-def _before_field(rig: Rig, sphere: Sphere, shape: tuple[int, int], shift: np.ndarray) -> np.ndarray:
-    """Return the share of a bright field's light that each pixel sees past the sphere.
-
-    Along a limb of hundreds of pixels' radius the edge is straight: the camera's edge spread function at the distance from it.
-    """
-    rows, columns = np.indices(shape)
-    x, y = columns - (shape[1] - 1) / 2 - shift[0], (shape[0] - 1) / 2 + shift[1] - rows
-    beyond = np.hypot(x, y) - float(sphere.radius)
-    near = np.abs(beyond) < 12
-    out = (beyond > 0).astype(float)
-    angle = np.arctan2(y[near], x[near])
-    turned = np.minimum(np.mod(angle, np.pi / 2), np.pi / 2 - np.mod(angle, np.pi / 2))  # the pixel is a square
-    steps = np.linspace(0, np.pi / 4, 9)
-    curves = np.stack([np.asarray(rig.camera.esf(np.linspace(-12, 12, 481), angle=a)) for a in steps])
-    from scipy.interpolate import RegularGridInterpolator
-
-    read = RegularGridInterpolator((steps, np.linspace(-12, 12, 481)), curves)
-    out[near] = read(np.stack([np.clip(turned, 0, np.pi / 4), np.clip(beyond[near], -12, 12)], -1))
-    return np.clip(out, 0, 1)
+def _of_curved(rig: Rig, name: str) -> float:
+    """Return radius or camera distance of a curved sample; infinite for a flat one."""
+    return float(getattr(rig.sample, name, math.inf))
 
 
 def _lamp_distance(rig: Rig) -> float:
@@ -300,13 +267,16 @@ def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(float(value)) else None
 
 
-def _settings(rig: Rig, sphere: Sphere, sensor: Sensor, plan: CapturePlan, rng: np.random.Generator) -> dict[str, Any]:
+def _settings(
+    rig: Rig, sample: SyntheticSample, sensor: Sensor, plan: CapturePlan, rng: np.random.Generator
+) -> dict[str, Any]:
     """Return capture.toml: what is known, as wrong as it is stated to be."""
     spread = plan.distance_std
     distances = {
-        "camera_mm": float(sphere.distance) * (1 + spread * rng.standard_normal()),
+        "camera_mm": _of_curved(rig, "distance") * (1 + spread * rng.standard_normal()),
         "lamp_mm": _lamp_distance(rig) * (1 + spread * rng.standard_normal()),
     }
+    curved = isinstance(rig.sample, Curved)
     reference: dict[str, Any] = {"kind": "monitor", "region_px": list(_REFERENCE)}
     if plan.patch is not None:
         stated = plan.patch.reflectance + plan.patch.reflectance_std * rng.standard_normal()
@@ -314,23 +284,23 @@ def _settings(rig: Rig, sphere: Sphere, sensor: Sensor, plan: CapturePlan, rng: 
         reference |= {
             "kind": "diffuse",
             "reflectance": [float(min(stated, 1.0)), plan.patch.reflectance_std],
-            "depth_mm": [_RADIUS_MM * depth, _RADIUS_MM * plan.patch.depth_std],
+            "depth_mm": [RADIUS_MM * depth, RADIUS_MM * plan.patch.depth_std],
             "tilt_std_deg": 0.1,
         }
     return {
         "format": "matcam capture",
         "version": 1,
         "camera": {"profile": "camera.json"} | ({"cfa": sensor.cfa} if sensor.cfa else {}),
-        "sample": {"kind": "sphere", "radius_mm": [_RADIUS_MM, 0.005]},
+        "sample": sample.settings(),
         "distances": {
-            name: [_RADIUS_MM * d, spread * _RADIUS_MM * d] for name, d in distances.items() if math.isfinite(d)
+            name: [RADIUS_MM * d, spread * RADIUS_MM * d] for name, d in distances.items() if math.isfinite(d)
         },
         "lamp": {
-            "motion": "arc",
+            "motion": "arc" if curved else "free",
             "direction_std_deg": max(math.degrees(plan.lamp_std), 0.01),
-            "intensity": "reference",
+            "intensity": "reference" if curved else "constant",
             "gain_std": max(plan.gain_std, 1e-4),
         },
-        "reference": reference,
+        **({"reference": reference} if curved else {}),
         "outline": {"field_beyond_deg": 0.0},
     }

@@ -5,23 +5,23 @@ A prior that the pictures contradict is widened until it no longer does, and sai
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from matcam.acquisition.capture_check import BY_SHAPE
+from matcam.acquisition.check.unmeasured_lens import BY_SHAPE
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES
 from matcam.material.masking import Masking
-from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
-from matcam.reconstruction.joint.joint_problem import JointProblem
-from matcam.reconstruction.joint.unexplained import UnexplainedLight
+from matcam.reconstruction.contradiction import contradiction, with_wider
+from matcam.reconstruction.joint.joint_fit import Likelihood
+from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_in
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.sphere_fit import SphereFit, counted_alike, fit_sphere
-from matcam.reconstruction.sphere_scene import Known, SphereScene, part_of, prior_of
+from matcam.reconstruction.sphere_scene import SphereScene, part_of
 
 _BEND = 1.0
 _FEWEST = 3
@@ -29,38 +29,18 @@ _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
 """Unexplained share of the light, and mean squared residual, up to either of which the noise alone explains the pictures."""
 _CLEARLY, _AT_ONCE = 0.9, 0.5
 """Of the unexplained share: below which a bent lobe must come in the end, and before anything else is blamed."""
-_CONTRADICTED = 2.5
-"""Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
-_FAR = 10.0
-"""Standard deviations beyond which a distance is not printed: it is a first-order estimate."""
-_EACH = 4.0
-"""By how much a source must explain more for each value that it states: many values explain much by chance."""
-_MUCH = 20.0
-"""Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
 _DIFFUSE_PIXELS = 0.2
 """Share of the pixels that show more diffuse light than lobe, from which the shape of the diffuse part is looked at."""
 _SEEN = 3.0  # standard deviations of a pixel's noise from which it shows light
 _TURNS = 3  # sources that may be wrong
+_ODD = 4.0
+"""Chi squared of a picture over the median of all from which it is reported. Scattered lamps and lenses double it at most."""
 _MANY, _SOME = 32, 16
 """Pictures beyond which the lobe is chosen by an even choice of them, and how many these are; all are fitted in the end."""
 _HOPELESS = 1.5
 """A lobe that leaves so much more unexplained than the best is not tried again under other priors."""
-_FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
 _GUESSED = 0.25
 """Relative standard deviation from which a lens is a guess."""
-_IN_EACH = ("lamp", "gain", "shift")
-"""Sources that state something of each picture."""
-_WIDENED = {
-    "lens": "the lens differs from its profile",
-    "distortion": "the lens's distortion is not as its profile states",
-    "outline": "the highlights want another outline than the limb shows",
-    "shift": "the sphere moves between the pictures by more than its limb says",
-    "lamp": "the lamps are not where the table says",
-    "camera distance": "the camera's distance is not as stated",
-    "lamp distance": "the lamp's distance is not as stated",
-    "rig": "the rig is not as the earlier reconstruction found it",
-    "gain": "the light of the pictures varies more than stated",
-}
 
 
 class ChosenFit(NamedTuple):
@@ -129,9 +109,10 @@ def chosen_fit(
         )
         first, remarks = few.fit.kind.family, [one for one in few.remarks if one.code != "picture-left-out"]
         for source, factor in few.widened.items():
-            scene = _widened(scene, source, factor)
+            scene = with_wider(scene, source, factor)
 
     shaped = few is not None and few.fit.layout.shape > 0
+    widened: dict[str, float] = {}
 
     def fitted(name: str, scene: SphereScene, **more: object) -> SphereFit:
         return fit_pictures(
@@ -141,7 +122,7 @@ def chosen_fit(
             masking=masking,
             diffuse=diffuse,
             lamps=lamps,
-            progress=lambda line: say(f"{name}: {line}"),
+            progress=lambda line: say(f"{_described(name, more, widened)}: {line}"),
             **{"shaped": shaped, **more},
         )
 
@@ -153,7 +134,8 @@ def chosen_fit(
 
     def with_shape(best: SphereFit) -> SphereFit:
         """Return the fit whose diffuse part is not Lambert's, where that leaves less unexplained."""
-        if not diffuse or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
+        # a fit that finds no rest with few parameters finds none with many
+        if not diffuse or best.stuck or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
             return best
         other = fitted(best.kind.family, scene, start=best, shaped=True)
         tried[f"{best.kind.family}, diffuse part shaped"] = other.solution.unexplained
@@ -184,6 +166,8 @@ def chosen_fit(
         name = f"{best.kind.family}, bent"
         if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
             return best
+        if best.stuck:
+            return best
         if not bends or bends[0] is not best:  # else it is the same fit, met again
             bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
         other = bends[1]
@@ -212,42 +196,91 @@ def chosen_fit(
         best = fitted(
             first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None and not best.kind.bends else chosen)
         )
+
+    def final(best: SphereFit) -> SphereFit:
+        """Return the fit as it is reported, with the light of pictures open that stand far off the others."""
+        odd = _odd_pictures(best)
+        if odd:
+            gains = np.array(np.broadcast_to(scene.gain_std, len(pictures)), dtype=float)
+            for k, share in odd.items():
+                gains[k] = np.hypot(gains[k], share)
+            wider = replace(scene, gain_std=gains)
+            best = fitted(first, wider, start=best, bend=_BEND if best.kind.bends else 0.0, rounds=1)
+        best = _with_its_lens_open(counted_alike(best))
+        remarks.extend(_odd_remark(best, k, share) for k, share in odd.items())
+        return best
+
     if few is not None:
-        return ChosenFit(_with_its_lens_open(counted_alike(best)), few.tried, tuple(remarks), few.widened)
-    widened: dict[str, float] = {}
+        return ChosenFit(final(best), few.tried, tuple(remarks), few.widened)
+    hopeless = False
     for _ in range(_TURNS):
-        found = _contradiction(counted_alike(best), scene)
+        found = contradiction(counted_alike(best), scene)
         if found is None:
             break
         source, factor, remark = found
         widened[source] = widened.get(source, 1.0) * factor
         remarks = [*(one for one in remarks if one.code != remark.code), remark]
-        scene = _widened(scene, source, factor)
-        best = fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
+        scene = with_wider(scene, source, factor)
+        before, best = best, fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
+        hopeless = bool(best.stuck) and best.solution.unexplained > _CLEARLY * before.solution.unexplained
+        if hopeless:
+            break  # what is stated is not to blame either
     if widened and len(pictures) < len(whole[0]):
         # what was stated was wrong: with that mended, the pictures left out may be explained, too
         kept = pictures, scene, lamps
         pictures, scene, lamps = whole
         for source, factor in widened.items():
-            scene = _widened(scene, source, factor)
+            scene = with_wider(scene, source, factor)
         again = fitted(first, scene, **(chosen if best.kind.bends else {"widths": np.exp(best.solution.p[:1])}))
         if again.unexplained_pictures:
             pictures, scene, lamps = kept
         else:
             best, remarks = again, [one for one in remarks if one.code != "picture-left-out"]
     tried[f"{first}, bent" if best.kind.bends else first] = best.solution.unexplained
-    if not best.kind.bends:
+    if not best.kind.bends and not hopeless:
         if len(pictures) < len(whole[0]) or widened:
             # under other priors, or without what no lobe explained, another one may be likelier
             best = rivalled(best)
         best = bent(best, _CLEARLY)
+    if best.stuck:
+        text = "the rounds of the fit were ended, because the unexplained share of the light does not fall: "
+        text += (
+            f"{', '.join(f'{share:.0%}' for share in best.stuck)}; look for clipping, a tone curve, or a mirrored room"
+        )
+        remarks.append(Remark("fit-stuck", text))
     if shaped:
         text = "Lambert's law does not explain the diffuse part: its shape was fitted"
         remarks.append(Remark("diffuse-not-lambertian", text))
     if best.kind.bends:
         text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
         remarks.append(Remark("lobe-bent", text))
-    return ChosenFit(_with_its_lens_open(counted_alike(best)), tried, tuple(remarks), widened)
+    first = best.kind.family
+    return ChosenFit(final(best), tried, tuple(remarks), widened)
+
+
+def _odd_pictures(fit: SphereFit) -> dict[int, float]:
+    """Return the pictures whose chi squared is far above the others', with the unexplained share of their light."""
+    solution = fit.solution
+    usual = max(float(np.median(solution.chi2)), 1.0)
+    odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
+    return {k: unexplained_in(solution.problem, solution.p, k) for k in odd}
+
+
+def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
+    chi2 = fit.solution.chi2
+    text = f"{fit.names[k]}: its chi squared is {chi2[k]:.1f}, the median of all is {np.median(chi2):.1f}: it holds "
+    text += (
+        f"light that the model lacks (a second lamp, a reflection, dust); its F is taken as {share:.1%} less certain"
+    )
+    return Remark("picture-odd", text)
+
+
+def _described(name: str, more: Mapping[str, object], widened: Mapping[str, float]) -> str:
+    """Return what a fit tries, for the progress: its lobe, and what is no longer taken as stated."""
+    name = " or ".join([name, *(str(one) for one in cast("Sequence[str]", more.get("rivals", ())))])
+    bent = " bent" if more.get("bend") else ""
+    shape = ", diffuse part shaped" if more.get("shaped") else ""
+    return f"{name}{bent}{shape}" + (f", {' and '.join(widened)} widened" if widened else "")
 
 
 def _with_its_lens_open(fit: SphereFit) -> SphereFit:
@@ -317,125 +350,3 @@ def _at_bound(fit: SphereFit) -> bool:
     """Say whether a parameter of the lobe is at the end of what its family has."""
     own, problem, p = len(fit.kind.family_names), fit.solution.problem, fit.solution.p
     return bool(np.any((p <= problem.low)[:own] | (p >= problem.high)[:own]))
-
-
-class _Blame(NamedTuple):
-    """Say what freeing a source explains (a fall of chi squared), and by how many standard deviations it then is off.
-
-    Attributes:
-        explains: to first order, less what that many values explain by chance.
-        source: its name.
-        pull: by how many standard deviations.
-        step: how the parameters then move, (size,).
-        freed: the problem without that source.
-    """
-
-    explains: float
-    source: str
-    pull: float
-    step: np.ndarray
-    freed: JointProblem
-
-    def holds(self, fit: SphereFit) -> bool:
-        """Say whether chi squared truly falls by much on the way.
-
-        Freed of what is stated in each picture, little is left that determines it, and the first order goes astray.
-        """
-        if self.source not in _IN_EACH:
-            return True
-        judge, p = Likelihood(fit.solution.left), fit.solution.p
-        problem = self.freed
-        ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
-        return fit.solution.cost - min(cost_at(problem, judge, one) for one in ways) > _MUCH
-
-
-def _contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
-    """Return the source that contradicts the pictures, by what its standard deviation is to be multiplied, and a remark.
-
-    A wrong prior that is stiff pushes others away. So each is freed in turn, and the one that explains most by that is to
-    blame. None: no prior is pushed away, and freeing none explains much.
-    """
-    problem = fit.solution.problem
-    away = problem.prior_rows @ fit.solution.p - problem.prior_values
-    sources = np.array(problem.prior_sources)
-    pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
-    blamed = max(_blamed(fit, scene), key=lambda one: one.explains, default=None)
-    if blamed is None or not (pushed or (blamed.explains > _MUCH and blamed.holds(fit))):
-        return None
-    pull = max(blamed.pull, _CONTRADICTED)
-    remark = Remark(
-        f"{blamed.source.replace(' ', '-')}-contradicted",
-        f"{_WIDENED[blamed.source]}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is "
-        "extrapolated from the fit within it",
-    )
-    return blamed.source, 1.5 * pull, remark
-
-
-def times_off(pull: float) -> str:
-    """Format a distance in standard deviations. It is a first-order estimate, whose digits mean nothing far away."""
-    return f"off by more than {_FAR:.0f} times" if pull > _FAR else f"off by about {pull:.0f} times"
-
-
-def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
-    """Return what freeing each source would explain, to first order, less `_EACH` for each value that it states."""
-    solution, problem = fit.solution, fit.solution.problem
-    away = problem.prior_rows @ solution.p - problem.prior_values
-    pictures = problem.layout.pictures
-    values = {"outline": 3, "shift": 2 * pictures, "lamp": 2 * pictures, "gain": pictures}
-    found: list[_Blame] = []
-    for name in _WIDENED:
-        rows = _rows_of(name, problem.prior_sources)
-        if not rows.any() or (name == "distortion" and scene.camera.field is None):
-            continue  # not stated, or not fitted
-        wide, wanted, sources = prior_of(problem.layout, _widened(scene, name, _FREE), problem.frames, 0.0, 0)
-        chosen = _rows_of(name, sources)
-        wide, old = wide[chosen], problem.prior_rows[rows]
-        off = wide @ solution.p - wanted[chosen]
-        push = old.T @ away[rows] - wide.T @ off
-        step = solution.covariance_without(old.T @ old - wide.T @ wide) @ push
-        count = values.get(name, int(rows.sum()))
-        explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
-        pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
-        # no source explains more than there is to explain: where the first order says so, it does not hold
-        if explains < solution.cost and np.isfinite(pull):
-            others = ~rows
-            freed = replace(
-                problem,
-                prior_rows=np.concatenate([problem.prior_rows[others], wide]),
-                prior_values=np.concatenate([problem.prior_values[others], wanted[chosen]]),
-                prior_sources=(),
-            )
-            found.append(_Blame(explains, name, pull, step, freed))
-    return found
-
-
-def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
-    """Return which rows of a prior state a source; the sphere's shifts stand in those of the outline."""
-    return np.array([one == ("outline" if name == "shift" else name) for one in sources])
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _widened(scene: SphereScene, source: str, factor: float) -> SphereScene:
-    if source == "lamp":
-        return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
-    if source == "rig":
-        assert scene.rig is not None
-        return replace(scene, rig=scene.rig._replace(covariance=scene.rig.covariance * factor**2))
-    if source == "distortion":
-        field = scene.camera.field
-        assert field is not None
-        return replace(scene, camera=scene.camera.with_field(field.wider(factor)))
-    if source == "gain":
-        return replace(scene, gain_std=np.asarray(scene.gain_std) * factor)
-    if source == "outline":
-        return replace(scene, outline_covariance=scene.outline_covariance * factor**2)
-    if source == "shift":
-        return replace(scene, shift_std=scene.shift_std * factor)
-    if source == "camera distance":
-        return replace(scene, camera_nearness=Known(scene.camera_nearness.value, scene.camera_nearness.std * factor))
-    if source == "lamp distance":
-        return replace(scene, lamp_nearness=Known(scene.lamp_nearness.value, scene.lamp_nearness.std * factor))
-    return replace(scene, lens_std=scene.lens_std * factor)

@@ -134,7 +134,9 @@ class Reconstruction:
         rig = rig_covariance(covariance, layout.scene, layout.field, own, frames, fit.lamps)
         turns = [f"{name} {turn}" for name in fit.names for turn in "ab"]
         captured = self.captured
-        radius = None if captured is None or captured.sample_radius is None else captured.sample_radius.value
+        radius = None
+        if captured is not None and captured.sample_radius is not None:
+            radius = captured.sample_radius.value * float(np.exp(p[layout.sample_radius]))
         return {
             "frame_px": None if captured is None or captured.frame is None else list(captured.frame),
             "sample_radius_mm": radius,
@@ -207,6 +209,10 @@ class Reconstruction:
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the entries that hold a value are supported (known to 5 %)."
         ]
+        if self.fit.stuck:
+            words.append(
+                "No lobe explains the pictures, and more rounds of the fit explain no more: do not use these values."
+            )
         if self.fit.solution.unexplained > _POOR:
             words.append(
                 f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every "

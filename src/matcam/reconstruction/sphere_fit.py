@@ -23,6 +23,7 @@ from matcam.material.masking import Masking
 from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, solve, summed_up
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
+from matcam.reconstruction.joint.rounds import Rounds
 from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_by, unexplained_share
 from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
@@ -76,6 +77,7 @@ class SphereFit:
         solution: parameters and covariance.
         channels: names of the colours.
         names: names of the pictures.
+        stuck: unexplained share after each round, where the rounds were ended because it rose. Default: (), it did not.
     """
 
     scene: SphereScene
@@ -83,6 +85,7 @@ class SphereFit:
     solution: JointSolution
     channels: tuple[str, ...]
     names: tuple[str, ...]
+    stuck: tuple[float, ...] = ()
 
     @property
     def layout(self) -> JointLayout:
@@ -204,7 +207,7 @@ def fit_sphere(
         old, q = start.layout, start.solution.p
         common = min(old.lobe, layout.lobe)
         p[:common] = q[:common]
-        p[layout.scene.start : layout.field.stop] = q[old.scene.start : old.field.stop]
+        p[layout.scene.start : layout.sample_radius + 1] = q[old.scene.start : old.sample_radius + 1]
         if shaped and old.shape:
             p[layout.diffuse_shape] = q[old.diffuse_shape]
         directions = known.lamps.copy()
@@ -217,9 +220,13 @@ def fit_sphere(
         known = replace(scene, lamps=directions)
     slope = np.zeros((layout.pictures, layout.channels))
     left, solution = UnexplainedLight(0.02), None
+    tally = Rounds(rounds, say, len(pictures))
+    best: SphereFit | None = None
     for turn in range(rounds):
+        tally.begin()
         last = None if solution is None else solution.problem.pixels
         problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
+        p = p.copy()  # the round before may be returned
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
@@ -236,7 +243,10 @@ def fit_sphere(
         found = SphereFit(scene, kind, solution, channels, tuple(one.name for one in pictures))
         lamps_now = _lamps_again(found, pictures) if again else found.lamps
         known, slope = replace(scene, lamps=lamps_now), _slopes(found)
-        say(f"round {turn + 1}: width {np.exp(p[0]):.4g}, unexplained {left.share:.2%}")
+        tally.end(left.share)
+        if tally.stuck and best is not None:
+            return replace(best, stuck=tuple(tally.shares))
+        best = found if best is None or left.share < best.solution.unexplained else best
         std = np.sqrt(np.maximum(np.diag(solution.covariance), 1e-30))
         if (
             turn

@@ -24,6 +24,8 @@ _UNSTATED_DISTORTION = 5e-4
 """Of the radius, at the sphere's limb: standard deviation where nothing is stated of a distortion."""
 
 
+_LARGEST_CHANGE = 1.0
+"""Of ln of the sample's radius: a larger mistake is one of the unit, and the highlights' start would be lost."""
 _DEPARTURE = 0.5
 """Of a diffuse part that is not Lambert's: standard deviation of each term's coefficient, no unit."""
 
@@ -59,6 +61,8 @@ class SphereScene:
             Default: None.
         unstated_field: a distortion about which nobody has stated anything: it is not fitted, its spread widens the errors.
             Default: None, what the camera's profile does not state is exact.
+        sample_radius: stated radius of the sample with its standard deviation, mm. Both nearnesses are this radius over a
+            distance in mm, and err with it. Default: None, not stated.
     """
 
     camera: Camera
@@ -77,6 +81,7 @@ class SphereScene:
     gain_correlation: np.ndarray | None = None
     rig: KnownRig | None = None
     unstated_field: LensField | None = None
+    sample_radius: Known | None = None
 
     @property
     def field(self) -> LensField | None:
@@ -135,7 +140,13 @@ def prior_of(
         unit("lens", layout.lobe, scene.lens_std, 0.0)
     for at, (name, known) in enumerate((("camera", scene.camera_nearness), ("lamp", scene.lamp_nearness))):
         if known.std > 0 and not in_rig[1 + at]:
-            unit(f"{name} distance", layout.lobe + SCENE.index(name), known.std, known.value)
+            row = np.zeros(layout.size)
+            row[layout.lobe + SCENE.index(name)] = 1 / known.std
+            # a larger sample is nearer in its own radii
+            row[layout.sample_radius] = -known.value / known.std if scene.sample_radius else 0.0
+            add(f"{name} distance", row, known.value / known.std)
+    if scene.sample_radius is not None and any(row[layout.sample_radius] for row in rows):
+        unit("sample radius", layout.sample_radius, scene.sample_radius.std / scene.sample_radius.value, 0.0)
     # outline: column, row and radius are shared, each picture's centre has a shift of its own
     k = layout.pictures
     common = np.asarray(scene.outline_covariance, dtype=float)
@@ -231,8 +242,8 @@ def joint_problem(
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
     rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
-    if not rows[:, layout.lobe].any():
-        fixed[layout.lobe] = True  # an exact lens
+    for place in (layout.lobe, layout.sample_radius):  # an exact lens, a radius that no distance counts in
+        fixed[place] |= not rows[:, place].any()
     for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
         for c in range(layout.channels):
             if not (one.used & (one.channel == c)).any():
@@ -246,6 +257,7 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
     low, high = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     for index, (least, most) in enumerate(kind.bounds(scene.radius)):
         low[index], high[index] = least, most
+    low[layout.sample_radius], high[layout.sample_radius] = -_LARGEST_CHANGE, _LARGEST_CHANGE
     low[layout.scene] = [-1.5, 0.8 * scene.radius, 0.0, 0.0]
     high[layout.scene] = [1.0, 1.2 * scene.radius, 0.9, 0.9]
     return low, high

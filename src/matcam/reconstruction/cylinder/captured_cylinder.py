@@ -6,26 +6,29 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.check.unmeasured_lens import lens_sigma
 from matcam.acquisition.light.kept_work import KeptWork
+from matcam.acquisition.limb.clipped_field import hidden_by_clipping
+from matcam.acquisition.limb.straight_outline import StraightOutline, straight_outline
 from matcam.acquisition.merging import merge
 from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.acquisition.mosaic_frames import MosaicReader
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region, Stated
-from matcam.reconstruction.cylinder.straight_outline import StraightOutline, straight_outline
 from matcam.reconstruction.cylinder.strips import Strip
 from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import CapturedScene, Progress, correlation
 from matcam.reconstruction.stated.lamp_light import gains_of, under_one_light
-from matcam.reconstruction.stated.outline_frames import hidden_by_clipping, mean_outline_frame
+from matcam.reconstruction.stated.outline_frames import mean_outline_frame
 from matcam.reconstruction.stated.stated_rig import (
     FEWEST,
     captured_lens,
     frame_size,
     known_nearness,
+    known_radius,
     lamp_radius_of,
-    lens_sigma,
+    with_radius,
     without_field,
 )
 
@@ -69,8 +72,9 @@ def captured_cylinder(
     remarks: list[Remark] = list(capture.problems)
     camera, lens = captured_lens(capture, remarks)
     camera = without_field(camera, "cylinder", remarks)
-    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks)
-    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks)
+    camera_nearness = known_nearness(capture, "camera", remarks)
+    lamp_nearness = known_nearness(capture, "lamp", remarks)
+    sample_radius = known_radius(capture)
     outline = _outline(capture, lens_sigma(camera), remarks)
     remarks.extend(outline.remarks)
     directions = {name: guess.direction for name, guess in capture.lamps.items()}
@@ -95,7 +99,7 @@ def captured_cylinder(
     lamps = np.array([directions[one.name] for one in pictures])
     ball = MirrorBall(row.value, outline.column, outline.radius)
     names = [one.name for one in pictures]
-    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
     covariance = np.zeros((3, 3))
     covariance[np.ix_([0, 2], [0, 2])] = outline.covariance
     covariance[1, 1] = max(row.std, 1e-3) ** 2
@@ -114,6 +118,7 @@ def captured_cylinder(
         gain_std=np.sqrt(np.diag(light.covariance)),
         gain=light.gain,
         gain_correlation=correlation(light.covariance),
+        sample_radius=sample_radius,
     )
     units = None if light.units is None else tuple(Known(*one) for one in light.units)
     found = CapturedScene(pictures, scene, lamps, radiometry, None, lost, tuple(dict.fromkeys(remarks)), units)
@@ -170,7 +175,7 @@ def _seen_outline(capture: Capture, sigma: float, remarks: list[Remark]) -> Stra
     )
     if not clipped:
         return outline
-    hidden, remark = hidden_by_clipping(capture, sigma)
+    hidden, remark = hidden_by_clipping(capture.folder / "outline", sigma)
     remarks.append(remark)
     wider = outline.covariance + np.diag([0.0, hidden**2])
     return outline._replace(radius=outline.radius + hidden, covariance=wider)

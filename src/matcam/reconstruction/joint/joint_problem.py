@@ -38,7 +38,7 @@ class JointLayout(NamedTuple):
     @property
     def shared(self) -> int:
         """Count the parameters of all pictures."""
-        return self.lobe + len(SCENE) + self.channels + len(FIELD) + self.shape
+        return self.sample_radius + 1 + self.shape
 
     @property
     def each(self) -> int:
@@ -66,9 +66,14 @@ class JointLayout(NamedTuple):
         return slice(self.diffuse.stop, self.diffuse.stop + len(FIELD))
 
     @property
+    def sample_radius(self) -> int:
+        """Index of ln of the sample's radius in mm over the stated one: distances in mm count in it."""
+        return self.field.stop
+
+    @property
     def diffuse_shape(self) -> slice:
         """Place of the terms of the diffuse part."""
-        return slice(self.field.stop, self.shared)
+        return slice(self.sample_radius + 1, self.shared)
 
     def own(self, k: int) -> slice:
         """Place of a picture's centre and lamp."""

@@ -65,6 +65,17 @@ def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
     return UnexplainedLight(share, _alike([bright[k] for k in some], share))
 
 
+def unexplained_in(problem: JointProblem, p: np.ndarray, k: int) -> float:
+    """Compute the unexplained share of the light of one picture.
+
+    Args:
+        problem: what is fitted.
+        p: parameters, (size,).
+        k: index of the picture.
+    """
+    return _share([_Bright.of(problem, p, k)])
+
+
 class _Bright(NamedTuple):
     value: np.ndarray
     residual: np.ndarray

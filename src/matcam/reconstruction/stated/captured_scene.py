@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.acquisition.check.unmeasured_lens import lens_sigma
 from matcam.acquisition.frame_shifts import find_shifts
 from matcam.acquisition.highlights import find_highlights, lamp_from_highlight
 from matcam.acquisition.light.kept_work import KeptWork
@@ -29,8 +30,9 @@ from matcam.reconstruction.stated.stated_rig import (
     captured_lens,
     frame_size,
     known_nearness,
+    known_radius,
     lamp_radius_of,
-    lens_sigma,
+    with_radius,
 )
 from matcam.reconstruction.stated.undistorted import undistorted_sphere
 
@@ -124,8 +126,9 @@ def captured_scene(
         )
         remarks.extend(said)
         camera = camera.with_field(earlier.field)
-    camera_nearness = known_nearness(capture.camera_radii, "camera", remarks if rig is None else [])
-    lamp_nearness = known_nearness(capture.lamp_radii, "lamp", remarks if rig is None else [])
+    camera_nearness = known_nearness(capture, "camera", remarks if rig is None else [])
+    lamp_nearness = known_nearness(capture, "lamp", remarks if rig is None else [])
+    sample_radius = known_radius(capture)
     if rig is not None:
         std = np.sqrt(np.diag(rig.covariance))
         camera_nearness, lamp_nearness = (
@@ -176,7 +179,7 @@ def captured_scene(
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
     order = [1, 0, 2]  # row, column, radius -> column, row, radius
     lamps = first_lamps(lamps, covariances, stated, stds)
-    light = gains_of(capture, radiometry, names, lamps, ball, lamp_nearness, remarks)
+    light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
     lamp_radius = lamp_radius_of(capture)
     scene = SphereScene(
         camera=camera,
@@ -195,6 +198,7 @@ def captured_scene(
         gain_correlation=correlation(light.covariance),
         rig=rig,
         unstated_field=None if camera.field is not None else unstated_distortion(ball),
+        sample_radius=sample_radius,
     )
     units = None if light.units is None else tuple(Known(*one) for one in light.units)
     said_once = tuple(dict.fromkeys(remarks))

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from matcam.acquisition.capture_check import dark_disc, field_is_clipped
+from matcam.acquisition.check.quick_outline import dark_disc
 from matcam.acquisition.darkness import dark_of
+from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_clipping
 from matcam.acquisition.limb.given_outline import mask_outline, stated_circle
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.acquisition.mosaic_frames import MosaicReader
@@ -22,8 +23,6 @@ _MARGIN = 0.12
 """Of the radius, about the outline: the part of a frame that is read."""
 _LEAST_NOISE = 1e-4
 """Standard deviation of a pixel over the bright field that is assumed at least: rounding of a field of 3000 codes."""
-_PIXEL = 0.29
-"""px; standard deviation of a pixel: 1 / sqrt(12)."""
 
 
 def about_disc(capture: Capture) -> Region | None:
@@ -117,26 +116,10 @@ def backlit_outline(
     outline = find_outline(picture, light="backlit", sighting=sighting, backlight_reach=reach)
     if not clipped:
         return outline
-    hidden, remark = hidden_by_clipping(capture, sigma)
+    hidden, remark = hidden_by_clipping(capture.folder / "outline", sigma)
     remarks.append(remark)
     wider = np.diag([0.0, 0.0, hidden**2])
     return replace(outline, radius=outline.radius + hidden, covariance=outline.covariance + wider)
-
-
-def hidden_by_clipping(capture: Capture, sigma: float) -> tuple[float, Remark]:
-    """Return by how much a clipped bright field makes the sample look smaller, px, and as much for its standard deviation.
-
-    The blurred edge of a field B is a step of half height at the edge. Clipped at C it is read where the light is C / 2: s z
-    inside the edge, where s is the standard deviation of lens and pixel and z the normal quantile of 1 - C / (2 B), 0 to 1.6
-    for fields of 1 to 10 times C.
-
-    Args:
-        capture: whose outline frames they are.
-        sigma: standard deviation of the lens's blur, px.
-    """
-    middle = 0.8 * float(np.hypot(sigma, _PIXEL))
-    text = f"{capture.folder / 'outline'}: the bright field is clipped, which hides {middle:.1f} +- {middle:.1f} px"
-    return middle, Remark("outline-clipped", f"{text} of the radius; expose outline frames less")
 
 
 def mean_outline_frame(

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from matcam.acquisition.capture_check import GUESSED_LENS, unmeasured_lens
+import numpy as np
+
+from matcam.acquisition.check.unmeasured_lens import GUESSED_LENS, unmeasured_lens
 from matcam.acquisition.radiometry import capture_camera
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
-from matcam.files.capture import Capture, Stated
+from matcam.files.capture import Capture
 from matcam.reconstruction.sphere_scene import Known, lens_std
 
 FEWEST = 3
 """Lamp positions that a reconstruction needs."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
 """One over a distance that is not stated, in radii."""
+_EXACT = 1e-5
+"""Relative standard deviation of a length that is stated without one: no lab measures it better, and it can be found wrong."""
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
@@ -45,11 +49,6 @@ def frame_size(capture: Capture) -> tuple[int, int] | None:
     return None
 
 
-def lens_sigma(camera: Camera) -> float:
-    """Return the standard deviation of a camera's lens, px; of one that is no Gaussian, the guess without a profile."""
-    return float(camera.parameters().get("optics.sigma_px", GUESSED_LENS.value))
-
-
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
     """Return the camera alike everywhere, for a sample with which no field is allowed for; remarked."""
     if camera.field is None:
@@ -59,14 +58,31 @@ def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
     return camera.with_field(None)
 
 
-def known_nearness(distance: Stated | None, of: str, remarks: list[Remark]) -> Known:
-    """Return one over a stated distance, in radii; of one that is not stated a guess, remarked."""
-    if distance is None:
+def known_radius(capture: Capture) -> Known | None:
+    """Return the stated radius of the sample, mm; None: not stated."""
+    radius = capture.radius_mm
+    return None if radius is None else Known(radius.value, max(radius.std, _EXACT * radius.value))
+
+
+def with_radius(nearness: Known, radius: Known | None) -> Known:
+    """Return a nearness whose standard deviation contains that of the sample's radius."""
+    share = 0.0 if radius is None else radius.std / radius.value
+    return Known(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
+
+
+def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
+    """Return one over a stated distance, in stated radii; of one that is not stated a guess, remarked.
+
+    The standard deviation is that of the distance alone: the radius errs in both distances alike.
+    """
+    stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
+    if stated is None or radius is None:
         remarks.append(
             Remark(f"{of}-distance-not-stated", f"the {of}'s distance is not stated: 25 radii or more are assumed")
         )
         return _GUESSED_NEARNESS
-    return Known(1 / distance.value, max(distance.std, 1e-6 * distance.value) / distance.value**2)
+    distance, std = stated
+    return Known(radius.value / distance, max(std / distance, _EXACT) * radius.value / distance)
 
 
 def lamp_radius_of(capture: Capture) -> float:

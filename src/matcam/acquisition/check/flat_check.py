@@ -1,0 +1,64 @@
+"""Checks of a capture of a flat sample: it has neither an outline nor a highlight of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.core.errors import FileFormatError
+from matcam.core.remark import Remark, some_of
+from matcam.files.capture import Capture
+
+_FEWEST = 3
+"""Pictures that the maps of a flat sample need."""
+_SPREAD = 10.0
+"""Range of half angles, degrees, below which one roughness explains the pictures as well as another."""
+NOT_CHECKED = Remark(
+    "not-checked",
+    "a flat sample shows neither outline nor highlight: lamp directions and tilts are not compared with the pictures",
+)
+
+
+def flat_remarks(capture: Capture) -> list[Remark]:
+    """Check what a flat sample needs: grey pictures, directions and tilts, several half angles.
+
+    Args:
+        capture: of a flat sample.
+    """
+    found: list[Remark] = [NOT_CHECKED]
+    reader = MosaicReader(capture)
+    frames = capture.of("frames")
+    try:
+        reader.read(frames[0], capture.region)
+    except FileFormatError as error:
+        found.append(Remark("bad-frame", str(error)))
+    if len(reader.channels) > 1:
+        found.append(
+            Remark("not-grey", "a flat sample needs grey pictures: each colour of a mosaic shows a quarter of it")
+        )
+    names = list(capture.lamps)
+    if len(names) < _FEWEST:
+        found.append(Remark("too-few", f"{len(names)} pictures of the flat sample; at least {_FEWEST} are needed"))
+    lost = [name for name in names if not np.isfinite(capture.lamps[name].direction).all()]
+    if lost:
+        text = f"lamp {some_of(lost)}: frames.csv states no angle_deg and azimuth_deg, and nothing else indicates them"
+        found.append(Remark("no-direction", text))
+    tilts = capture.settings["sample"]["tilt_deg"] or [0.0]
+    if len(tilts) not in (1, len(names)):
+        text = f"sample.tilt_deg has {len(tilts)} angles for {len(names)} lamp positions: give one, or one for each"
+        found.append(Remark("tilts-differ", text))
+    elif not lost and len(names) >= _FEWEST:
+        found += _half_angles(capture, np.radians(tilts * len(names) if len(tilts) == 1 else tilts))
+    return found
+
+
+def _half_angles(capture: Capture, tilts: np.ndarray) -> list[Remark]:
+    towards = np.array([guess.direction for guess in capture.lamps.values()])
+    half = towards + np.array([0.0, 0.0, 1.0])
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    normals = np.column_stack([np.sin(tilts), 0 * tilts, np.cos(tilts)])
+    angle = np.degrees(np.arccos(np.clip((half * normals).sum(axis=1), -1, 1)))
+    if np.ptp(angle) >= _SPREAD:
+        return []
+    text = f"all pictures have half angles from {angle.min():.0f} to {angle.max():.0f} degrees: tilt the sample, or move the "
+    return [Remark("half-angles-alike", f"{text}lamp, until they span {_SPREAD:.0f} degrees or more")]

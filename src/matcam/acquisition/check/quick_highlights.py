@@ -1,0 +1,231 @@
+"""Highlight of every lamp position in the shortest frame that shows it, and the clipped pixels of every shortest frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.check.quick_outline import QuickOutline
+from matcam.acquisition.highlights import find_highlight
+from matcam.acquisition.light.pile_up import TopCodes, find_pile_up, top_codes
+from matcam.acquisition.merged_picture import MergedPicture
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.radiometry import Radiometry
+from matcam.core.errors import FileFormatError, FitError
+from matcam.core.remark import Remark, gathered
+from matcam.files.capture import Capture
+from matcam.files.capture_frames import CaptureFrame
+
+_SPOT_STD, _LEAST_STD = 0.3, 0.5
+"""Standard deviation of a centroid, in radii of the bright spot, and its least value, px. A rough lobe is drawn to the limb."""
+_LINE_STD = 0.15
+"""Standard deviation of the centroid of a cylinder's bright line, in its half width: it is the mean of many rows."""
+_BLUR = 0.6  # px, standard deviation of lens and pixel together, as in `find_highlight`
+
+
+class Seen(NamedTuple):
+    """Position of a highlight in the frame, px.
+
+    Attributes:
+        column: of the highlight, or of a cylinder's bright line.
+        row: of the highlight; NaN for a cylinder.
+        std: standard deviation along either axis.
+    """
+
+    column: float
+    row: float
+    std: float
+
+
+@dataclass
+class QuickHighlights:
+    """Highlights and clipped pixels of all lamp positions.
+
+    Attributes:
+        seen: highlight of each lamp position that shows one.
+        remarks: lamp positions without a highlight, and clipped ones.
+    """
+
+    seen: dict[str, Seen] = field(default_factory=dict)
+    remarks: list[Remark] = field(default_factory=list)
+
+
+def quick_highlights(
+    capture: Capture,
+    radiometry: Radiometry | None,
+    outline: QuickOutline | None,
+    camera: float = math.inf,
+) -> QuickHighlights:
+    """Read the shortest frame of every lamp position: find its highlight and count its clipped pixels.
+
+    Where a frame is too dark for a highlight, the next exposure is read. On a flat sample only clipping is looked for.
+
+    Args:
+        capture: where the frames lie.
+        radiometry: meaning of the codes, measured on a few lamp positions; None: not known.
+        outline: of the sample; None: a highlight is the centroid of the bright spot.
+        camera: distance of the camera, radii. Default: infinite.
+    """
+    reader = MosaicReader(capture)
+    kind = capture.settings["sample"]["kind"]
+    order = list(radiometry.exposures) if radiometry is not None else capture.exposures
+    found = QuickHighlights()
+    level = _clip_threshold(reader, radiometry)
+    shortest: dict[str, tuple[CaptureFrame, int]] = {}
+    tops: list[TopCodes] = []
+    for lamp in capture.lamps:
+        frames = sorted(
+            capture.of("frames", lamp=lamp), key=lambda f: order.index(f.exposure) if f.exposure in order else 99
+        )
+        place = None
+        for frame in frames:
+            try:
+                codes = _codes(capture, reader, frame)
+            except FileFormatError:
+                continue
+            if lamp not in shortest:
+                shortest[lamp] = frame, int((codes >= level).sum())
+                if radiometry is not None and not radiometry.clip.pixels:
+                    tops.append(_top_codes(codes, frame, reader, radiometry))
+            if kind == "flat":
+                break
+            place = _place(capture, reader, codes, radiometry, outline, camera)
+            if place is not None:
+                found.seen[lamp] = place
+                break
+        if place is None and frames and kind != "flat":
+            text = f"{capture.folder / frames[-1].file}: lamp {lamp} shows no highlight"
+            found.remarks.append(Remark("no-highlight", text))
+    piled = _piled(tops, radiometry)
+    peaks = []
+    for k, (lamp, (frame, above)) in enumerate(shortest.items()):
+        count = above or piled.get(k, 0)
+        if count:
+            text = f"lamp {lamp}: {count} pixels are clipped in the shortest exposure, {frame.exposure}"
+            peaks.append((lamp, Remark("peak-clipped", text)))
+    found.remarks += gathered(peaks)
+    return found
+
+
+def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.ndarray:
+    """Return the codes of a frame; those of a reference in it are replaced by the median."""
+    codes = reader.read(frame, capture.region)
+    if capture.reference_region is not None:
+        top, left = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
+        column, row, width, height = capture.reference_region
+        rows = slice(max(row - top - 2, 0), max(row - top + height + 2, 0))
+        codes = codes.copy()
+        codes[rows, max(column - left - 2, 0) : max(column - left + width + 2, 0)] = np.median(codes)
+    return codes
+
+
+def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> float:
+    """Return the code from which a pixel is clipped: that of the file format, or a lower one that the frames show, DN."""
+    if radiometry is None or not radiometry.clip.pixels:
+        return reader.saturation
+    return min(reader.saturation, radiometry.clip.threshold)
+
+
+def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
+    """Measure the brightest pixels of a frame, for a clip level that no bracket of the four lamp positions shows."""
+    dark = radiometry.darkness.get(frame.exposure)
+    hot = np.zeros(codes.shape, bool)
+    if dark is not None and isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
+        hot = dark.hot
+    level = black_level(radiometry) if dark is None else dark.level
+    return top_codes(codes, level, hot, 1 if reader.cfa is None else 2, radiometry.read_noise.value)
+
+
+def _piled(tops: list[TopCodes], radiometry: Radiometry | None) -> dict[int, int]:
+    """Return the number of pixels that pile up at the largest code, by the index of the frame."""
+    if radiometry is None or not tops:
+        return {}
+    value, std = radiometry.gain
+    pile = find_pile_up(tops, radiometry.read_noise.value, value - 3 * std if math.isfinite(std) else math.nan)
+    return {} if pile is None else {k: int(tops[k].near) for k in pile.frames}
+
+
+def _place(
+    capture: Capture,
+    reader: MosaicReader,
+    codes: np.ndarray,
+    radiometry: Radiometry | None,
+    outline: QuickOutline | None,
+    camera: float,
+) -> Seen | None:
+    """Return the highlight of one frame; None: nothing bright stands out."""
+    origin = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
+    if capture.settings["sample"]["kind"] == "cylinder":
+        return _bright_line(codes, origin[1], outline)
+    seen = _bright_spot(codes, origin)
+    if seen is None or outline is None:
+        return seen
+    black = black_level(radiometry)
+    gain = 1.0 if radiometry is None or not math.isfinite(radiometry.gain.value) else radiometry.gain.value
+    noise = 2.0 if radiometry is None else radiometry.read_noise.value
+    light = codes.astype(np.float64) - black
+    picture = MergedPicture(
+        "frame",
+        light,
+        np.sqrt(noise**2 + gain * np.maximum(light, 0)),
+        codes >= _clip_threshold(reader, radiometry),
+        reader.channel_map((codes.shape[0], codes.shape[1]), origin),
+        reader.channels,
+        origin,
+    )
+    try:
+        one = find_highlight(picture, MirrorBall(outline.row, outline.column, outline.radius, camera), blur=_BLUR)
+    except FitError:
+        return seen
+    std = math.hypot(_LEAST_STD, math.sqrt(float(np.trace(one.covariance)) / 2))
+    return Seen(one.column, one.row, std)
+
+
+def black_level(radiometry: Radiometry | None) -> float:
+    """Return the mean code without light, DN; 0: not known."""
+    if radiometry is None or not radiometry.darkness:
+        return 0.0
+    return float(np.mean([np.mean(one.level) for one in radiometry.darkness.values()]))
+
+
+def _bright_spot(codes: np.ndarray, origin: tuple[int, int]) -> Seen | None:
+    """Return the centroid of what is brighter than half of the brightest, near the brightest cell."""
+    height, width = (n // 2 * 2 for n in codes.shape)
+    cells = codes[:height, :width].astype(np.float64).reshape(height // 2, 2, width // 2, 2).mean((1, 3))
+    level = float(np.median(cells))
+    noise = 1.4826 * float(np.median(np.abs(cells - level)))
+    peak = np.unravel_index(int(cells.argmax()), cells.shape)
+    if cells[peak] - level < max(30 * noise, 20.0):
+        return None
+    bright = np.where(cells - level > 0.5 * (cells[peak] - level), cells - level, 0)
+    rows, columns = np.indices(cells.shape)
+    bright[np.hypot(rows - peak[0], columns - peak[1]) > 0.1 * max(cells.shape)] = 0
+    total = bright.sum()
+    spread = 2 * math.sqrt(np.count_nonzero(bright) / math.pi)
+    return Seen(
+        float((bright * columns).sum() / total) * 2 + 0.5 + origin[1],
+        float((bright * rows).sum() / total) * 2 + 0.5 + origin[0],
+        math.hypot(_LEAST_STD, _SPOT_STD * spread),
+    )
+
+
+def _bright_line(codes: np.ndarray, first: int, outline: QuickOutline | None) -> Seen | None:
+    """Return the column of the brightest line along a cylinder, from the mean over the rows."""
+    width = codes.shape[1] // 2 * 2
+    profile = codes[: codes.shape[0] // 2 * 2, :width].astype(np.float64).mean(axis=0).reshape(-1, 2).mean(axis=1)
+    columns = np.arange(profile.size) * 2 + 0.5 + first
+    if outline is not None:
+        profile = np.where(np.abs(columns - outline.column) < outline.radius, profile, profile.min())
+    level = float(np.quantile(profile, 0.1))
+    peak = int(profile.argmax())
+    if profile[peak] - level < 20.0:
+        return None
+    bright = np.where(profile - level > 0.5 * (profile[peak] - level), profile - level, 0.0)
+    bright[np.abs(np.arange(profile.size) - peak) > 0.2 * profile.size] = 0
+    half = float(np.count_nonzero(bright))
+    column = float((bright * columns).sum() / bright.sum())
+    return Seen(column, math.nan, math.hypot(_LEAST_STD, _LINE_STD * half))

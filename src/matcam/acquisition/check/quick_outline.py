@@ -1,0 +1,179 @@
+"""Outline of a sphere or cylinder, stated, of a mask, or of frames to a few tenths of a pixel; and whether the sample moved."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.acquisition.limb.backlight import grazing_reflection
+from matcam.acquisition.limb.clipped_field import field_is_clipped, hidden_by_clipping
+from matcam.acquisition.limb.given_outline import mask_outline, stated_circle
+from matcam.acquisition.limb.straight_outline import straight_outline
+from matcam.acquisition.mosaic_frames import MosaicReader
+from matcam.acquisition.outline import Sighting
+from matcam.core.errors import FileFormatError, FitError, MatcamError
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture
+from matcam.files.capture_frames import CaptureFrame
+
+_MOVED = 1.0
+"""Shift between two outline frames, px, from which the sample is reported to have moved. A disc is measured to about 0.3 px."""
+_DISC_STD = 0.4
+"""Standard deviation of the disc's centre and radius by moments, px: measured on drawn frames, rounded up."""
+_STATED_STD = 0.5
+"""Standard deviation of a stated axis or radius of a cylinder that has none, px."""
+
+
+class QuickOutline(NamedTuple):
+    """Outline of the sample.
+
+    Attributes:
+        column: of the centre of a sphere or the axis of a cylinder, px.
+        row: of the centre, px; NaN for a cylinder.
+        radius: of the limb, or half the distance of the edges, px.
+        std: standard deviations of column, row and radius, px (3,).
+    """
+
+    column: float
+    row: float
+    radius: float
+    std: np.ndarray
+
+
+def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
+    """Find the outline of a sphere or cylinder from the sources of a reconstruction, and measure every outline frame.
+
+    Of a sphere a stated circle is taken before a mask, and a mask before outline frames; of a cylinder outline frames before
+    the stated outline.
+
+    Args:
+        capture: of a sphere or a cylinder.
+        black: code without light, DN.
+        sigma: standard deviation of the lens's blur, px; of effect where the bright field is clipped.
+
+    Returns:
+        The outline, that of the first frame that shows one where it is from frames, or None; and the remarks: no outline, a
+        source that cannot be used, a clipped field, or a sample that moved.
+    """
+    cylinder = capture.settings["sample"]["kind"] == "cylinder"
+    frames = capture.of("outline")
+    given, found = (_stated(capture), []) if cylinder else _given(capture, sigma)
+    if not frames:
+        if given is None:
+            found.append(_missing_cylinder() if cylinder else _missing_sphere())
+        return given, found
+    reader = MosaicReader(capture)
+    places: list[tuple[CaptureFrame, QuickOutline]] = []
+    for frame in frames:
+        place, said = _measured(capture, reader, frame, black, sigma)
+        found += said
+        if place is not None:
+            places.append((frame, place))
+    what = "cylinder" if cylinder else "sphere"
+    for frame, place in places[1:]:
+        first = places[0][1]
+        moved = float(np.hypot(place.column - first.column, 0.0 if cylinder else place.row - first.row))
+        if moved > _MOVED or abs(place.radius - first.radius) > _MOVED:
+            path = capture.folder / frame.file
+            text = f"{path}: the {what} is {moved:.1f} px from where {places[0][0].file} shows it"
+            found.append(Remark(f"{what}-moved", text))
+    if places and (cylinder or given is None):
+        return places[0][1], found
+    return given, found
+
+
+def _measured(
+    capture: Capture, reader: MosaicReader, frame: CaptureFrame, black: float, sigma: float
+) -> tuple[QuickOutline | None, list[Remark]]:
+    """Return the outline in one frame, None where it shows none, and what is wrong with the frame."""
+    path = capture.folder / frame.file
+    try:
+        codes = reader.read(frame, capture.region)
+    except FileFormatError as error:
+        return None, [Remark("bad-frame", str(error))]
+    origin = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
+    beyond = math.radians(capture.settings["outline"]["field_beyond_deg"])
+    reach = (beyond, beyond / 3)
+    found: list[Remark] = []
+    hidden = 0.0
+    if field_is_clipped(codes, reader.saturation):
+        hidden, remark = hidden_by_clipping(path, sigma)
+        found.append(remark)
+    if capture.settings["sample"]["kind"] == "cylinder":
+        try:
+            stripe = straight_outline(
+                codes.astype(np.float64) - black,
+                reader.channel_map((codes.shape[0], codes.shape[1]), origin),
+                origin=origin,
+                reach=reach,
+            )
+        except FitError as error:
+            return None, [*found, Remark("no-stripe", f"{path}: {error}")]
+        across, along = np.sqrt(np.diag(stripe.covariance))
+        std = np.array([across, math.nan, math.hypot(along, hidden)])
+        return QuickOutline(stripe.column, math.nan, stripe.radius + hidden, std), [*found, *stripe.remarks]
+    column, row, radius = dark_disc(codes)
+    if not math.isfinite(radius):
+        return None, [*found, Remark("no-disc", f"{path}: shows no dark disc inside of a bright field")]
+    mirrored, spread = grazing_reflection(radius, reach)
+    std = np.array([_DISC_STD, _DISC_STD, math.hypot(_DISC_STD, spread, hidden)])
+    return QuickOutline(column + origin[1], row + origin[0], radius + mirrored + hidden, std), found
+
+
+def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
+    """Return the outline of a sphere by a stated circle or a mask; None: neither is there or can be used."""
+    try:
+        if capture.circle is not None:
+            (column, row), radius = capture.circle
+            outline = stated_circle((column, row), radius.value, radius.std, Sighting(), sigma)
+        elif capture.mask is not None:
+            outline = mask_outline(capture.mask, capture.settings["outline"]["mask_std_px"], Sighting(), sigma)
+        else:
+            return None, []
+    except MatcamError as error:
+        return None, [Remark("outline-left-out", str(error))]
+    return QuickOutline(outline.column, outline.row, outline.radius, outline.std[[1, 0, 2]]), []
+
+
+def _stated(capture: Capture) -> QuickOutline | None:
+    """Return the outline of a cylinder as capture.toml states it; None: it does not."""
+    radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
+    if radius is None or axis is None:
+        return None
+    std = np.array([axis.std or _STATED_STD, math.nan, radius.std or _STATED_STD])
+    return QuickOutline(axis.value, math.nan, radius.value, std)
+
+
+def _missing_sphere() -> Remark:
+    text = "there is no outline frame: the sphere's radius comes from lit limbs or highlights alone"
+    return Remark("no-outline", text)
+
+
+def _missing_cylinder() -> Remark:
+    text = "give a frame of the cylinder before a bright field, in outline/, or state sample.outline_radius_px and "
+    return Remark("no-outline", f"{text}sample.axis_column_px: `reconstruct` needs one of them")
+
+
+def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
+    """Compute column, row and radius, px, of a dark disc before a bright field, to a few tenths of a pixel.
+
+    The area and the first moments of the missing light give them. NaN: there is no disc, or the frame cuts it.
+
+    Args:
+        codes: frame, (height, width).
+    """
+    # 2 x 2 px together: a mosaic's colours
+    height, width = (n // 2 * 2 for n in codes.shape)
+    cells = codes[:height, :width].reshape(height // 2, 2, width // 2, 2).mean((1, 3), dtype=np.float64)
+    dark, bright = np.quantile(cells, [0.01, 0.99])
+    lacking = np.clip((bright - cells) / max(bright - dark, 1e-9), 0, 1)
+    lacking[lacking < 0.2] = 0
+    area = lacking.sum()
+    border = np.concatenate([lacking[0], lacking[-1], lacking[:, 0], lacking[:, -1]])
+    if bright < 1.5 * max(dark, 1.0) or area < 50 or np.mean(border > 0.5) > 0.02:
+        return math.nan, math.nan, math.nan
+    rows, columns = np.indices(cells.shape)
+    row, column = (float((lacking * index).sum() / area) * 2 + 0.5 for index in (rows, columns))
+    return column, row, 2 * math.sqrt(area / math.pi)

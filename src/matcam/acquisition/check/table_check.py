@@ -1,0 +1,273 @@
+"""Comparison of the lamp table with the highlights: a turned table, a wrong radius, single wrong lamps.
+
+The unknowns are a turn of the table's axes against the camera's and the sample's outline in the frame. Where an outline was
+measured, its centre and radius are known and the turn is free. Without it a shifted sphere explains a turn about an axis in
+the picture plane, so only a turn about the optical axis is fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from matcam.acquisition.check.quick_highlights import Seen
+from matcam.acquisition.check.quick_outline import QuickOutline
+from matcam.acquisition.lamps.lamp_table import explain_lamp_table
+from matcam.acquisition.mirror_ball import MirrorBall
+from matcam.core.remark import Remark
+from matcam.files.capture import Capture, Stated
+
+_FEWEST = 4
+"""Highlights with a stated direction that a comparison needs: three angles are unknown, and one lamp may be wrong."""
+_OFF = 4.0
+"""Distance of a single highlight from its expected position, px, that is not reported. Centroids err by 1 to 2 px."""
+_SIGNIFICANT = 4.0
+"""Standard deviations from which a turn or a radius is reported: one in 16,000 good captures by chance."""
+_LEAST_TURN = math.radians(0.5)
+"""Turn below which nothing is reported: the tables of careful set-ups are turned by some tenths of a degree, and
+`reconstruct` fits that."""
+_LEAST_GROWTH = 0.01
+"""Relative difference of radii below which nothing is reported: `reconstruct` fits it."""
+_NEARNESS = (0.02, 0.02)
+"""One over a distance that is not stated, in radii, with its standard deviation, as in `reconstruct`."""
+
+
+class TableCheck(NamedTuple):
+    """Result of the comparison.
+
+    Attributes:
+        centre: column, row and radius of the sample that highlights, table and outline agree on, px; NaN: not known.
+        turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,).
+        turn_std: its standard deviations, rad (3,); NaN where it was not fitted.
+        remarks: what contradicts.
+    """
+
+    centre: tuple[float, float, float]
+    turn: np.ndarray
+    turn_std: np.ndarray
+    remarks: tuple[Remark, ...]
+
+
+_NOTHING = TableCheck((math.nan,) * 3, np.zeros(3), np.full(3, math.nan), ())
+
+
+class _Fit(NamedTuple):
+    p: np.ndarray
+    covariance: np.ndarray
+    off: np.ndarray
+    """Distance of each highlight from its expected position, px (n,)."""
+
+
+class _Rig(NamedTuple):
+    """Distances in radii, and by how much relative they leave the spread of the highlights unknown."""
+
+    camera: float
+    lamp: float
+    growth_std: float
+
+
+def _rig(capture: Capture) -> _Rig:
+    def known(value: Stated | None) -> tuple[float, float]:
+        return _NEARNESS if value is None else (1 / value.value, value.std / value.value**2)
+
+    (camera, camera_std), (lamp, lamp_std) = known(capture.camera_radii), known(capture.lamp_radii)
+    return _Rig(1 / camera, 1 / lamp, math.hypot(camera_std, lamp_std) / 2)
+
+
+def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline | None) -> TableCheck:
+    """Compare the lamp table of a sphere or a cylinder with its highlights.
+
+    Args:
+        capture: states the directions.
+        seen: highlight of each lamp position.
+        outline: of the sample in the frame; None: not measured.
+    """
+    names = [name for name in seen if np.isfinite(capture.lamps[name].direction).all()]
+    if len(names) < _FEWEST:
+        return _NOTHING
+    directions = np.array([capture.lamps[name].direction for name in names])
+    highlights = [seen[name] for name in names]
+    if capture.settings["sample"]["kind"] == "cylinder":
+        return _NOTHING if outline is None else _of_cylinder(capture, names, directions, highlights, outline)
+    return _of_sphere(capture, names, directions, highlights, outline)
+
+
+def _of_sphere(
+    capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline | None
+) -> TableCheck:
+    rig = _rig(capture)
+    places = np.array([[one.column, one.row] for one in seen])
+
+    def expected(p: np.ndarray, flip: float = 1.0) -> np.ndarray:
+        ball = MirrorBall(p[4], p[3], abs(p[5]), rig.camera)
+        turned = Rotation.from_rotvec(p[:3]).apply(directions * [1.0, flip, 1.0])
+        row, column = ball.mirror_place(turned, rig.lamp)
+        return np.column_stack([column, row])
+
+    middle = np.median(places, axis=0)
+    if outline is None:
+        spread = max(float(np.ptp(places, axis=0).max()), 10.0)
+        start, std = np.array([0, 0, 0, *middle, spread]), np.array([0, 0, np.inf, np.inf, np.inf, np.inf])
+    else:
+        start = np.array([0, 0, 0, outline.column, outline.row, outline.radius])
+        known = np.hypot(outline.std, [0, 0, outline.radius * rig.growth_std])
+        std = np.array([np.inf, np.inf, np.inf, *known])
+    free = start.copy()
+    loose = np.array([0, 0, 0, np.inf, np.inf, np.inf])
+    errors = _errors(capture, seen, start[5])
+    right, flipped = (_fitted(partial(expected, flip=way), free, loose, places, errors) for way in (1.0, -1.0))
+    spread = float(np.ptp(directions[:, 1]))
+    apart, other = float(np.median(right.off)), float(np.median(flipped.off))
+    if spread > 0.2 and other < 0.2 * apart and apart > 2:
+        text = "the highlights run against the stated lamp directions: azimuths count from +x (right) towards +y (up)"
+        return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), (Remark("table-flipped", text),))
+    if outline is not None:
+        ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
+        lamps = ball.lamp_seen_at(ball.normals(places[:, 1], places[:, 0]), rig.lamp)
+        good = np.isfinite(lamps).all(axis=1)
+        if good.sum() >= _FEWEST:
+            verdict = explain_lamp_table(lamps[good], directions[good])
+            if verdict.mistake not in ("none", "unexplained"):
+                return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), verdict.remarks)
+            start[:3] = Rotation.align_vectors(lamps[good], directions[good])[0].as_rotvec()
+    fit = _fitted(expected, start, std, places, errors)
+    remarks = _turn_remarks(fit, std, "sphere's")
+    if outline is not None:
+        remarks += _radius_remarks(fit, outline, std[5])
+    remarks += _single_remarks(capture, names, fit)
+    turn_std = np.where(std[:3] > 0, np.sqrt(np.diag(fit.covariance)[:3]), math.nan)
+    return TableCheck(_sphere(fit), fit.p[:3], turn_std, tuple(remarks))
+
+
+def _of_cylinder(
+    capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline
+) -> TableCheck:
+    """Compare the columns of the bright lines: they indicate the turn about the cylinder's axis only."""
+    rig = _rig(capture)
+    columns = np.array([[one.column] for one in seen])
+
+    def expected(p: np.ndarray) -> np.ndarray:
+        turned = Rotation.from_rotvec(p[:3]).apply(directions)
+        places = [cylinder_line(one, rig.camera, rig.lamp) for one in turned]
+        return (p[3] + p[5] * np.array(places))[:, None]
+
+    start = np.array([0, 0, 0, outline.column, 0.0, outline.radius])
+    radius_std = math.hypot(outline.std[2], outline.radius * rig.growth_std)
+    std = np.array([0, np.inf, 0, outline.std[0], 0, radius_std])
+    fit = _fitted(expected, start, std, columns, _errors(capture, seen, outline.radius))
+    remarks = _turn_remarks(fit, std, "cylinder's")
+    remarks += _radius_remarks(fit, outline, std[5])
+    remarks += _single_remarks(capture, names, fit)
+    turn_std = np.array([math.nan, math.sqrt(fit.covariance[1, 1]), math.nan])
+    return TableCheck((float(fit.p[3]), math.nan, float(fit.p[5])), fit.p[:3], turn_std, tuple(remarks))
+
+
+def _errors(capture: Capture, seen: list[Seen], radius: float) -> np.ndarray:
+    """Return the standard deviation of each highlight against its stated direction, px: a lamp's angle moves it by half."""
+    return np.hypot([one.std for one in seen], abs(radius) * capture.direction_std / 2)
+
+
+def _fitted(
+    expected: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    std: np.ndarray,
+    places: np.ndarray,
+    errors: np.ndarray,
+) -> _Fit:
+    """Fit the parameters whose standard deviation is not 0: robustly, so that one wrong lamp does not turn the table."""
+    free = np.flatnonzero(std > 0)
+    known = free[np.isfinite(std[free])]
+    center = start.copy()
+
+    def whole(q: np.ndarray) -> np.ndarray:
+        p = start.copy()
+        p[free] = q
+        return p
+
+    def away(q: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(expected(whole(q)) - places, nan=1e3)
+
+    def residual(q: np.ndarray) -> np.ndarray:
+        p = whole(q)
+        return np.append((away(q) / errors[:, None]).ravel(), (p[known] - center[known]) / std[known])
+
+    found = least_squares(residual, start[free], loss="soft_l1", x_scale="jac")
+    off = np.hypot(*away(found.x).T) if places.shape[1] == 2 else np.abs(away(found.x)[:, 0])
+    scatter = 1.4826 * float(np.median(np.abs((away(found.x) / errors[:, None]).ravel())))
+    covariance = np.zeros((start.size, start.size))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, scatter) ** 2
+    return _Fit(whole(found.x), covariance, off)
+
+
+def _sphere(fit: _Fit) -> tuple[float, float, float]:
+    return float(fit.p[3]), float(fit.p[4]), float(abs(fit.p[5]))
+
+
+def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
+    """Report a turn of the table's axes against the camera's, with its size and standard deviation."""
+    free = std[:3] > 0
+    turn, covariance = fit.p[:3], fit.covariance[:3, :3]
+    size = float(np.linalg.norm(turn))
+    if size < _LEAST_TURN:
+        return []
+    along = turn / size
+    spread = math.sqrt(float(along @ covariance @ along))
+    if size < _SIGNIFICANT * spread:
+        return []
+    degrees, axes = np.degrees(turn), ("x (right)", "y (up)", "z (to the camera)")
+    parts = ", ".join(f"{value:+.1f} about {axis}" for value, axis, one in zip(degrees, axes, free, strict=True) if one)
+    text = f"the highlights want the lamp table turned by {np.degrees(size):.1f} +- {np.degrees(spread):.1f} degrees"
+    where = f" against the {whose} outline" if free[1] else ""
+    return [
+        Remark("table-turned", f"{text}{where} ({parts}): check the axes from which angles and azimuths are counted")
+    ]
+
+
+def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
+    """Report a radius by highlights that differs from the outline's by more than outline and distances allow."""
+    change = float(fit.p[5] - outline.radius)
+    known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
+    if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
+        return []
+    text = (
+        f"the highlights want a radius of {fit.p[5]:.1f} +- {math.sqrt(fit.covariance[5, 5]):.1f} px, the outline has "
+    )
+    text += f"{outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"
+    return [Remark("radius-mismatch", text)]
+
+
+def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remark]:
+    """Report single lamp positions whose highlight lies far from its expected position."""
+    scatter = float(np.median(fit.off))
+    allowed = max(_OFF, 5 * scatter, abs(fit.p[5]) * 2 * capture.direction_std)
+    return [
+        Remark(
+            "table-contradicts", f"lamp {name}: its highlight is {off:.0f} px from where its stated direction puts it"
+        )
+        for name, off in zip(names, fit.off, strict=True)
+        if off > allowed
+    ]
+
+
+def cylinder_line(direction: np.ndarray, camera: float, lamp: float) -> float:
+    """Compute the column of the brightest line on an upright cylinder, in radii right of its axis.
+
+    Args:
+        direction: unit vector from the axis to the lamp (3,).
+        camera: its distance, radii; infinite: orthographic.
+        lamp: the lamp's distance, radii.
+    """
+    q, w = (0.0 if math.isinf(d) else 1 / d for d in (camera, lamp))
+    normal = np.array([0.0, 0.0, 1.0])
+    for _ in range(30):
+        light, view = direction - w * normal, np.array([0.0, 0.0, 1.0]) - q * normal
+        half = light / max(float(np.linalg.norm(light)), 1e-12) + view / np.linalg.norm(view)
+        normal = np.array([half[0], 0.0, half[2]])
+        normal /= max(float(np.linalg.norm(normal)), 1e-12)
+    return float(math.sqrt(1 - q**2) * normal[0] / (1 - q * normal[2]))

@@ -1,0 +1,84 @@
+"""Light position files (`.lp`) of reflectance transformation imaging: one line a photograph, with the position of its lamp.
+
+The first line is the number of lines that follow. Each has a file name and x, y, z of the lamp seen from the sample's centre:
+x right, y up, z to the camera. Vectors have unit length, or the lamp's distance in any unit (RTIBuilder, Cultural Heritage
+Imaging; relight, Visual Computing Lab of CNR).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+from matcam.core.io import reading
+
+_LARGEST = 1 << 22
+"""Bytes of a file: 20,000 photographs with long names take half of it."""
+_UNIT = 0.02
+"""Relative scatter of the lengths about 1 up to which vectors are unit vectors: files round to two digits or more."""
+
+
+class LightPosition(NamedTuple):
+    """Position of the lamp in one photograph.
+
+    Attributes:
+        file: name of the photograph, without folders.
+        position: x, y, z from the sample's centre, in the file's unit (3,).
+    """
+
+    file: str
+    position: np.ndarray
+
+    @property
+    def angles(self) -> tuple[float, float]:
+        """Angle from the optical axis and azimuth from +x towards +y, rad."""
+        x, y, z = self.position
+        return math.atan2(math.hypot(x, y), z), math.atan2(y, x)
+
+
+def read_light_positions(path: str | Path) -> list[LightPosition]:
+    """Read a light position file.
+
+    Args:
+        path: file to read.
+
+    Returns:
+        One position a photograph, in the order of the file.
+
+    Raises:
+        FileFormatError: the file is missing, or a line is wrong; the message names the line.
+    """
+    path = Path(path)
+    with reading(path, "a light position file"):
+        if path.stat().st_size > _LARGEST:
+            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a light position file")
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    numbered = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip()]
+    head = numbered[0][1] if numbered else "nothing"
+    if not head.isdecimal():
+        raise FileFormatError(f"{path}: the first line must be the number of photographs, got {head!r:.40}")
+    if int(head) != len(numbered) - 1:
+        raise FileFormatError(
+            f"{path}: the first line announces {int(head)} photographs, {len(numbered) - 1} lines follow"
+        )
+    return [_position(path, number, line) for number, line in numbered[1:]]
+
+
+def are_unit_vectors(positions: list[LightPosition]) -> bool:
+    """Tell whether the positions are directions, whose lengths indicate no distance."""
+    return all(abs(float(np.linalg.norm(one.position)) - 1) < _UNIT for one in positions)
+
+
+def _position(path: Path, number: int, line: str) -> LightPosition:
+    name, *cells = line.rsplit(None, 3)  # a name may hold blanks
+    try:
+        position = np.array([float(cell) for cell in cells])
+    except ValueError:
+        position = np.full(3, math.nan)
+    if position.shape != (3,) or not np.isfinite(position).all() or not 0 < float(np.linalg.norm(position)) < math.inf:
+        raise FileFormatError(f"{path}: line {number} must be a file name and x, y, z of its lamp, got {line!r:.60}")
+    return LightPosition(name.strip('"').replace("\\", "/").rsplit("/", 1)[-1], position)

@@ -1,0 +1,191 @@
+"""What is stated and contradicts the pictures: each source is freed in turn, and the one that explains most is blamed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.remark import Remark
+from matcam.reconstruction.joint.joint_fit import Likelihood, cost_at
+from matcam.reconstruction.joint.joint_problem import JointProblem
+from matcam.reconstruction.sphere_fit import SphereFit
+from matcam.reconstruction.sphere_scene import Known, SphereScene, prior_of
+
+_FAR = 10.0
+"""Standard deviations beyond which a distance is not printed: it is a first-order estimate."""
+_CONTRADICTED = 2.5
+"""Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
+_EACH = 4.0
+"""By how much a source must explain more for each value that it states: many values explain much by chance."""
+_MUCH = 20.0
+"""Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
+_FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
+_LENGTH = 0.1
+"""Relative standard deviation of a length that is freed, at least: a length stated as exact may be 2 % wrong."""
+_IN_EACH = ("lamp", "gain", "shift")
+"""Sources that state something of each picture."""
+_WIDENED = {
+    "lens": "the lens differs from its profile",
+    "distortion": "the lens's distortion is not as its profile states",
+    "outline": "the highlights want another outline than the limb shows",
+    "shift": "the sphere moves between the pictures by more than its limb says",
+    "lamp": "the lamps are not where the table says",
+    "camera distance": "the camera's distance is not as stated",
+    "lamp distance": "the lamp's distance is not as stated",
+    "sample radius": "the sample's radius in mm is not as stated",
+    "rig": "the rig is not as the earlier reconstruction found it",
+    "gain": "the light of the pictures varies more than stated",
+}
+
+
+class _Blame(NamedTuple):
+    """Say what freeing a source explains (a fall of chi squared), and by how many standard deviations it then is off.
+
+    Attributes:
+        explains: to first order, less what that many values explain by chance.
+        source: its name.
+        pull: by how many standard deviations.
+        step: how the parameters then move, (size,).
+        freed: the problem without that source.
+    """
+
+    explains: float
+    source: str
+    pull: float
+    step: np.ndarray
+    freed: JointProblem
+
+    def holds(self, fit: SphereFit) -> bool:
+        """Say whether chi squared truly falls by much on the way.
+
+        Freed of what is stated in each picture, little is left that determines it, and the first order goes astray.
+        """
+        if self.source not in _IN_EACH:
+            return True
+        judge, p = Likelihood(fit.solution.left), fit.solution.p
+        problem = self.freed
+        ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
+        return fit.solution.cost - min(cost_at(problem, judge, one) for one in ways) > _MUCH
+
+
+def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
+    """Return the source that contradicts the pictures, by what its standard deviation is to be multiplied, and a remark.
+
+    A wrong prior that is stiff pushes others away. So each is freed in turn, and the one that explains most by that is to
+    blame. None: no prior is pushed away, and freeing none explains much.
+    """
+    problem = fit.solution.problem
+    away = problem.prior_rows @ fit.solution.p - problem.prior_values
+    sources = np.array(problem.prior_sources)
+    pushed = any(_rms(away[sources == name]) > _CONTRADICTED for name in _WIDENED if np.any(sources == name))
+    blamed = max(_blamed(fit, scene), key=lambda one: one.explains, default=None)
+    if blamed is None or not (pushed or (blamed.explains > _MUCH and blamed.holds(fit))):
+        return None
+    pull = max(blamed.pull, _CONTRADICTED)
+    text = _WIDENED[blamed.source]
+    if blamed.source == "sample radius" and scene.sample_radius is not None:
+        stated = scene.sample_radius.value
+        wanted = stated * np.exp(float((fit.solution.p + blamed.step)[problem.layout.sample_radius]))
+        text += f" (the pictures want {wanted:.4g} mm, {stated:.4g} mm is stated)"
+    remark = Remark(
+        f"{blamed.source.replace(' ', '-')}-contradicted",
+        f"{text}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is extrapolated from the "
+        "fit within it",
+    )
+    return blamed.source, 1.5 * pull, remark
+
+
+def times_off(pull: float) -> str:
+    """Format a distance in standard deviations. It is a first-order estimate, whose digits mean nothing far away."""
+    return f"off by more than {_FAR:.0f} times" if pull > _FAR else f"off by about {pull:.0f} times"
+
+
+def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
+    """Return what freeing each source would explain, to first order, less `_EACH` for each value that it states."""
+    solution, problem = fit.solution, fit.solution.problem
+    away = problem.prior_rows @ solution.p - problem.prior_values
+    pictures = problem.layout.pictures
+    values = {"outline": 3, "shift": 2 * pictures, "lamp": 2 * pictures, "gain": pictures}
+    found: list[_Blame] = []
+    for name in _WIDENED:
+        rows = _rows_of(name, problem.prior_sources)
+        if not rows.any() or (name == "distortion" and scene.camera.field is None):
+            continue  # not stated, or not fitted
+        wide, wanted, sources = prior_of(
+            problem.layout, with_wider(scene, name, _freeing(scene, name)), problem.frames, 0.0, 0
+        )
+        chosen = _rows_of(name, sources)
+        wide, old = wide[chosen], problem.prior_rows[rows]
+        off = wide @ solution.p - wanted[chosen]
+        push = old.T @ away[rows] - wide.T @ off
+        step = solution.covariance_without(old.T @ old - wide.T @ wide) @ push
+        count = values.get(name, int(rows.sum()))
+        explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
+        pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
+        # no source explains more than there is to explain: where the first order says so, it does not hold
+        if explains < solution.cost and np.isfinite(pull):
+            others = ~rows
+            freed = replace(
+                problem,
+                prior_rows=np.concatenate([problem.prior_rows[others], wide]),
+                prior_values=np.concatenate([problem.prior_values[others], wanted[chosen]]),
+                prior_sources=(),
+            )
+            found.append(_Blame(explains, name, pull, step, freed))
+    return found
+
+
+def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
+    """Return which rows of a prior state a source; the sphere's shifts stand in those of the outline."""
+    return np.array([one == ("outline" if name == "shift" else name) for one in sources])
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _freeing(scene: SphereScene, source: str) -> float:
+    """Return by what the standard deviation of a source is multiplied to free it."""
+    lengths = {
+        "camera distance": scene.camera_nearness,
+        "lamp distance": scene.lamp_nearness,
+        "sample radius": scene.sample_radius,
+    }
+    known = lengths.get(source)
+    return _FREE if known is None else max(_FREE, _LENGTH * known.value / max(known.std, 1e-30))
+
+
+def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
+    """Multiply the standard deviation of what one source states.
+
+    Args:
+        scene: what is stated.
+        source: its name, as in a prior's sources.
+        factor: no unit.
+    """
+    if source == "lamp":
+        return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)
+    if source == "rig":
+        assert scene.rig is not None
+        return replace(scene, rig=scene.rig._replace(covariance=scene.rig.covariance * factor**2))
+    if source == "distortion":
+        field = scene.camera.field
+        assert field is not None
+        return replace(scene, camera=scene.camera.with_field(field.wider(factor)))
+    if source == "gain":
+        return replace(scene, gain_std=np.asarray(scene.gain_std) * factor)
+    if source == "outline":
+        return replace(scene, outline_covariance=scene.outline_covariance * factor**2)
+    if source == "shift":
+        return replace(scene, shift_std=scene.shift_std * factor)
+    if source == "camera distance":
+        return replace(scene, camera_nearness=Known(scene.camera_nearness.value, scene.camera_nearness.std * factor))
+    if source == "sample radius":
+        assert scene.sample_radius is not None
+        return replace(scene, sample_radius=scene.sample_radius._replace(std=scene.sample_radius.std * factor))
+    if source == "lamp distance":
+        return replace(scene, lamp_nearness=Known(scene.lamp_nearness.value, scene.lamp_nearness.std * factor))
+    return replace(scene, lens_std=scene.lens_std * factor)
