@@ -22,7 +22,7 @@ from matcam.core.io import plain, read_json, write_json
 from matcam.core.jax import use_compilation_cache
 from matcam.core.workspace import Workspace
 from matcam.inverse import Correction
-from matcam.inverse.correction.correction import supported_values
+from matcam.inverse.correction.corrected_table import supported_values
 from matcam.inverse.correction.harmless import albedo
 
 ROOT = Path(__file__).resolve().parents[1]

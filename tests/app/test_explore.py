@@ -44,7 +44,7 @@ def corrected(table):
 
 
 def test_recorded_is_found_in_a_correction(table, corrected):
-    from matcam.inverse.correction.correction import recorded_table
+    from matcam.inverse.correction.corrected_table import recorded_table
 
     np.testing.assert_allclose(recorded_table(corrected), table, rtol=1e-9)
 

@@ -11,7 +11,7 @@ from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
 from matcam.inverse import Correction
-from matcam.inverse.correction.correction import supported_values
+from matcam.inverse.correction.corrected_table import supported_values
 from matcam.inverse.correction.explanation import Explanation
 from matcam.inverse.correction.harmless import (
     ROWS,

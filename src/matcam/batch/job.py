@@ -29,7 +29,7 @@ from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_table
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import write_merl
-from matcam.inverse.correction.correction import supported_values
+from matcam.inverse.correction.corrected_table import supported_values
 
 _WRITING = threading.Lock()
 """Files of materials side by side are written one after the other: HDF5 and Matplotlib's styles are not thread-safe."""

@@ -19,7 +19,7 @@ from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
 from matcam.core.io import read_json
 from matcam.files.datasets import with_short_deviations
 from matcam.files.decoders import DESCRIPTION, check_codecs
-from matcam.inverse.correction.correction import TABLE_ATTRIBUTES
+from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
 _MOST_ROWS = 10_000_000

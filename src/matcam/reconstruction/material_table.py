@@ -11,7 +11,7 @@ import xarray as xr
 
 from matcam.core.grid import CHANNELS, brdf_table, cosines, merl_grid
 from matcam.core.jax import jax
-from matcam.inverse.correction.correction import SUPPORTED
+from matcam.inverse.correction.corrected_table import SUPPORTED
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import departure, terms
 from matcam.material.microfacet import Microfacet

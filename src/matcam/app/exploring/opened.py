@@ -122,7 +122,7 @@ def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable
 
 def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> OpenedTable:
     from matcam.core.grid import checked_table
-    from matcam.inverse.correction.correction import TABLE_ATTRIBUTES, recorded_table
+    from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES, recorded_table
 
     try:
         corrected = checked_table(data["brdf"])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from matcam.inverse.correction.correction import SUPPORTED
+from matcam.inverse.correction.corrected_table import SUPPORTED
 from matcam.reconstruction.material_table import ATTRIBUTES, channel_entries, covered, unit_entries
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.sphere_fit import SphereFit

@@ -1,0 +1,146 @@
+"""The values, standard deviations and support of a corrected table, from the ratio of true over recorded lobe."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam.camera.sensor import PixelNoise
+from matcam.core.grid import Sampling, sampling_of
+from matcam.inverse.correction.farthest_glare import FarthestGlare
+from matcam.inverse.correction.harmless import ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
+from matcam.inverse.correction.other_body import other_body
+from matcam.inverse.correction.response_lattice import seen_cells
+from matcam.inverse.fit.material_fit import MaterialFit
+
+SUPPORTED = 0.05
+"""Relative standard deviation of the correction up to which an entry is supported."""
+TABLE_ATTRIBUTES = {
+    "brdf": {"units": "1/sr", "long_name": "BRDF freed from the camera"},
+    "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: correction and noise"},
+    "correction_std": {"long_name": "standard deviation of true / recorded value: what the camera leaves open"},
+    "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf: what pixel noise leaves open"},
+    "supported": {"long_name": "standard deviation of the correction under 5 %"},
+    "response": {"long_name": "recorded / true lobe"},
+}
+"""Attributes of the variables of a corrected table."""
+CORRECTED = "corrected_for_camera"
+"""Attribute of a table that is corrected."""
+OPERATOR_ACCURACY = 1e-6
+"""Error of the modelled record of a lobe, as a share of the slice's largest value (docs/correct.md, Claims): a recorded lobe
+fainter than that is not known, whatever the noise."""
+_LEAST_CONTRAST = 1e-3
+"""Least share of a slice's peak that counts as the lobe, so that the noise floor stays finite where only the body shows."""
+
+
+def corrected_table(
+    brdf: xr.DataArray,
+    found: MaterialFit,
+    noise: PixelNoise,
+    noise_share: np.ndarray,
+    ratio_of_lobes: LobeRatio,
+    scattered: FarthestGlare,
+    glare: float,
+) -> tuple[xr.Dataset, EnergyLimit]:
+    """Correct a table; the energy limit says whether and how it acted.
+
+    noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
+    """
+    data, sampling = brdf.values, sampling_of(brdf)
+    body, body_std = np.maximum(found.diffuse, 0) / np.pi, found.diffuse_std / np.pi
+    peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
+    ratio_of_lobes = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
+    seen = seen_cells(sampling)
+    ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
+    corrected, camera_std = np.empty_like(data), np.empty_like(data)
+    bodies = other_body(sampling)
+    for rows in ROWS:
+        above, factor = data[rows] - body, ratio[rows, ..., None]
+        corrected[rows] = body + above * factor
+        variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
+        variance += (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2
+        variance += (body_std**2 + (body * bodies[rows, ..., None]) ** 2) * (factor - 1) ** 2
+        camera_std[rows] = np.where(seen[rows, ..., None], np.sqrt(variance), np.nan)
+    limit = energy_limit(data, corrected, camera_std, sampling)
+
+    total, correction_std, noise_std = (np.empty_like(data) for _ in range(3))
+    supported = np.empty(data.shape, dtype=bool)
+    for rows in ROWS:
+        recorded, known = data[rows], seen[rows, ..., None] & np.isfinite(data[rows])
+        camera, factor = camera_std[rows], ratio[rows, ..., None]
+        if limit.acts:
+            wanted = corrected[rows].copy()
+            corrected[rows] = limit.of(rows, recorded, wanted, np.nan_to_num(camera))
+            camera = np.hypot(camera, wanted - corrected[rows])
+        corrected[rows] = np.maximum(corrected[rows], 0.0)
+        pixels = noise_share[rows, ..., None] * (
+            (noise.relative * recorded) ** 2 + (noise.floor * peak[None, :, None, :]) ** 2
+        )
+        pixels = (pixels + (noise.picture_gain * recorded) ** 2) * factor**2
+        camera, noise_std[rows] = (np.where(known, std, np.nan) for std in (camera, np.sqrt(pixels)))
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            supported[rows] = known & (camera < SUPPORTED * corrected[rows])
+            correction_std[rows] = np.where(recorded > 0, camera / recorded, np.nan)
+        total[rows] = np.hypot(camera, noise_std[rows])
+    first = brdf.dims[:3]
+    table = xr.Dataset(
+        {
+            "brdf": (brdf.dims, corrected, {**brdf.attrs, **TABLE_ATTRIBUTES["brdf"], CORRECTED: 1}),
+            **{
+                name: (brdf.dims, values, TABLE_ATTRIBUTES[name])
+                for name, values in (
+                    ("brdf_std", total),
+                    ("correction_std", correction_std),
+                    ("noise_std", noise_std),
+                    ("supported", supported),
+                )
+            },
+            "response": (first, np.exp(-ratio_of_lobes.log), TABLE_ATTRIBUTES["response"]),
+        },
+        coords=brdf.coords,
+        attrs={"body": body.tolist()},
+    )
+    return table, limit
+
+
+def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:
+    """Compute the noise floor of a pixel over the largest recorded lobe of each slice, (90,), of the noisiest channel.
+
+    peak: (90, channels), largest value of each slice, 1/sr.
+    """
+    lobe = np.maximum(peak - np.maximum(found.diffuse, 0) / np.pi, _LEAST_CONTRAST * peak)
+    share = np.divide(peak, lobe, out=np.ones_like(peak), where=peak > 0).max(axis=1)
+    return max(noise.floor, OPERATOR_ACCURACY) * share
+
+
+def recorded_table(table: xr.Dataset) -> xr.DataArray:
+    """Recover the recorded table from its correction.
+
+    Entries that were lowered to satisfy energy, or raised to 0, differ from what was recorded.
+
+    Args:
+        table: from `correct`.
+
+    Returns:
+        The recorded table, 1/sr, NaN where it was missing.
+    """
+    body = np.asarray(table.attrs.get("body", 0.0))
+    changed = np.isfinite(table["brdf_std"].values)
+    response = np.where(changed, table["response"].values[..., None], 1.0)
+    return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)
+
+
+def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
+    """Return a corrected table for a format that cannot say what is supported: what is not stays as it was recorded.
+
+    Args:
+        table: Dataset as from `correct`.
+        recorded: the table that was corrected, 1/sr.
+
+    Returns:
+        Table of the same dims, 1/sr.
+
+    Example:
+        >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP
+    """
+    return table["brdf"].copy(data=np.where(table["supported"].values, table["brdf"].values, recorded.values))
