@@ -22,6 +22,7 @@ from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.normalised_fresnel import NormalisedFresnel, averaged, nothing_to_normalise_by
 from matcam.inverse.operator.chosen_cells import peak_cells
 from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
 from matcam.inverse.operator.pixel_phase import located_rig
@@ -132,23 +133,23 @@ def fresnel(
     with done_behind(setup.with_(every=every).rule):
         explained = explain(setup, located, ndf)
     found = explained.setup.with_(every=every).solve(start=explained.fit)
-    terms = [_FresnelTerm(found, normalise)]
+    terms = [NormalisedFresnel(found, normalise)]
     held_back = explained.contradicts and not anyway
     weight = 1.0 if held_back else explained.no_camera * (not anyway)
     if explained.no_camera > _NEGLIGIBLE or held_back:
         blind = explained.blind_setup.with_(every=every).solve(start=explained.blind)
-        terms.append(_FresnelTerm(blind, normalise))
+        terms.append(NormalisedFresnel(blind, normalise))
     members = [
-        (_FresnelTerm(other.setup.with_(every=every).solve(start=other.fit), normalise), other.probability)
+        (NormalisedFresnel(other.setup.with_(every=every).solve(start=other.fit), normalise), other.probability)
         for other in explained.others
     ]
     others = []
     for doubt in explained.doubts:
         if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
             free = explained.setup.with_(every=every, also=(doubt.axis.name,)).solve(start=doubt.fit)
-            others.append((_FresnelTerm(free, normalise), doubt.counted))
+            others.append((NormalisedFresnel(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
-    term = _average(terms, members, others, weight, held_back=held_back)
+    term = averaged(terms, members, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)
     term = term.with_gain(gain)
     remarks = (*explained.remarks, *gain_remarks(gain))
@@ -290,86 +291,6 @@ def tabulated_fresnel(
     )
 
 
-class _FresnelTerm:
-    """Hold the strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices)."""
-
-    def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
-        theta_d, strengths = found.theta_d, found.strengths()
-        strength = strengths.value
-        used = (theta_d >= normalise[0]) & (theta_d <= normalise[1]) & np.isfinite(strength)
-        if not used.any(-1).all():
-            raise _nothing_to_normalise_by(normalise)
-        self.used = used
-        count = used.sum(-1, keepdims=True)
-        mean = np.where(used, strength, 0).sum(-1, keepdims=True) / count
-        self.normalised = strength / mean
-
-        there = np.isfinite(strength)
-        divisor = np.where(there, strength, np.inf)
-        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:])
-        self.relative = noise + camera
-
-        # normalising subtracts the mean's own change
-        share = np.where(used, strength, 0) / (count * mean)
-        self._off_mean = np.eye(theta_d.size) - share[:, None, :]
-        self.std_noise, self.std_camera = (self._normalised_std(c) for c in (noise, camera))
-        std = np.sqrt(np.einsum("uss->us", strengths.noise_covariance + strengths.rig_covariance))
-        resolved = there & found.resolved
-        self.absolute = np.where(resolved, strength, np.nan)
-        self.absolute_std = np.where(resolved, std, np.nan)
-
-    def _normalised_std(self, covariance: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of the normalised term, from the relative covariance (channels, slices, slices)."""
-        variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
-        return self.normalised * np.sqrt(np.clip(variance, 0, None))
-
-    def with_gain(self, gain: float) -> _FresnelTerm:
-        """Add the gain of each picture to the noise."""
-        one = gain**2 * np.eye(self.normalised.shape[1])
-        self.std_noise = np.hypot(self.std_noise, self._normalised_std(np.broadcast_to(one, self.relative.shape)))
-        self.absolute_std = np.hypot(self.absolute_std, gain * self.absolute)
-        return self
-
-
-def _average(
-    terms: list[_FresnelTerm],
-    members: list[tuple[_FresnelTerm, float]],
-    others: list[tuple[_FresnelTerm, float]],
-    weight: float,
-    *,
-    held_back: bool,
-) -> _FresnelTerm:
-    """Return F through the camera, or its mean with that of no camera, which has this weight.
-
-    members: other lobes and their probabilities, over which F is averaged. others: alternatives whose difference is
-        uncertainty, each with its factor.
-    """
-    camera, *blind = terms
-    shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
-    for other, share in members:
-        apart, aside = other.normalised - camera.normalised, np.nan_to_num(other.absolute - camera.absolute)
-        shift, spread = shift + share * apart, spread + share * apart**2
-        moved, scatter = moved + share * aside, scatter + share * aside**2
-    camera.normalised, camera.absolute = camera.normalised + shift, camera.absolute + moved
-    camera.std_camera = np.sqrt(camera.std_camera**2 + spread - shift**2)
-    camera.absolute_std = np.sqrt(camera.absolute_std**2 + scatter - moved**2)
-    result = blind[0] if held_back else camera
-    variance = result.std_camera**2
-    absolute = result.absolute_std**2
-    for other, share in others:
-        variance = variance + (share * (other.normalised - camera.normalised)) ** 2
-        absolute = absolute + (share * np.nan_to_num(other.absolute - camera.absolute)) ** 2
-    if blind:
-        share = 1.0 if held_back else weight * (1 - weight)
-        apart = blind[0].normalised - camera.normalised
-        variance = variance + share * apart**2
-        absolute = absolute + share * np.nan_to_num(blind[0].absolute - camera.absolute) ** 2
-        if not held_back:
-            result.normalised = camera.normalised + weight * apart
-    result.std_camera, result.absolute_std = np.sqrt(variance), np.sqrt(absolute)
-    return result
-
-
 def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
     """Return the rig with its lens as fitted; a lens of almost no width has a little, which no pixel shows."""
     if LENS not in found.params:
@@ -410,13 +331,6 @@ def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax
     return g2(masking, hidden, hidden, jnp.asarray(jnp.pi)), highest
 
 
-def _nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
-    low, high = np.degrees(normalise)
-    return FitError(
-        f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"
-    )
-
-
 def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None:
     """Raise FitError for a table that does not fall to half of its peak anywhere, or is missing where F is normalised."""
     quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
@@ -433,10 +347,10 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
     theta_d = merl_grid(sampling_of(brdf)).theta_d
     inside = (theta_d >= normalise[0]) & (theta_d <= normalise[1])
     if not np.isfinite(brdf.values[:, inside]).any(axis=(0, 1, 2)).all():
-        raise _nothing_to_normalise_by(normalise)
+        raise nothing_to_normalise_by(normalise)
 
 
-def _supported_angle(term: _FresnelTerm, theta_d: np.ndarray) -> np.ndarray:
+def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray:
     """Return the last theta_d up to which the standard deviation stays under 5 %, counted outwards from the normalisation."""
     relative = np.hypot(term.std_noise, term.std_camera) / term.normalised
     fine = relative < SUPPORTED_STD  # False where NaN

@@ -248,7 +248,7 @@ class Reconstruction:
 
     @property
     def supported_share(self) -> float:
-        """Share of the entries that hold a value which are supported, no unit."""
+        """Return the share of supported entries among those that hold a value (no unit)."""
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
     def to_dict(self) -> dict[str, Any]:

@@ -66,7 +66,7 @@ class Sample(eqx.Module):
         return type(self).__name__.lower()
 
     def in_words(self) -> str:
-        """Describe the shape and its size in the picture, for titles and pages."""
+        """Describe the shape in words, for titles and pages."""
         return f"{self.kind} sample"
 
     @abstractmethod
@@ -135,7 +135,7 @@ class Curved(Sample):
     distant: eqx.AbstractVar[bool]
 
     def in_words(self) -> str:
-        """Describe the shape, its radius in px and a near camera's distance in radii, for titles and pages."""
+        """Describe shape, radius and camera in words, for titles and pages."""
         camera = "" if self.distant else f", camera at {float(self.distance):g} radii"
         return f"{self.kind} of {float(self.radius):g} px radius{camera}"
 

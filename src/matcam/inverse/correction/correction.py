@@ -190,7 +190,10 @@ class Correction:
 
     @property
     def supported_share(self) -> float:
-        """Share of supported entries (no unit) among those that can be judged, which have a standard deviation."""
+        """Return the share of supported entries (no unit).
+
+        It is that of the entries that can be judged, which have a standard deviation.
+        """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf_std"].values)].mean())
 
     @property
@@ -207,7 +210,7 @@ class Correction:
 
     @property
     def _determined(self) -> bool:
-        """Whether the roughness is known, by a lobe that explains the data."""
+        """Judge whether the roughness is known, by a lobe that explains the data."""
         return self.fit.determined and UNEXPLAINED not in (remark.code for remark in self.remarks)
 
     @property

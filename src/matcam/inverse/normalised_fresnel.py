@@ -1,0 +1,97 @@
+"""The Fresnel term over its own mean, with errors, and its average over the explanations of a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.core.errors import FitError
+from matcam.inverse.fit.material_fit import MaterialFit
+
+
+class NormalisedFresnel:
+    """Hold the strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices)."""
+
+    def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
+        theta_d, strengths = found.theta_d, found.strengths()
+        strength = strengths.value
+        used = (theta_d >= normalise[0]) & (theta_d <= normalise[1]) & np.isfinite(strength)
+        if not used.any(-1).all():
+            raise nothing_to_normalise_by(normalise)
+        self.used = used
+        count = used.sum(-1, keepdims=True)
+        mean = np.where(used, strength, 0).sum(-1, keepdims=True) / count
+        self.normalised = strength / mean
+
+        there = np.isfinite(strength)
+        divisor = np.where(there, strength, np.inf)
+        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:])
+        self.relative = noise + camera
+
+        # normalising subtracts the mean's own change
+        share = np.where(used, strength, 0) / (count * mean)
+        self._off_mean = np.eye(theta_d.size) - share[:, None, :]
+        self.std_noise, self.std_camera = (self._normalised_std(c) for c in (noise, camera))
+        std = np.sqrt(np.einsum("uss->us", strengths.noise_covariance + strengths.rig_covariance))
+        resolved = there & found.resolved
+        self.absolute = np.where(resolved, strength, np.nan)
+        self.absolute_std = np.where(resolved, std, np.nan)
+
+    def _normalised_std(self, covariance: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of the normalised term, from the relative covariance (channels, slices, slices)."""
+        variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
+        return self.normalised * np.sqrt(np.clip(variance, 0, None))
+
+    def with_gain(self, gain: float) -> NormalisedFresnel:
+        """Add the gain of each picture to the noise."""
+        one = gain**2 * np.eye(self.normalised.shape[1])
+        self.std_noise = np.hypot(self.std_noise, self._normalised_std(np.broadcast_to(one, self.relative.shape)))
+        self.absolute_std = np.hypot(self.absolute_std, gain * self.absolute)
+        return self
+
+
+def averaged(
+    terms: list[NormalisedFresnel],
+    members: list[tuple[NormalisedFresnel, float]],
+    others: list[tuple[NormalisedFresnel, float]],
+    weight: float,
+    *,
+    held_back: bool,
+) -> NormalisedFresnel:
+    """Average F over the explanations of a table.
+
+    terms: F by the most probable lobe through the camera and, if it counts, without a camera. members: other lobes and their
+        probabilities. others: alternatives whose difference is uncertainty, each with its factor. weight: probability of no
+        camera. held_back: whether the correction is withheld, so that F is that without a camera.
+    """
+    camera, *blind = terms
+    shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
+    for other, share in members:
+        apart, aside = other.normalised - camera.normalised, np.nan_to_num(other.absolute - camera.absolute)
+        shift, spread = shift + share * apart, spread + share * apart**2
+        moved, scatter = moved + share * aside, scatter + share * aside**2
+    camera.normalised, camera.absolute = camera.normalised + shift, camera.absolute + moved
+    camera.std_camera = np.sqrt(camera.std_camera**2 + spread - shift**2)
+    camera.absolute_std = np.sqrt(camera.absolute_std**2 + scatter - moved**2)
+    result = blind[0] if held_back else camera
+    variance = result.std_camera**2
+    absolute = result.absolute_std**2
+    for other, share in others:
+        variance = variance + (share * (other.normalised - camera.normalised)) ** 2
+        absolute = absolute + (share * np.nan_to_num(other.absolute - camera.absolute)) ** 2
+    if blind:
+        share = 1.0 if held_back else weight * (1 - weight)
+        apart = blind[0].normalised - camera.normalised
+        variance = variance + share * apart**2
+        absolute = absolute + share * np.nan_to_num(blind[0].absolute - camera.absolute) ** 2
+        if not held_back:
+            result.normalised = camera.normalised + weight * apart
+    result.std_camera, result.absolute_std = np.sqrt(variance), np.sqrt(absolute)
+    return result
+
+
+def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
+    """Return the error for a table without a highlight in the range of theta_d, rad, over which F is normalised."""
+    low, high = np.degrees(normalise)
+    return FitError(
+        f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"
+    )
