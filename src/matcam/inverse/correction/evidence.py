@@ -1,9 +1,10 @@
 """Evidence of the explanations of a table: how probable each makes the data, on one scale for all of them.
 
 The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the
-peak of the slice), with exponential priors on tau and tau_f. Laplace's approximation gives
+peak of the slice). The misfit t, its root mean square over the cells relative to m and 1e-2 P, has an exponential prior.
+Laplace's approximation gives
 
-    ln E = kappa ln L + ln p(tau, tau_f) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
+    ln E = kappa ln L + ln p(t) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
 
 H the information of the data about the k parameters theta, Q that of their prior, q_s the information about the free strength
 of slice s (MacKay 2003, chapter 28). Misfit is correlated between cells, so cells count only by the share of pixel noise in the
@@ -40,8 +41,10 @@ A table that was made symmetric shows no noise in mirrored cells, and has it all
 UNKNOWN_SHARE = 0.1
 """kappa where nothing distinguishes pixel noise from misfit, as in a table of one channel whose cells have no mirror images:
 about ten cells, those of two rings, then share one error."""
-_MISFIT_SCALES = 1e-2, 1e-4
-"""Means of the exponential priors of tau and tau_f: a model that is off by much more is not an explanation."""
+_MISFIT_SCALE = 1e-2
+"""Mean of the exponential prior of the misfit, over the value of a cell: a model that is off by much more is no explanation."""
+_FAINT = 1e-2
+"""Share of the peak of a slice below which the misfit of a cell counts as if the cell were that bright."""
 _TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
 """Noise of a pixel from which its estimate starts."""
 _MOSTLY_MISFIT = 2.0
@@ -51,10 +54,11 @@ _FEWEST_PAIRS = 100
 _HUBER = 3.0
 _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
-    "spline": (0.0, 2.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
+    "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
 }  # fmt: skip
-"""Mean and standard deviation of each kind of parameter, in the coordinates of a fit: widths from 0.001 to 0.1 rad, powers from
-1/2 to 2, any share, albedos of a diffuse part up to 0.5. Differences of evidence depend on their logarithm only."""
+"""Mean and standard deviation of each kind of parameter, in the coordinates of a fit: widths from 0.001 to 0.1 rad, powers
+from 1/2 to 2, any share, corrections of ln D up to 10, albedos of a diffuse part up to 0.5. Differences of evidence depend on
+their logarithm only."""
 
 
 def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | None:
@@ -169,7 +173,8 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     u0 = standardised_residual(data, residual, model.value, noise, np.inf)[data.used]
     u = standardised_residual(data, residual, model.value, whole, np.inf)[data.used]
     variance = cell_variance(data, model.value, whole)
-    misfit = np.sqrt([whole.relative**2 - noise.relative**2, whole.floor**2 - noise.floor**2])
+    scale = cell_variance(data, model.value, PixelNoise(1.0, _FAINT, 0.0))
+    misfit = ((variance - cell_variance(data, model.value, noise)) / scale)[data.used].mean()
     white = whitening(data, 1 / variance, model.lobe, np.inf)
     flat = white(model.derivative).reshape(solution.p.size, -1)
     mean, std = _priors(problem.layout)
@@ -180,7 +185,7 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     power = (np.where(data.used, 1 / variance, 0.0) * model.lobe**2).sum(-1)
     return Explained(
         log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
-        log_misfit=-float((misfit / _MISFIT_SCALES).sum()),
+        log_misfit=-float(np.sqrt(misfit)) / _MISFIT_SCALE,
         log_prior=-0.5 * distance - (np.log(TRIED_BENDS) if problem.layout.kind.bends else 0.0),
         chi2=float(_robust(u0).sum() / max(solution.freedom, 1)),
         freedom=max(solution.freedom, 1),

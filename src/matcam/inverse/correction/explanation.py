@@ -54,8 +54,8 @@ _SMOOTH_CORES = ("ggx", STUDENT)
 _HOPELESS = 15.0
 """Difference of log evidence in the ranking slices from which a member is left out: a probability of 3e-7, to which more
 slices would only add."""
-_PROBABLE = 0.5
-"""Probability from which a statement is made."""
+_PROBABLE = 0.95
+"""Probability of no camera from which the data are said to show no blur."""
 _UNLIKELY = 0.05
 """Probability of no camera down to which a lens that is a guess moves nothing."""
 _NEGLIGIBLE = 1e-3
@@ -207,16 +207,22 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     if not any(weighing.complete(one.fit) for one in ranked):
         ranked += [_solved(few.with_(ndf=family)) for family in ((STUDENT, TWO_LOBES) if ndf == AUTO else ())]
         ranked.append(_bent(_closest([one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked, noise)))
-    others = [_without_camera(_closest(ranked, noise), rig)]
+    closest = _closest(ranked, noise)
+    others = [_without_camera(closest, rig)]
     weighing = _weighing([*ranked, *others], noise)
     if weighing.unexplained:
-        others.append(_shadowed(others[0]))
+        others.append(_shadowed(ranked[0], rig))
         weighing = _weighing([*ranked, *others], noise)
-    logs, logs_without = ([weighing.log_evidence(one.fit) for one in some] for some in (ranked, others))
+    logs = [weighing.log_evidence(one.fit) for one in ranked]
+    best = ranked[int(np.argmax(logs))]
+    if best is not closest:
+        others.append(_without_camera(best, rig))
+    logs_without = [weighing.log_evidence(one.fit) for one in others]
     by_camera, by_none = (np.logaddexp.reduce(some) for some in (logs, logs_without))
     no_camera = float(1 / (1 + np.exp(np.clip(by_camera - by_none, -500, 500))))
-    blind = others[0]
-    shadowed = others[-1].fit if int(np.argmax(logs_without)) else None
+    blind = max((one for one in others if not one.setup.free_masking), key=lambda one: weighing.log_evidence(one.fit))
+    without = _closest(others, noise)
+    shadowed = without.fit if without.setup.free_masking else None
 
     kept = [one for one, log in zip(ranked, logs, strict=True) if log > max(logs) - _HOPELESS]
     whole = [_in_more_slices(one, every) for one in kept]
@@ -276,9 +282,10 @@ def _without_camera(best: Member, rig: Rig) -> Member:
     return Member(bent, bent.solve(start=plain.fit))
 
 
-def _shadowed(blind: Member) -> Member:
-    """Return the fit with free masking and a lobe for each channel."""
-    setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True, bend=_MOST_BEND)
+def _shadowed(core: Member, rig: Rig) -> Member:
+    """Return the fit without a camera with free masking and a corrected lobe for each channel. core: whose family is used."""
+    blind = _without_camera(core._replace(setup=core.setup.with_(bend=_MOST_BEND)), rig)
+    setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)
     return Member(setup, setup.solve(start=blind.fit, weights="start"))
 
 
