@@ -69,16 +69,16 @@ def fresnel(
 ) -> xr.Dataset:
     """Extract the Fresnel term of a table, with and without its camera.
 
-    F is free in every slice; one lobe and a Lambertian part are common to all. The camera's stated uncertainty is a prior that
-    the data may improve on, and the shape of its lens is fitted, too. A lobe whose family does not explain the data is bent.
-    All this is what `correct` does: what it withholds is withheld here. `corrected` and `corrected_peak` may disagree by more
+    F is free in every slice; one lobe and a Lambertian part are common to all. The camera's specified uncertainty is a prior
+    that the data may improve on, and the shape of its lens is fitted, too. F is averaged over the explanations that `correct`
+    averages over, and what it withholds is withheld here. `corrected` and `corrected_peak` may disagree by more
     than their errors. Then the lobe is not of this shape, or does not widen as this camera would make it.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
         rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", or two lobes where neither explains the data,
-            as the result is a curve and not parameters.
+        ndf: family of the lobe. Default: "auto", a list of explanations that is averaged by their evidence: "ggx" and "epd",
+            and where these leave more than noise Student's t, two lobes, and a lobe with a smooth correction.
         masking: the G that (13) divides by: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.

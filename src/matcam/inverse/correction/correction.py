@@ -285,15 +285,15 @@ def correct(
 ) -> xr.Dataset:
     """Correct a whole table for the camera that recorded it.
 
-    A lobe is fitted through the camera, with F free in every slice and a Lambertian part. Then it is bent as far as the data
-    ask. Each entry's part above the Lambertian one is multiplied by true over recorded lobe. So the measurement keeps its own
-    detail. `Correction.of` does the same and keeps the fits.
+    Lobes are fitted through the camera, with F free in every slice and a Lambertian part, and weighed by their evidence. Each
+    entry's part above the Lambertian one is multiplied by true over recorded lobe. So the measurement keeps its own detail.
+    `Correction.of` does the same and keeps the fits.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
         rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the likelier of "ggx" and "epd", or two lobes where neither explains the data,
-            as the result is a table and not parameters.
+        ndf: family of the lobe. Default: "auto", a list of explanations that is averaged by their evidence: "ggx" and "epd",
+            and where these leave more than noise Student's t, two lobes, and a lobe with a smooth correction.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It limits
@@ -303,12 +303,14 @@ def correct(
 
     Returns:
         Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the table
-        is; what is not known shrinks to the recorded value, and no direction reflects more than it gets. Two standard
-        deviations say what is open. `correction_std`, no unit: of true over recorded value, from fitted parameters, the
-        camera's uncertainty, the lens's shape, the lobe's, a free lamp, and glare. `noise_std`, 1/sr: of brdf, from pixel
+        is; what is not known shrinks to the recorded value, and a direction that would reflect more than it receives is
+        lowered within the standard deviation of the correction. Two standard deviations describe the uncertainty.
+        `correction_std`, no unit: of true over recorded value, from fitted parameters, the other explanations, the camera's
+        uncertainty, the lens's shape, the shape of the body, a free lamp, and glare. `noise_std`, 1/sr: of brdf, from pixel
         noise. Both make `brdf_std`, 1/sr. They are NaN where the sphere's last pixels show the entry, which is left as it was.
         `supported`: whether the correction leaves less than 5 % of brdf open. `response`: recorded / true lobe, over the
-        first three dims. Attribute `withheld`: 1 where rig and data contradict each other; the response is 1 then.
+        first three dims. Attributes: `withheld`, 1 where rig and data contradict each other, when the response is 1 and no
+        entry is supported; `body`, the value of the Lambertian part in each channel, 1/sr.
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
