@@ -92,6 +92,18 @@ def test_a_sharp_highlight_is_given_back(shot):
 
 
 @pytest.mark.slow
+def test_a_table_without_the_slices_that_rank_lobes_is_corrected(shot):
+    """Every 18th slice is missing; the others show the lobe."""
+    table, truth = shot.table(oracle.GGX(0.005), 4)
+    table.values[:, 9::18] = np.nan
+    value, _, supported = shot.read(Correction.of(table, recorded.rig(std=0.015), noise=QUIET))
+    peak = (shot.i <= 1) & np.isfinite(value)
+    assert peak.any()
+    assert supported[peak].all()
+    assert np.abs(value / truth - 1)[peak].max() < 0.06
+
+
+@pytest.mark.slow
 def test_rough_materials_are_left_alone():
     """alpha 0.3: where light and view are within 75 degrees, the response is 1 to 0.5 %."""
     small = Shot()

@@ -116,7 +116,7 @@ else:  # Literal types, as typer wants them, of the registries' names
     def _one_of(names: Iterable[str | None]) -> Any:
         return Literal[tuple(name or "none" for name in names)]
 
-    _AUTO = "Family of the lobe; auto: the mean over ggx, epd and richer lobes, by their evidence."
+    _AUTO = "Family of the lobe; auto: by how well each explains the data."
     _FRESNEL = (
         "Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free)."
     )

@@ -21,6 +21,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.camera.sensor import PixelNoise
+from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
@@ -200,8 +201,13 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
         ndf: family of the lobe, or "auto".
     """
     rig, every = located.rig, setup.every
+    families = CANDIDATES if ndf == AUTO else (ndf,)
     few = setup.with_(every=max(_RANKED_EVERY, every))
-    ranked = [_solved(few.with_(ndf=family)) for family in (CANDIDATES if ndf == AUTO else (ndf,))]
+    try:
+        ranked = [_solved(few.with_(ndf=family)) for family in families]
+    except FitError:  # the table's values lie in other slices
+        few = setup
+        ranked = [_solved(few.with_(ndf=family)) for family in families]
     noise = noise_without_model(setup, ranked[0].fit)
     weighing = _weighing(ranked, noise)
     if not any(weighing.complete(one.fit) for one in ranked):
