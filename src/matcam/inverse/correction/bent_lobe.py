@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcam.inverse.correction.doubts import evidence
+from matcam.inverse.correction.doubts import linear_evidence
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
@@ -43,6 +43,6 @@ def learned_bend(found: MaterialFit, most: float) -> float:
 
     def probability(scale: float) -> float:
         smooth = prior._replace(learned=scale).rows(layout)[len(prior.root) :, bends]
-        return evidence(information, right, bends, smooth)
+        return linear_evidence(information, right, bends, smooth)
 
     return float(max(np.geomspace(_LEAST * most, most, TRIED_BENDS), key=probability))

@@ -236,7 +236,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUnce
         flat, target = white(columns).reshape(count, -1), white(linear.residual).ravel()
         information, right = flat @ flat.T, flat @ target
         information[rig, rig] += linear.rig_information
-        scale = max(_SCALES, key=lambda one: evidence(information, right, shapes, even / one))
+        scale = max(_SCALES, key=lambda one: linear_evidence(information, right, shapes, even / one))
         penalty = np.zeros((count, count))
         penalty[shapes, shapes] = differences.T @ differences / scale**2
         covariance = scaled_inverse(information + penalty)
@@ -260,7 +260,7 @@ def _columns(linear: LinearisedFit) -> np.ndarray:
     return np.concatenate([linear.by_coordinates, by_shape, linear.by_units])
 
 
-def evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: np.ndarray) -> float:
+def linear_evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: np.ndarray) -> float:
     """Return the logarithm of the evidence for a scale, up to a constant: all but the b_k is integrated out.
 
     information, right: of the linear model by all its parameters, without what the scale says. shapes: the place of the b_k.
