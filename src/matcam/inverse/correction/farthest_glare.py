@@ -50,14 +50,19 @@ def farthest_glare(
     theta_d, seen = merl_grid(sampling).theta_d, found.theta_d[there]
     f = np.stack([np.interp(theta_d, seen, column[there]) for column in strength.T], axis=-1)
     view = sample_view(rig)
-    key = view, sampling
+    width = min(found.hwhm, 1.0) * view.radius if np.isfinite(found.hwhm) else view.radius
+    nearest = max(_NEAREST, width)
+    key = view, sampling, nearest
     return FarthestGlare(
-        glare * f, workspace.remember("farthest glare", key, lambda: _of_mirror(view, sampling), most=_VIEWS)
+        glare * f, workspace.remember("farthest glare", key, lambda: _of_mirror(view, sampling, nearest), most=_VIEWS)
     )
 
 
-def _of_mirror(view: SampleView, sampling: Sampling) -> np.ndarray:
+def _of_mirror(view: SampleView, sampling: Sampling, nearest: float) -> np.ndarray:
     """Return what a surface that reflects all light would have scattered to each entry, (90, 90, 180).
+
+    nearest: distance from the highlight, px, within which its light is spread; what a halo adds there is a share of the light
+        itself.
 
     A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
     """
@@ -65,7 +70,7 @@ def _of_mirror(view: SampleView, sampling: Sampling) -> np.ndarray:
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     # each cell's way on the lamp's side stands for both: they lie about as far from their picture's highlight
     x, y = view.from_highlight(th, td, ph)
-    distance2 = np.maximum(x**2 + y**2, _NEAREST**2)
+    distance2 = np.maximum(x**2 + y**2, nearest**2)
     # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig
     cos_i = np.maximum(np.cos(th) * np.cos(td) - np.sin(th) * np.sin(td) * np.abs(np.cos(ph)), 0.05)
     flux = view.highlight_area(grid.theta_d)[:, None] / 4 / view.irradiance(cos_i)
