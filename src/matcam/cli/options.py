@@ -272,22 +272,19 @@ class Command(TyperCommand):
             from matcam.files.apart import start_reader
 
             start_reader(modules)
+        result: Any = None
         try:
-            with all_or_nothing():
-                return self._ended(ctx)
+            with all_or_nothing():  # it takes an exception for a failure, and discards the files
+                try:
+                    result = super().invoke(ctx)
+                except typer.Exit as end:
+                    result = end.exit_code
         except MatcamError as error:
             error.args = (in_options(str(error), self), *error.args[1:])
             raise
-
-    def _ended(self, ctx: Any) -> Any:
-        """Run the command and return its result or exit code.
-
-        `typer.Exit` must not leave `all_or_nothing`, which would take it for a failure and discard the files.
-        """
-        try:
-            return super().invoke(ctx)
-        except typer.Exit as end:
-            return end.exit_code
+        if isinstance(result, int) and result:
+            raise typer.Exit(result)
+        return result
 
 
 def in_options(message: str, command: TyperCommand) -> str:

@@ -248,7 +248,10 @@ class Reconstruction:
 
     @property
     def supported_share(self) -> float:
-        """Return the share of supported entries among those that hold a value (no unit)."""
+        """Return the share of supported entries (no unit).
+
+        It is that of the entries that hold a value.
+        """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
     def to_dict(self) -> dict[str, Any]:

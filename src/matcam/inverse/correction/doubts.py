@@ -171,7 +171,7 @@ _ROUNDS = 3
 
 
 class ShapeUncertainty(NamedTuple):
-    """How well the shape of a lobe is known, as the factor 1 + sum b_k B_k of the lobe.
+    """Uncertainty of the shape of a lobe, as the factor 1 + sum b_k B_k of the lobe.
 
     Attributes:
         covariance: of (lobe, rig, b), the first two in the fit's coordinates.

@@ -129,7 +129,7 @@ def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> Pixel
 
 
 class Explained(NamedTuple):
-    """How well a fit explains the data, before cells are weighed.
+    """Judgement of a fit before its cells are weighed.
 
     Attributes:
         log_likelihood: logarithm of the likelihood with its misfit as noise.
@@ -160,7 +160,7 @@ class Explained(NamedTuple):
 
     @property
     def complete(self) -> bool:
-        """Whether the residuals are no larger than pixel noise makes them, so that a richer model has nothing to explain."""
+        """Judge whether the residuals are no larger than pixel noise, so that a richer model has nothing to explain."""
         return self.chi2 < 1 + 3 * np.sqrt(2 / self.freedom)
 
 
@@ -196,7 +196,7 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
 
 
 class Weighing(NamedTuple):
-    """How residuals of a table's explanations are weighed.
+    """Weights of the residuals of a table's explanations.
 
     Attributes:
         noise: of a pixel.
@@ -228,11 +228,11 @@ class Weighing(NamedTuple):
 
     @property
     def unexplained(self) -> bool:
-        """Whether most of the residual variance of the best explanation is misfit."""
+        """Judge whether most of the residual variance of the best explanation is misfit."""
         return self.chi2 > _MOSTLY_MISFIT
 
     def complete(self, fit: MaterialFit) -> bool:
-        """Whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""
+        """Judge whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""
         return self.known and explained(fit, self.noise).complete
 
     def log_evidence(self, fit: MaterialFit) -> float:

@@ -92,7 +92,7 @@ class EnergyLimit(NamedTuple):
 
     @property
     def acts(self) -> bool:
-        """Whether any entry is lowered."""
+        """Judge whether any entry is lowered."""
         return bool((self.steps > 0).any())
 
     @property
