@@ -235,6 +235,10 @@ class Weighing(NamedTuple):
         """Judge whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""
         return self.known and explained(fit, self.noise).complete
 
+    def log_likelihood(self, fit: MaterialFit) -> float:
+        """Compute the logarithm of the tempered likelihood of a fit."""
+        return self.kappa * explained(fit, self.noise).log_likelihood
+
     def log_evidence(self, fit: MaterialFit) -> float:
         """Compute the logarithm of the evidence of a fit."""
         return explained(fit, self.noise).log_evidence(self.kappa)

@@ -214,19 +214,23 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
         ranked += [_solved(few.with_(ndf=family)) for family in ((STUDENT, TWO_LOBES) if ndf == AUTO else ())]
         ranked.append(_bent(_closest([one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked, noise)))
     closest = _closest(ranked, noise)
-    others = [_without_camera(closest, rig)]
-    weighing = _weighing([*ranked, *others], noise)
+    pairs = [(closest, _without_camera(closest, rig))]
+    shadows: list[Member] = []
+    weighing = _weighing([*ranked, pairs[0][1]], noise)
     if weighing.unexplained:
-        others.append(_shadowed(ranked[0], rig))
-        weighing = _weighing([*ranked, *others], noise)
+        shadows.append(_shadowed(ranked[0], rig))
+        weighing = _weighing([*ranked, pairs[0][1], *shadows], noise)
     logs = [weighing.log_evidence(one.fit) for one in ranked]
     best = ranked[int(np.argmax(logs))]
     if best is not closest:
-        others.append(_without_camera(best, rig))
-    logs_without = [weighing.log_evidence(one.fit) for one in others]
-    by_camera, by_none = (np.logaddexp.reduce(some) for some in (logs, logs_without))
-    no_camera = float(1 / (1 + np.exp(np.clip(by_camera - by_none, -500, 500))))
-    blind = max((one for one in others if not one.setup.free_masking), key=lambda one: weighing.log_evidence(one.fit))
+        pairs.append((best, _without_camera(best, rig)))
+    others = [*(one for _, one in pairs), *shadows]
+    blind = max((one for _, one in pairs), key=lambda one: weighing.log_evidence(one.fit))
+    no_camera = max(
+        _probability_of_none(logs, [weighing.log_evidence(one.fit) for one in others]),
+        # what a blur hides of a lobe is a volume of parameters, and no evidence of the blur
+        *(_probability_of_none(*([weighing.log_likelihood(one.fit)] for one in pair)) for pair in pairs),
+    )
     without = _closest(others, noise)
     shadowed = without.fit if without.setup.free_masking else None
 
@@ -255,6 +259,12 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
 
 def _weighing(members: list[Member], noise: PixelNoise | None) -> Weighing:
     return Weighing.of([one.fit for one in members], noise)
+
+
+def _probability_of_none(by_camera: list[float], by_none: list[float]) -> float:
+    """Compute the probability of no camera from the logarithms of the evidence of members with and without it."""
+    difference = np.logaddexp.reduce(by_camera) - np.logaddexp.reduce(by_none)
+    return float(1 / (1 + np.exp(np.clip(difference, -500, 500))))
 
 
 def _closest(members: list[Member], noise: PixelNoise | None) -> Member:
