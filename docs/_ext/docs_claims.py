@@ -39,7 +39,7 @@ def shown_on_page(one):
 
 
 def taken(docs):
-    """Say what the inverse commands take. docs: address of the folder of pages, as the page that prints it sees it."""
+    """Return the sentence on tables that the inverse commands take. docs: address of the folder of pages."""
     return (
         "**Which tables it takes**: `fit`, `fresnel` and `correct` take tables of a sphere or a cylinder, with camera and lamp near or "
         f"distant ([what takes what]({docs}/forward.md#what-takes-what)). A table of a flat sample is not blurred."

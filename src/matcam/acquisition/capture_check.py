@@ -149,7 +149,7 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
 
 
 def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple[float, float, float]) -> list[Remark]:
-    """Return whether the lamp's light scatters more than is stated, by the reference.
+    """Compare the scatter of the lamp's light on the reference with the stated one.
 
     Args:
         capture: what is stated of the lamps.

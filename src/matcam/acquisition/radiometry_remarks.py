@@ -46,7 +46,7 @@ def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
 
 
 def tone_curve_proof(exponent: Stated) -> str | None:
-    """Return what proves that frames went through a tone curve, in words; None where nothing does.
+    """Return the evidence that frames went through a tone curve, in words; None where there is none.
 
     Args:
         exponent: as from `tone_exponent`.

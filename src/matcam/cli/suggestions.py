@@ -78,7 +78,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _is_brdf(file: Path) -> bool:
-    """Return whether a CSV file has columns of a BRDF."""
+    """Detect the columns of a BRDF in a CSV file."""
     with file.open(encoding="utf-8", errors="replace") as lines:
         return "_per_sr" in lines.readline(_LONGEST_HEADER)
 

@@ -215,7 +215,7 @@ def _named(frames: Sequence[Path], at: dict[Path, int], count: int) -> dict[Path
 
 
 def _kind_notes(path: Path) -> list[str]:
-    """Return what the first picture of the sample needs to be accepted."""
+    """Return the remarks on the first picture of the sample, which name the settings that accept it."""
     try:
         values = open_photograph(path).values
     except MatcamError as error:

@@ -15,7 +15,7 @@ _PIXEL = 0.29
 
 
 def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
-    """Return whether many pixels read the largest code of a file, or of a frame whose dark pixels show noise.
+    """Detect a field whose pixels read the largest code of a file, or of a frame whose dark pixels show noise.
 
     A frame without noise anywhere is a render, whose even field reads one code unclipped.
 
