@@ -92,7 +92,7 @@ def _compressed(data: xr.Dataset) -> _Encoding:
 
 
 def _readable(path: Path, data: xr.Dataset) -> bool:
-    """Tell whether `read_netcdf` trusts a compressed file: it refuses arrays that are much larger than their file."""
+    """Check that `read_netcdf` accepts a compressed file. It refuses arrays that are much larger than their file."""
     try:
         shapes = {str(name): (one.shape, one.dtype) for name, one in data.variables.items()}
         check_stored_sizes(path, path.stat().st_size, shapes)

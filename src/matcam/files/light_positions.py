@@ -69,7 +69,7 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
 
 
 def are_unit_vectors(positions: list[LightPosition]) -> bool:
-    """Tell whether the positions are directions, whose lengths indicate no distance."""
+    """Check that all positions have unit length, so that they are directions without distances."""
     return all(abs(float(np.linalg.norm(one.position)) - 1) < _UNIT for one in positions)
 
 

@@ -276,7 +276,7 @@ def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
 
 
 def _described(name: str, more: Mapping[str, object], widened: Mapping[str, float]) -> str:
-    """Return what a fit tries, for the progress: its lobe, and what is no longer taken as stated."""
+    """Describe a fit for the progress: its lobe, and the sources whose standard deviation was enlarged."""
     name = " or ".join([name, *(str(one) for one in cast("Sequence[str]", more.get("rivals", ())))])
     bent = " bent" if more.get("bend") else ""
     shape = ", diffuse part shaped" if more.get("shaped") else ""

@@ -42,7 +42,7 @@ _WIDENED = {
 
 
 class _Blame(NamedTuple):
-    """Say what freeing a source explains (a fall of chi squared), and by how many standard deviations it then is off.
+    """Fall of chi squared when a source is freed, and its distance from the stated value in standard deviations.
 
     Attributes:
         explains: to first order, less what that many values explain by chance.
@@ -59,7 +59,7 @@ class _Blame(NamedTuple):
     freed: JointProblem
 
     def holds(self, fit: SphereFit) -> bool:
-        """Say whether chi squared truly falls by much on the way.
+        """Check the predicted fall of chi squared along the step.
 
         Freed of what is stated in each picture, little is left that determines it, and the first order goes astray.
         """

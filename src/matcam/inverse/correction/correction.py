@@ -137,6 +137,7 @@ class Correction:
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
+        # the linear step to another masking is itself approximate, so no more than this share of a likelihood counts
         maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
         fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)

@@ -28,6 +28,7 @@ from matcam.inverse.fit.fit_data import (
     FitData,
     cell_variance,
     estimate_noise,
+    huber_weights,
     standardised_residual,
     whitening,
 )
@@ -51,7 +52,6 @@ _MOSTLY_MISFIT = 2.0
 """chi^2 from which more than half of the residual variance is misfit."""
 _FEWEST_PAIRS = 100
 """Pairs of cells from which a noise is estimated to 7 % or better."""
-_HUBER = 3.0
 _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
@@ -120,10 +120,9 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
 
 
 def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
-    """Estimate noise from the differences of pairs of cells of one value. The second round starts from the first's result,
-    because gains are taken out by the weights of the start."""
+    """Estimate noise from the differences of pairs of cells of one value."""
     noise = _TYPICAL
-    for _ in range(2):
+    for _ in range(2):  # gains are taken out by the weights of the start
         noise = estimate_noise(data, difference / np.sqrt(2), value, 0, noise)
     return noise
 
@@ -135,8 +134,6 @@ class Explained(NamedTuple):
         log_likelihood: logarithm of the likelihood with its misfit as noise.
         log_misfit: logarithm of the prior of that misfit.
         log_prior: logarithm of the prior of the parameters, but for powers of 2 pi; a bend's scale is one of those tried.
-        chi2: mean squared residual in standard deviations of pixel noise, robust.
-        freedom: degrees of freedom.
         information: (parameters, parameters), of the data.
         prior: (parameters, parameters), information of the prior.
         of_strengths: (strengths,), information about each free strength.
@@ -145,8 +142,6 @@ class Explained(NamedTuple):
     log_likelihood: float
     log_misfit: float
     log_prior: float
-    chi2: float
-    freedom: int
     information: np.ndarray
     prior: np.ndarray
     of_strengths: np.ndarray
@@ -158,10 +153,13 @@ class Explained(NamedTuple):
         volume = 0.5 * (np.linalg.slogdet(self.prior)[1] - np.linalg.slogdet(posterior)[1])
         return kappa * self.log_likelihood + self.log_misfit + self.log_prior + float(volume + strengths)
 
-    @property
-    def complete(self) -> bool:
-        """Judge whether the residuals are no larger than pixel noise, so that a richer model has nothing to explain."""
-        return self.chi2 < 1 + 3 * np.sqrt(2 / self.freedom)
+
+def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
+    """Compute the mean squared residual (robust) of a fit with free strengths, in standard deviations of pixel noise."""
+    solution = found._solution
+    data, model = solution.problem.data, solution.model
+    u = standardised_residual(data, solution.problem.residual(model), model.value, noise, np.inf)[data.used]
+    return float(_robust(u).sum() / max(solution.freedom, 1))
 
 
 def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
@@ -170,7 +168,6 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     problem, model = solution.problem, solution.model
     data, residual = problem.data, problem.residual(model)
     whole = _at_least(found.noise, noise)
-    u0 = standardised_residual(data, residual, model.value, noise, np.inf)[data.used]
     u = standardised_residual(data, residual, model.value, whole, np.inf)[data.used]
     variance = cell_variance(data, model.value, whole)
     scale = cell_variance(data, model.value, PixelNoise(1.0, _FAINT, 0.0))
@@ -187,8 +184,6 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
         log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
         log_misfit=-float(np.sqrt(misfit)) / _MISFIT_SCALE,
         log_prior=-0.5 * distance - (np.log(TRIED_BENDS) if problem.layout.kind.bends else 0.0),
-        chi2=float(_robust(u0).sum() / max(solution.freedom, 1)),
-        freedom=max(solution.freedom, 1),
         information=flat @ flat.T,
         prior=prior,
         of_strengths=power[power > 0],
@@ -217,9 +212,9 @@ class Weighing(NamedTuple):
         if noise is None:
             left = [fit.noise for fit in fits]
             least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)
-            chi2 = min(explained(fit, _TYPICAL).chi2 for fit in fits)
+            chi2 = min(mean_squared_residual(fit, _TYPICAL) for fit in fits)
             return cls(_at_least(least, LEAST_NOISE), UNKNOWN_SHARE, chi2, known=False)
-        chi2 = min(explained(fit, noise).chi2 for fit in fits)
+        chi2 = min(mean_squared_residual(fit, noise) for fit in fits)
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 
     def at_most(self, other: Weighing) -> Weighing:
@@ -233,7 +228,8 @@ class Weighing(NamedTuple):
 
     def complete(self, fit: MaterialFit) -> bool:
         """Judge whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""
-        return self.known and explained(fit, self.noise).complete
+        # three standard deviations of a mean of chi squared
+        return self.known and mean_squared_residual(fit, self.noise) < 1 + 3 * np.sqrt(2 / max(fit.freedom, 1))
 
     def log_likelihood(self, fit: MaterialFit) -> float:
         """Compute the logarithm of the tempered likelihood of a fit."""
@@ -251,9 +247,9 @@ class Weighing(NamedTuple):
 
 
 def _robust(u: np.ndarray) -> np.ndarray:
-    """Return squared residuals, which grow linearly beyond 3 standard deviations (Huber 1964)."""
-    size = np.abs(u)
-    return np.where(size < _HUBER, size**2, _HUBER * (2 * size - _HUBER))
+    """Return squared residuals, which grow linearly where a fit gives them less weight (Huber 1964)."""
+    weight = huber_weights(u)
+    return weight * (2 - weight) * u**2
 
 
 def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:

@@ -32,7 +32,7 @@ class OtherMasking(NamedTuple):
 
 
 def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]:
-    """Return what a fit of one lobe with free strengths would have been with each other masking.
+    """Predict the fit of one lobe with free strengths under each other masking.
 
     kappa: share of a difference of log likelihoods that counts (`evidence`).
     """
