@@ -20,8 +20,8 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.integral.cylinder_record import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
-from matcam.inverse.operator.near_rule import Directions, NearRule, azimuths_seen, rise_of
-from matcam.inverse.operator.polar_rule import NODES, onto_nodes, stretched
+from matcam.inverse.operator.sphere_rule import Directions
+from matcam.inverse.operator.theta_nodes import NODES, CircleSums, onto_nodes, rise_of, stretched
 from matcam.sample.curved import Cylinder
 
 _PANEL = np.polynomial.legendre.leggauss(16)
@@ -51,6 +51,22 @@ class LinePixels(NamedTuple):
     lamp_angle: np.ndarray
     azimuth: np.ndarray
     factor: np.ndarray
+
+
+class CylinderRule(NamedTuple):
+    """Rule of each pixel; arrays of shape (pixels, nodes).
+
+    Attributes:
+        theta: angle between normal and half vector, rad.
+        weight: of each node.
+        circles: sums over nodes at about one turn from the place of the least angle.
+        moment: weights of the difference of theta_d from the cell's, rad; None: it is not asked for.
+    """
+
+    theta: jax.Array
+    weight: jax.Array
+    circles: CircleSums
+    moment: jax.Array | None
 
 
 class _Samples(NamedTuple):
@@ -121,7 +137,7 @@ def cylinder_rule(
     arm: float,
     discs: bool,
     theta_d: jax.Array | np.ndarray | None = None,
-) -> NearRule:
+) -> CylinderRule:
     """Return one arm's rule for some terms of a blur.
 
     Args:
@@ -188,12 +204,18 @@ def cylinder_rule(
         moment = None if cell is None else onto_nodes(place, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         # nodes of all samples at about one turn are a circle
-        circles = jax.tree.map(lambda a: jnp.swapaxes(jnp.broadcast_to(a, u.shape), 1, 2), (at, place, share))
-        return nodes, weight, *azimuths_seen(*circles), moment
+        cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
+        cos_psi = jnp.clip(cos_psi, -1, 1)
+        sums = [
+            jnp.sum(share * one, axis=1)
+            for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, place, at.theta_d, at.theta_d * cos_psi)
+        ]
+        return nodes, weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment  # type: ignore[arg-type]
 
     arguments = (*pixels, variance, reach, *onto), theta_d
     found = jax.lax.map(block, jax.tree.map(lambda a: jnp.asarray(a).reshape(-1, _BLOCK), arguments))
-    return NearRule(*jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found))
+    theta, weight, circles, moment = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
+    return CylinderRule(theta, weight, circles._replace(cosine=jnp.moveaxis(circles.cosine, 1, 0)), moment)
 
 
 def _samples(

@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.inverse.operator.polar_rule import NODES, Pixels, onto_nodes, stretched
+from matcam.inverse.operator.theta_nodes import NODES, onto_nodes, stretched
 
 _PANEL = np.polynomial.legendre.leggauss(24)
 _HALVES = np.array([0.5])
@@ -24,6 +24,22 @@ _LEAST = 1e-12
 """Length of an arm of which nothing is seen, rad: its weights are 0."""
 ARMS = (1.0, -1.0)
 """Sides of the place that is closest to the half vector: away from the axis, and towards it."""
+
+
+class LinePlaces(NamedTuple):
+    """Places in the images of a sphere, whose distance from the axis is that on the cylinder; arrays of one shape.
+
+    Attributes:
+        x: distance from the optical axis, the lamp towards +x, px.
+        y: the same across, px.
+        theta_d: rad.
+        factor: factor of the record.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    theta_d: np.ndarray
+    factor: np.ndarray
 
 
 class LineRule(NamedTuple):
@@ -46,7 +62,7 @@ def line_rule(
     blur: Blur,
     variance: jax.Array,
     terms: tuple[int, ...],
-    pixels: Pixels,
+    pixels: LinePlaces,
     reach: jax.Array,
     onto: jax.Array,
     arm: float,

@@ -34,10 +34,9 @@ from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import MOMENT_ALONG, rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
-from matcam.inverse.operator.near_rule import RISE
-from matcam.inverse.operator.polar_rule import NODE_RULE, SAMPLED, THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
+from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
 from matcam.material.lambda_table import STEEPEST, lambda_at, place_of, quick_table
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
@@ -312,10 +311,7 @@ def check_rig(rig: Rig) -> None:
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
-    if not sample_view(rig).plain:
-        checked_isotropic(
-            rig.camera.optics, "a fit of a cylinder, or before a near camera or lamp, or one at an azimuth,"
-        )
+        checked_isotropic(rig.camera.optics, "a fit of a cylinder")
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
@@ -331,7 +327,7 @@ def operator_in(
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
         description = f"{description}, discs out of focus by {CHORD_RULE}"
-    if sample_view(rig).plain and kernel_error(rig) > 0:
+    if kernel_error(rig) > 0:
         description = f"{description}, rings by {REST_RULE}"
     description = f"{description}, masking at {SAMPLED.size} nodes, {NODE_RULE}"
     if not sample_view(rig).distant:

@@ -30,7 +30,8 @@ class SampleView(NamedTuple):
         radius: of the limb in the picture, px.
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
-        azimuth: of the plane of camera and lamp against the pixels' rows, rad, in [0, pi/2); a quarter turn is no turn.
+        azimuth: of the plane of camera and lamp against the pixels' rows, rad; in [0, pi/2) for an isotropic lens, which a
+            quarter turn does not change, in [0, 2 pi) for any other.
         line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell has a lamp of its own
             then (`forward/cylinder_cells.py`); its place is that on the sphere, whose distance from the axis is the column.
     """
@@ -126,7 +127,7 @@ class SampleView(NamedTuple):
 _ONE_AZIMUTH = 1e-6
 """Sine of half a difference up to which two azimuths are one."""
 _ALIGNED = 1e-9
-"""Sine of twice an azimuth below which square pixels lie along the plane of camera and lamp."""
+"""Sine of a multiple of an azimuth below which the image has the axes of the plane of camera and lamp."""
 FAR_AWAY = SampleView(256.0)
 """The MERL rig's sphere, whose pixels are told apart where no rig is given."""
 
@@ -136,7 +137,9 @@ def sample_view(rig: Rig | None) -> SampleView:
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
-    turned = 0.0 if abs(np.sin(2 * azimuth)) < _ALIGNED else float(np.mod(azimuth, np.pi / 2))
+    # square pixels and an isotropic lens are the same after a quarter turn
+    alike = np.pi / 2 if rig.camera.optics.isotropic else 2 * np.pi
+    turned = 0.0 if abs(np.sin(np.pi * azimuth / alike)) < _ALIGNED else float(np.mod(azimuth, alike))
     near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
     return SampleView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
 
