@@ -17,11 +17,11 @@ from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
+from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, LinePlaces, line_rule
 from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
-from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
@@ -33,7 +33,6 @@ from matcam.inverse.operator.theta_nodes import (
     masking_samples,
     on_highlight,
     padded,
-    transfer,
 )
 from matcam.rigs import Rig
 
@@ -232,7 +231,11 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     """
     x, y, theta_d, lamp_angle, factor = pixels
     if not view.line:
-        return [_sphere_rules(view, SpherePixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), theta_d, widths, finest)]
+        return [
+            _sphere_rules(
+                view, SpherePixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), theta_d, widths, finest
+            )
+        ]
     (through,) = widths
     if any(through.lamps) or not view.distant:
         pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
@@ -277,7 +280,7 @@ def _sphere_rules(
     )
 
     def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
-        blur, nodes = through.blurs[n], _pixel_nodes(through.blurs, through.terms) if view.azimuth else 0
+        blur, nodes = through.blurs[n], _pixel_nodes(through.blurs) if view.azimuth else 0
         kernel = Kernel(blur, through.terms, tuple(through.spreads[n]), reach, through.discs[n], nodes)
         return sphere_rule(view, pixels, kernel, circles, onto, theta_d)
 
@@ -286,11 +289,10 @@ def _sphere_rules(
         seen = sphere_range(view, pixels, through.reaches[n])[0]
         parts = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
         rules = [(part, rule(through, n, part, through.reaches[n])) for part in parts]
-        if not view.distant:
-            return tuple(sum(parts) for parts in zip(*((one.weight, one.moment) for _, one in rules), strict=True))
-        spread = np.broadcast_to(onto.finest, onto.low.shape)
-        return (
-            sum(np.asarray(transfer(part.nodes()[0], one.weight, onto.low, onto.high, spread)) for part, one in rules),  # type: ignore[return-value]
+        if view.distant:
+            return (np.sum([onto.carry(part.nodes()[0], one.weight) for part, one in rules], axis=0),)
+        return tuple(
+            np.sum(parts, axis=0) for parts in zip(*((one.weight, one.moment) for _, one in rules), strict=True)
         )
 
     def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
@@ -299,7 +301,10 @@ def _sphere_rules(
         others = enumerate(through.blurs[1:], start=1)
         return [first, *(first if rest is not None and blur.rest is rest else laid(through, n) for n, blur in others)]
 
-    found = [tuple(sum(parts) for parts in zip(*of_blur, strict=True)) for of_blur in zip(*map(each, widths), strict=True)]
+    found = [
+        tuple(np.sum(parts, axis=0) for parts in zip(*of_blur, strict=True))
+        for of_blur in zip(*map(each, widths), strict=True)
+    ]
     weights, *moments = zip(*found, strict=True)
     by = widths[0] if len(widths) == 1 else _standing_for(widths)
     shown = rule(by, 0, widest, widths[-1].reaches[0])
@@ -382,11 +387,13 @@ def _found(rules: list[CylinderRule]) -> _Found:
     return _Found(theta, [np.asarray(rule.weight) for rule in rules], samples, moments)
 
 
-def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
+def _pixel_nodes(blurs: list[Blur]) -> int:
     """Return how many nodes over a turned pixel serve all blurs: more where the pixel's borders show."""
-    sharpest = min(float(np.min(np.asarray(blur.stds)[list(terms)])) for blur in blurs)
+    if not blurs[0].varies or not blurs[0].stds.size:
+        return 1
+    sharpest = min(float(np.min(np.asarray(blur.stds))) for blur in blurs)
     ratio = float(blurs[0].pixel.half_width) / max(sharpest, 1e-3)
-    return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
+    return next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
 MOMENT_ALONG = "moment_along"

@@ -210,7 +210,7 @@ def cylinder_rule(
             jnp.sum(share * one, axis=1)
             for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, place, at.theta_d, at.theta_d * cos_psi)
         ]
-        return nodes, weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment  # type: ignore[arg-type]
+        return nodes, weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment
 
     arguments = (*pixels, variance, reach, *onto), theta_d
     found = jax.lax.map(block, jax.tree.map(lambda a: jnp.asarray(a).reshape(-1, _BLOCK), arguments))

@@ -17,10 +17,9 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Line, Spread
+from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Spread
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
 from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
@@ -152,7 +151,7 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
 def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
     """Return the kernel over chords of a disc, over each of which the pixel is integrated in closed form."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
-    own_x, own_y = _rotated(*at, cosine, sine)
+    own_x, own_y = _rotated(at[0], at[1], cosine, sine)
     radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
     peak, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
     from_ = [a[:, None] for a in peak]

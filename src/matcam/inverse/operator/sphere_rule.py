@@ -93,7 +93,7 @@ def sphere_range(view: SampleView, pixels: SpherePixels, reach: np.ndarray) -> t
 
     The extremes lie on the border of the window, or on the limb where it leaves the sphere.
     """
-    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, *reach, view.azimuth))
+    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach[0], reach[1], view.azimuth))
     peak = np.sin(pixels.highlight), 0 * pixels.x, np.cos(pixels.highlight)
     circle = angles_between(normal, tuple(a[..., None] for a in peak))  # type: ignore[arg-type]
     lamp = pixels.lamp_angle[..., None]
@@ -206,9 +206,9 @@ def _filled(array: np.ndarray) -> np.ndarray:
 
 @partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
 def _arc_sums(
-    of_view: jax.Array,
-    of_pixel: jax.Array,
-    of_arc: jax.Array,
+    of_view: Any,
+    of_pixel: Any,
+    of_arc: Any,
     blur: Blur,
     disc: LampDisc | None,
     terms: tuple[int, ...],
@@ -248,14 +248,13 @@ def _arc_sums(
                 added = Spread(var_x, var_y, out_of_focus)
                 return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
             # the residual of a lens is small: on a turned pixel what widens it counts as round
-            round_ = (var_x + var_y) / 2 if pixel_nodes else None
-            added = Spread(*(own if round_ is None else round_ for own in (var_x, var_y)), out_of_focus)
-            return blur.at(term, added, *offset)
+            widths = ((var_x + var_y) / 2,) * 2 if pixel_nodes else (var_x, var_y)
+            return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
 
         if disc is None:
             seen = sum((blur.share(term) * through(term) for term in terms), jnp.zeros(()))
         else:
-            view = SampleView(radius, q, w) if near else SampleView(radius)  # type: ignore[arg-type]
+            view = SampleView(radius, q, w) if near else SampleView(radius)
             seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
         share = jax.lax.optimization_barrier(seen * half * node_weight)
         if not near:

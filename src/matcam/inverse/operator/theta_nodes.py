@@ -7,7 +7,7 @@ masking G varies slowly: it is taken at fewer nodes, at two azimuths of each, wh
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -86,32 +86,17 @@ class ThetaRange(NamedTuple):
         t = first + (last - first) * (NODES[0] + 1) / 2
         return scale * np.sinh(t), scale * np.cosh(t) * (last - first) / 2 * NODES[1]
 
+    def carry(self, theta: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Carry weights at angles over to the nodes, (pixels, nodes).
 
-def stretched(low, high, finest=np.inf):  # type: ignore[no-untyped-def]
-    """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last. Arrays of NumPy or JAX.
-
-    finest: see `ThetaRange`; further from the highlight than that, the distance from it.
-    """
-    xp = np if isinstance(low, np.ndarray) else jnp
-    # the highlight itself is inside only where the range begins at 0
-    scale = xp.where(low > 0, xp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
-    scale = xp.minimum(scale, xp.maximum(low, finest))
-    return scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale)
-
-
-def on_highlight(radius: float, reach: float) -> float:
-    """Compute the angle at which nodes about a highlight become even, rad. reach: half side of the kernel's window, px."""
-    return float(np.sqrt(2) * reach / radius / _FINEST)
+        The sum is the same for all that polynomials through neighbouring nodes follow. So a kernel need not be smooth on
+        their scale; only the lobe has to be.
+        """
+        return np.asarray(_carry(theta, weight, self.low, self.high, np.broadcast_to(self.finest, self.low.shape)))
 
 
 @jit_plainly
-def transfer(theta: jax.Array, weight: jax.Array, low: jax.Array, high: jax.Array, finest: jax.Array) -> jax.Array:
-    """Carry weights at angles over to the nodes of another range, (pixels, nodes).
-
-    The sum is the same for all that polynomials through neighbouring nodes follow. So a kernel need not be smooth on their
-    scale; only the lobe has to be.
-    """
-
+def _carry(theta: Any, weight: Any, low: Any, high: Any, finest: Any) -> jax.Array:
     def block(arguments):  # type: ignore[no-untyped-def]
         theta, weight, low, high, finest = arguments
         scale, first, last = (a[:, None] for a in stretched(low, high, finest))
@@ -128,6 +113,23 @@ def transfer(theta: jax.Array, weight: jax.Array, low: jax.Array, high: jax.Arra
     arguments = (theta, weight, low, high, finest)
     blocks = tuple(a.reshape(-1, _BLOCK, *a.shape[1:]) for a in arguments)
     return jax.lax.map(block, blocks).reshape(weight.shape)
+
+
+def stretched(low, high, finest=np.inf):  # type: ignore[no-untyped-def]
+    """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last. Arrays of NumPy or JAX.
+
+    finest: see `ThetaRange`; further from the highlight than that, the distance from it.
+    """
+    xp = np if isinstance(low, np.ndarray) else jnp
+    # the highlight itself is inside only where the range begins at 0
+    scale = xp.where(low > 0, xp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
+    scale = xp.minimum(scale, xp.maximum(low, finest))
+    return scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale)
+
+
+def on_highlight(radius: float, reach: float) -> float:
+    """Compute the angle at which nodes about a highlight become even, rad. reach: half side of the kernel's window, px."""
+    return float(np.sqrt(2) * reach / radius / _FINEST)
 
 
 def onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
