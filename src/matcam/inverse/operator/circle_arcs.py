@@ -15,8 +15,8 @@ from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.pixel_grid import turned
 from matcam.inverse.operator.sample_view import SampleView
 
-_LONGEST = np.pi / 2 + 1e-9
-"""Length of an arc, rad, above which it is divided: the nodes of one arc resolve the kernel along a quarter of a circle."""
+_LONGEST = 2 * np.pi / 3 + 1e-9
+"""Length of an arc, rad, above which it is divided: the nodes of one arc resolve the kernel along a third of a circle."""
 _SHORTEST = 1e-14
 """Length of an arc, rad, below which it is dropped as a rounding error."""
 _TINY = 1e-300
