@@ -120,6 +120,7 @@ MADE: dict[str, Callable[[Path], object]] = {
     "edge.dng": lambda path: write_dng(path, (512 + 4 * _edge()).astype(np.uint16)),
     "mosaic.tif": lambda path: tifffile.imwrite(path, (512 + 4 * _edge()).astype(np.uint16)),
     "shots": _capture,
+    "sphere": _capture,
 }
 MADE_QUICKLY: dict[str, Callable[[Path], object]] = {"chrome.binary": _ideal}
 """What quick tests take instead: a record takes 15 s to simulate."""
@@ -151,7 +152,8 @@ RUN = [words for words in LINES if not set(words) & set(NOT_RUN)]
 def outputs_of(words):
     """Files and folders that a command line names as its outputs."""
     named = [words[index + 1] for index, word in enumerate(words[:-1]) if word in OUTPUTS]
-    return [*named, *(words[2:3] if words[0] == "convert" else [])]
+    made = {"convert": words[2:3], "capture": words[2:3] if words[1:2] == ("init",) else ()}
+    return [*named, *made.get(words[0], ())]
 
 
 def name_of(words):
@@ -219,7 +221,7 @@ def corrected_files(ran):
     return (
         matcam.read_merl(ran.folder / source),
         matcam.read_merl(written[".binary"]),
-        matcam.read_netcdf(written[".nc"]),
+        matcam.io.read_netcdf(written[".nc"]),
     )
 
 

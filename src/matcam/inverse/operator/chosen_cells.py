@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
-from matcam.forward.pixel_grid import PixelGrid, pixel_angles, turned
+from matcam.forward.pixel_grid import PixelGrid, grid_of, pixel_angles, turned
 from matcam.inverse.operator.pixels_behind import (
     CellPlaces,
     PixelsBehind,
@@ -138,14 +138,25 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
 
-    It is half where the cell's two ways, on either side of their picture's highlight, are surely seen by two pixels; of cells
-    that are means, one over the count of their pixels.
+    It is half where the cell's two positions, on either side of the highlight of their image, surely show two pixels. Cells that
+    are means of pixels have one over their count, and interpolated cells the sum of the squared weights of an interpolation.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
-    x, y = turned(*view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d), view.azimuth)
-    shares = np.where((2 * np.maximum(np.abs(x), np.abs(y)) >= 1) | view.line, 0.5, 1.0)
+    ways = [
+        turned(*view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d + way), view.azimuth)
+        for way in BOTH_WAYS
+    ]
+    apart = 4 if rig.cell_value == "bilinear" else 1  # two interpolations share no pixel
+    x, y = ways[0]
+    shares = np.where((2 * np.maximum(np.abs(x), np.abs(y)) >= apart) | view.line, 0.5, 1.0)
     if rig.cell_value == "mean":
         shares = np.minimum(shares, 1 / np.maximum(pixel_counts(view.radius, grid.theta_d), 1.0))
+    pixels = grid_of(rig)
+    if pixels is not None and pixels.rule == "bilinear":
+        at = np.stack(turned(view.radius * np.sin(grid.theta_d), np.zeros(grid.theta_d.size), pixels.azimuth), -1)
+        off = (at - pixels.of_slices(np.arange(grid.theta_d.size)))[:, None]
+        parts = [np.mod(np.stack(np.broadcast_arrays(*way), -1) + off, 1.0) for way in ways]
+        shares = shares * np.mean([np.prod(part**2 + (1 - part) ** 2, axis=-1) for part in parts], axis=0)
     return shares
 
 
