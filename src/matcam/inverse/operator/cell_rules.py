@@ -158,7 +158,7 @@ def _gaussian_blurs(
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if any(blur.varies for blur in exact) or (not view.plain and any(rough)):  # one program for all
+    if any(blur.varies for blur in exact) or any(rough):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [_variances(view, rig, blur, pixels) for blur in blurs]
     half_width = float(rig.camera.pixel.half_width)

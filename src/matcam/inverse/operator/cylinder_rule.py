@@ -3,7 +3,7 @@
 One line under one lamp does not do then (`line_rule.py`): points of a disc miss the line by different angles, and so do rows
 that a near camera or lamp shows. Both are samples of one kind. Each is a line of its own, under a lamp of its own, that misses
 its half vector by an angle of its own. Polynomials in asinh(theta_h / scale) carry the weights of all over to few nodes in
-theta_h, as in `near_rule.py`, and with them the moments of theta_d.
+theta_h, as in `theta_nodes.py`, and with them the moments of theta_d.
 
 A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is integrated in
 closed form. Where a sample may meet the half vector itself, samples crowd.

@@ -1,7 +1,7 @@
 """The record of D G in chosen cells: one compiled function of lobe and camera for every material.
 
 `record` is the integral of docs/model.md 3 without F. A table reads F(theta_d) times it, because a slice of a distant sphere
-under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and
+under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`sphere_rule`) and
 kept.
 
 Before a near camera or under a near lamp every node has a theta_d of its own. There the table reads F A + F' B, A the record at
@@ -297,8 +297,8 @@ def rig_key(rig: Rig) -> tuple:
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
     view = sample_view(rig)
-    rest = tuple(float(a) for a in (view.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
-    return repr(camera), tuple(sorted(parameters.items())), rest if view.plain else (*rest, *view[1:])
+    blurs = tuple(float(a) for a in (rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
+    return repr(camera), tuple(sorted(parameters.items())), blurs, tuple(view)
 
 
 def check_rig(rig: Rig) -> None:

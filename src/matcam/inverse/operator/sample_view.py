@@ -53,11 +53,6 @@ class SampleView(NamedTuple):
         return self.distant and not self.line
 
     @property
-    def plain(self) -> bool:
-        """Say whether the rule of `polar_rule` holds: camera and lamp are distant, and pixels lie along their plane."""
-        return self.one_picture and self.azimuth == 0
-
-    @property
     def stretch(self) -> float:
         """Return the scale at the depth of the sphere's centre, px per radius."""
         return self.radius * (1 - self.camera**2) ** 0.5
