@@ -38,7 +38,7 @@ from matcam.rigs import Rig
 
 
 class _Blurs(NamedTuple):
-    """Hold the blurs of a rig's own and of all points of its axes, and what lamp and focus add to each in the pixels.
+    """Blurs of a rig and of all points of its axes, and what lamp and focus add to each in the pixels.
 
     Attributes:
         blurs: the rig's own first.
@@ -60,7 +60,7 @@ class _Blurs(NamedTuple):
         return self.blurs[0].terms
 
     def of(self, piece: slice) -> _Blurs:
-        """Return what is held of some pixels."""
+        """Select a subset of pixels."""
         return self._replace(
             spreads=[tuple(v[piece] for v in spread) for spread in self.spreads],
             reaches=[reach[:, piece] for reach in self.reaches],
@@ -69,7 +69,7 @@ class _Blurs(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Hold the nodes of pixels, their weights for each blur, and where masking is taken: arrays by name.
+    """Nodes of pixels, their weights for each blur, and the samples of masking, arrays by name.
 
     moments: as the weights, of a near rig; empty of a distant one.
     """
@@ -176,7 +176,7 @@ def _gaussian_blurs(
 def _rest_blurs(
     view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> _Blurs:
-    """Return what Gaussians leave of the blurs. It is small itself: what lamp and focus add to it are Gaussians.
+    """Return the residuals of the lenses beyond their Gaussians. They are small, so that lamp and focus widen them as Gaussians.
 
     How those change along an axis is left out. pixels: x, y and the lamp's angle.
     """
@@ -388,7 +388,7 @@ def _found(rules: list[CylinderRule]) -> _Found:
 
 
 def _pixel_nodes(blurs: list[Blur]) -> int:
-    """Return how many nodes over a turned pixel serve all blurs: more where the pixel's borders show."""
+    """Choose the number of nodes over a turned pixel for all blurs: more where the lens resolves the borders of the pixel."""
     if not blurs[0].varies or not blurs[0].stds.size:
         return 1
     sharpest = min(float(np.min(np.asarray(blur.stds))) for blur in blurs)

@@ -38,7 +38,7 @@ _SHORT = 1e-3
 
 
 class LinePixels(NamedTuple):
-    """Hold pixels on a cylinder at height 0, arrays of one shape, each under a lamp of its own.
+    """Pixels on a cylinder at height 0, arrays of one shape, each under a lamp of its own.
 
     Attributes:
         x: px from the axis.
@@ -60,7 +60,7 @@ class CylinderRule(NamedTuple):
         theta: angle between normal and half vector, rad.
         weight: of each node.
         circles: sums over nodes at about one turn from the place of the least angle.
-        moment: weights of the difference of theta_d from the cell's, rad; None: it is not asked for.
+        moment: weights of the difference of theta_d from the cell's, rad; None: not requested.
     """
 
     theta: jax.Array
@@ -70,7 +70,7 @@ class CylinderRule(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Hold lines under lamps of their own, arrays (pixels, samples).
+    """Lines under lamps of their own, arrays (pixels, samples).
 
     Attributes:
         light: their lamps.
@@ -272,7 +272,7 @@ def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[ja
 
 
 def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return where in [-1, 1] an angle is closest to 0, and by how much it changes, from its values at -1, 0 and 1."""
+    """Find the position in [-1, 1] at which an angle is closest to 0, and its slope, from its values at -1, 0 and 1."""
     slope = (last - first) / 2
     safe = jnp.where(jnp.abs(slope) > _LEAST, slope, _LEAST)
     return jnp.clip(-middle / safe, -1, 1), jnp.abs(safe)

@@ -28,7 +28,7 @@ from matcam.sample.shape import highlight_between
 _GAUSSIAN = 0.45
 """Radius of the lamp's image over the blur's standard deviation up to which a Gaussian of its variance is within 1e-3."""
 DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE, LARGEST, len(DISC_GAUSSIANS))
-"""All that says how many chords a rig's pixels have: a kept rule is of no use where this is different."""
+"""Parameters that set the number of chords. A stored rule is valid only for the same parameters."""
 _SMALLEST = 1e-5
 """Least angular radius of a disc, rad: that of a lamp which is a point."""
 _SLACK = 1.1
@@ -51,7 +51,7 @@ _AT, _HALF, _SHARE = _chords()
 
 
 class LampDisc(NamedTuple):
-    """Hold the disc of a lamp and the chords that each pixel needs.
+    """Disc of a lamp and the chords that each pixel needs.
 
     Attributes:
         radius: (pixels,), angular radius of the disc, rad.
@@ -196,7 +196,7 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
 def _moved(
     view: SampleView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return how far the disc's rim moves the highlight along x and y, (rim, pixels), and at most what is seen, px."""
+    """Compute the shift of the highlight by points of the rim, (rim, pixels) along x and y, and its largest value, px."""
     farthest = np.zeros((2, *x.shape))
     if float(blur.lamp_radius) == 0:
         return (farthest[:1], farthest[:1]), farthest
@@ -218,7 +218,7 @@ def _moved(
 
 
 def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far the highlight moves with the lamp along and across its plane, px/rad."""
+    """Compute the shift of the highlight with the lamp along and across its plane, px/rad."""
     step = 1e-4
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)
@@ -271,8 +271,8 @@ def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
 
 
 def _place(view: SampleView, normal: Any) -> tuple[Any, Any]:
-    """Return where the picture shows a normal, px."""
-    far = is_concrete(view.camera) and view.camera == 0  # then nobody needs the normal's z
+    """Compute the image position of a normal, px."""
+    far = is_concrete(view.camera) and view.camera == 0  # the normal's z is not needed
     scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])
     return scale * normal[0], scale * normal[1]
 

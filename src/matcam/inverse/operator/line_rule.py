@@ -43,7 +43,7 @@ class LinePlaces(NamedTuple):
 
 
 class LineRule(NamedTuple):
-    """Hold the rule of one arm of each pixel; arrays of shape (pixels, nodes).
+    """Rule of one arm of each pixel; arrays of shape (pixels, nodes).
 
     Attributes:
         theta: angle between normal and half vector, rad.
@@ -92,7 +92,7 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Return how far normals that columns show lie along the arm, rad."""
+            """Compute the angle along the arm of the normals at columns, rad."""
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 

@@ -163,7 +163,7 @@ class LobeOperator(eqx.Module):
         return joint.reshape(self.slope2.shape)
 
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
-        """Return what a function makes of each slice's operator, one slice after the other; shape (slices, ...).
+        """Apply a function to the operator of each slice, one slice after the other; shape (slices, ...).
 
         What a function of all nodes holds would be hundreds of MB; of a slice it stays in the processor's cache.
         """
@@ -198,7 +198,7 @@ class LobeOperator(eqx.Module):
 
 
 class _Rules(NamedTuple):
-    """Hold the arrays of an operator, on their way to disk and back."""
+    """Arrays of an operator as they are stored on disk."""
 
     theta: np.ndarray
     weight: np.ndarray
@@ -242,7 +242,7 @@ class _Rules(NamedTuple):
 
 
 class WholeRule(NamedTuple):
-    """Say of which slices a rule is made, and along which axes, that a part of it is taken of.
+    """Slices and axes of a rule of which a part is taken.
 
     Attributes:
         every: spacing of the slices; those of the part are among them.
@@ -269,7 +269,7 @@ def lobe_operator(
     if rig is None:
         return perfect_operator(sampling, every, FAR_AWAY, workspace)
     workspace = workspace or default_workspace()
-    known = rig_key(rig)  # refuses what cannot be fitted, before anything else is asked of it
+    known = rig_key(rig)  # raises for rigs that cannot be fitted
     pixels = grid_of(rig)
     key = (known, sampling, every, axes, pixels)
     if whole is not None and whole != (every, axes):
