@@ -176,7 +176,7 @@ def _gaussian_blurs(
 def _rest_blurs(
     view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> _Blurs:
-    """Return the residuals of the lenses beyond their Gaussians. They are small, so that lamp and focus widen them as Gaussians.
+    """Return the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
 
     How those change along an axis is left out. pixels: x, y and the lamp's angle.
     """

@@ -37,7 +37,7 @@ _MOST_IN_RING = 4
 
 
 class RealPixels(NamedTuple):
-    """Real pixels behind cells, whose centres are not the positions of the cells. Shapes: s slices, n cells, w pixels of a cell.
+    """Real pixels behind cells, not centred on the cells. Shapes: s slices, n cells, w pixels of a cell.
 
     Attributes:
         theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
@@ -138,8 +138,8 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
 
-    It is half where the cell's two positions, on either side of the highlight of their image, surely show two pixels. Cells that
-    are means of pixels have one over their count, and interpolated cells the sum of the squared weights of an interpolation.
+    It is half where the cell's two positions, on either side of the highlight of their image, surely show two pixels. Cells
+    that are means of pixels have one over their count, and interpolated cells the sum of the squared weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     ways = [

@@ -67,7 +67,8 @@ class Axis(NamedTuple):
         low: smallest coordinate.
         high: largest coordinate.
         points: coordinates at which a rule is computed; 0 is among them.
-        by_variance: whether a lamp's disc counts by its variance alone, as a Gaussian, because its size is not known. Default: False.
+        by_variance: whether a lamp's disc counts by its variance alone, as a Gaussian, because its size is not known.
+            Default: False.
     """
 
     name: str
