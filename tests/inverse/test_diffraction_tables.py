@@ -7,7 +7,18 @@ tails. Its rings, and what differs by direction, are a table of their own."""
 import numpy as np
 import pytest
 
-from matcam import GGX, BoxPixel, Camera, DiffractionOptics, Rig, Sphere, ZernikeOptics
+from matcam import (
+    GGX,
+    BoxPixel,
+    Camera,
+    DiffractionOptics,
+    Microfacet,
+    NearLamp,
+    Rig,
+    Sphere,
+    ZernikeOptics,
+    measure,
+)
 from matcam.core.workspace import Workspace
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from tests.oracle import aberrated
@@ -18,14 +29,28 @@ SLICE = 1
 """Of three: theta_d is 45.5 degrees."""
 
 
-def errors(lens, alphas, places):
-    """Errors over the peak of the cells closest to some distances from the highlight, px: (alphas, places)."""
+def turned_pair(pair, order, azimuth):
+    """A pair of Zernike coefficients along axes that are turned by an azimuth, rad."""
+    turn = np.exp(-1j * order * azimuth)
+    return tuple(float(f(complex(*pair) * turn)) for f in (np.real, np.imag))
+
+
+def errors(lens, alphas, places, azimuth=0.0):
+    """Errors over the peak of the cells closest to some distances from the highlight, px: (alphas, places).
+
+    azimuth: of the lamp, in quarter turns, which square pixels do not show, rad.
+    """
     kernel, cutoff = None, float(lens.cutoff)
     if isinstance(lens, ZernikeOptics):
-        pairs = {name: tuple(getattr(lens, name).tolist()) for name in ("astigmatism", "coma", "trefoil")}
+        pairs = {
+            name: turned_pair(getattr(lens, name).tolist(), order, azimuth)
+            for name, order in (("coma", 1), ("astigmatism", 2), ("trefoil", 3))
+        }
         pupil = aberrated.Pupil(cutoff, float(lens.defocus), **pairs, spherical=float(lens.spherical))
         kernel = aberrated.seen_by_pixel(pupil, AROUND + 1)
-    cells, operator = lobe_operator(Rig(Camera(lens, BoxPixel()), Sphere(256.0)), "centre", 30, (), Workspace())
+    cells, operator = lobe_operator(
+        Rig(Camera(lens, BoxPixel()), Sphere(256.0), lamp_azimuth=azimuth), "centre", 30, (), Workspace()
+    )
     away = np.where(cells.valid[SLICE], 256.0 * cells.theta_h[SLICE], np.inf)
     chosen = [int(np.argmin(np.abs(away - place))) for place in places]
     found = []
@@ -57,6 +82,33 @@ def test_a_lens_with_coma_and_astigmatism():
     """It is different on either side of the plane of camera and lamp, and cells of both sides are asked for."""
     lens = ZernikeOptics(8.0, *PARTS, astigmatism=(0.04, -0.03), coma=(0.03, 0.05))
     assert errors(lens, [0.003], [0.0, 1.5, 2.5]).max() < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("azimuth", [np.pi / 2, -np.pi / 2, np.pi])
+def test_a_lens_with_aberrations_under_a_turned_lamp(azimuth):
+    lens = ZernikeOptics(8.0, *PARTS, astigmatism=(0.04, -0.03), coma=(0.03, 0.05), trefoil=(0.02, 0.03))
+    assert errors(lens, [0.003], [0.0, 1.5, 2.5], azimuth).max() < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("distances", "azimuth"), [((np.inf, np.inf), 0.6), ((12.0, 9.0), 0.0), ((8.0, np.inf), 2.0)])
+def test_any_lens_serves_any_rig(distances, azimuth):
+    """Against `measure`, which filters whole images, and shares no integral with the operator."""
+    lens = ZernikeOptics(8.0, *PARTS, astigmatism=(0.06, -0.03), coma=(0.03, 0.06))
+    camera, lamp = distances
+    rig = Rig(
+        Camera(lens, BoxPixel()),
+        Sphere(120.0) if np.isinf(camera) else Sphere(120.0, camera),
+        None if np.isinf(lamp) else NearLamp(lamp),
+        lamp_azimuth=azimuth,
+    )
+    cells, operator = lobe_operator(rig, "centre", 40, (), Workspace())
+    record = np.asarray(operator.record(GGX(0.02), "smith", np.zeros(0)))
+    table = measure(Microfacet(GGX(0.02), 1.0), rig).values[..., 0]
+    truth = table[cells.i_theta_h, cells.slices[:, None], cells.i_phi_d]
+    peak = np.where(cells.valid, truth, 0.0).max(axis=1, keepdims=True)
+    assert np.abs(np.where(cells.valid, record - truth, 0.0) / peak).max() < 2e-4
 
 
 @pytest.mark.slow

@@ -11,9 +11,8 @@ from matcam.forward.integral.blur import blur_of
 from matcam.inverse.correction.doubts import rig_doubts
 from matcam.inverse.fit.fit_setup import free_setup
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, places_in
-from matcam.inverse.operator.lamp_lines import lamp_discs
+from matcam.inverse.operator.lamp_lines import lamp_discs, lamp_kernel
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
-from matcam.inverse.operator.polar_rule import Pixels, polar_rule, polar_window
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from tests.inverse import recorded
@@ -110,25 +109,24 @@ def test_small_discs_stay_gaussians():
     assert moved[0].max() < 0.01 < moved[1].max()
 
 
-@pytest.mark.slow
 def test_the_derivative_to_a_disc():
-    """Of a rule to the lamp's radius, against differences; at a chord's very end a bend is cut off, which they step over."""
-    rig, theta_d = under(128.0, 0.5), np.full(128, 0.6)
-    view, blur = sample_view(rig), blur_of(rig)
-    pixels = Pixels(128 * np.sin(theta_d) + np.linspace(-2, 2, 128), np.linspace(0, 2, 128), theta_d, np.ones(128))
-    (disc,), moved = lamp_discs(view, [blur], sharpest(blur), 2 * theta_d, pixels.x, pixels.y)
-    window = polar_window(128.0, pixels, *(4.0 + moved[0]))
-    light = GGX(0.01)
+    """Of the kernel to the lamp's radius, against differences; they step over a chord's very end, where a bend is cut off."""
+    rig, lamp_angle = under(128.0, 0.5), np.full(16, 1.2)
+    view, blur, zero = sample_view(rig), blur_of(rig).of_point(), np.zeros((16, 1))
+    highlight = 128 * np.sin(0.6)
+    at = highlight + np.linspace(-2, 2, 16)[:, None], np.linspace(0, 2, 16)[:, None]
+    (disc,), _ = lamp_discs(view, [blur_of(rig)], sharpest(blur_of(rig)), lamp_angle, at[0][:, 0], at[1][:, 0])
+    rng = np.random.default_rng(1)
+    x, y = at[0] + rng.uniform(-2, 2, (16, 8)), at[1] + rng.uniform(-2, 2, (16, 8))
+    normal = view.normals(x, y)
 
     def total(radius):
-        own = disc._replace(radius=jnp.broadcast_to(radius, (128,)))
-        zero = (np.zeros(128),) * 2
-        rule = polar_rule(jnp.asarray(128.0), blur.of_point(), zero, (0,), pixels, window, own)
-        return jnp.sum(rule.weight * light.slope_density(jnp.tan(rule.theta) ** 2), -1)
+        own = jax.tree.map(jnp.asarray, disc)._replace(radius=jnp.broadcast_to(radius, (16,)))
+        return jnp.sum(lamp_kernel(view, blur, (0,), own, normal, at, (zero, zero)), -1)
 
-    at, step = np.radians(0.5), 1e-5
-    _, slope = jax.jvp(total, (jnp.asarray(at),), (jnp.asarray(1.0),))
-    secant = (total(at + step) - total(at - step)) / (2 * step)
+    known, step = np.radians(0.5), 1e-5
+    _, slope = jax.jvp(total, (jnp.asarray(known),), (jnp.asarray(1.0),))
+    secant = (total(known + step) - total(known - step)) / (2 * step)
     np.testing.assert_allclose(slope, secant, atol=3e-4 * np.abs(secant).max())
 
 

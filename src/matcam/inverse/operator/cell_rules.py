@@ -17,38 +17,28 @@ from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
-from matcam.inverse.operator.cylinder_rule import LinePixels, cylinder_rule, line_window
+from matcam.inverse.operator.circle_arcs import SpherePixels
+from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
-from matcam.inverse.operator.line_rule import ARMS, line_rule
-from matcam.inverse.operator.near_rule import (
-    NearPixels,
-    NearRule,
-    near_masking_samples,
-    near_rule,
-    near_window,
-)
-from matcam.inverse.operator.polar_rule import (
+from matcam.inverse.operator.line_rule import ARMS, LinePlaces, line_rule
+from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
+from matcam.inverse.operator.sample_view import SampleView, sample_view
+from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, sphere_range, sphere_rule
+from matcam.inverse.operator.theta_nodes import (
+    NODES,
     PIECE,
-    Pixels,
-    PolarRule,
-    PolarWindow,
-    disc_rule,
-    kernel_reach,
+    SAMPLED,
+    CircleSums,
+    ThetaRange,
     masking_samples,
     on_highlight,
     padded,
-    polar_rule,
-    polar_window,
-    ring_windows,
-    transfer,
 )
-from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
-from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.rigs import Rig
 
 
 class _Blurs(NamedTuple):
-    """Hold the blurs of a rig's own and of all points of its axes, and what lamp and focus add to each in the pixels.
+    """Blurs of a rig and of all points of its axes, and what lamp and focus add to each in the pixels.
 
     Attributes:
         blurs: the rig's own first.
@@ -70,7 +60,7 @@ class _Blurs(NamedTuple):
         return self.blurs[0].terms
 
     def of(self, piece: slice) -> _Blurs:
-        """Return what is held of some pixels."""
+        """Select a subset of pixels."""
         return self._replace(
             spreads=[tuple(v[piece] for v in spread) for spread in self.spreads],
             reaches=[reach[:, piece] for reach in self.reaches],
@@ -79,7 +69,7 @@ class _Blurs(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Hold the nodes of pixels, their weights for each blur, and where masking is taken: arrays by name.
+    """Nodes of pixels, their weights for each blur, and the samples of masking, arrays by name.
 
     moments: as the weights, of a near rig; empty of a distant one.
     """
@@ -105,7 +95,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = 2 * theta_d
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
-    own = blur_of(rig, in_discs=True, whole=view.plain)
+    own = blur_of(rig, in_discs=True, whole=not view.line)
     moved = [(blur, axis.by_variance) for axis in axes for blur in _blurs_along(rig, own, axis)]
     blurs, rough = [own, *(blur for blur, _ in moved)], [False, *(by_variance for _, by_variance in moved)]
     lamps = [float(blur.lamp_radius) for blur in blurs]
@@ -128,7 +118,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         else:
             widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
-    for together in _on_the_same_nodes(widths) if view.plain else [[through] for through in widths]:
+    for together in [[through] for through in widths] if view.line else _on_the_same_nodes(widths):
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
             named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
             named |= _along(axes, "weight", "along", rules.weights)
@@ -168,7 +158,7 @@ def _gaussian_blurs(
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if any(blur.varies for blur in exact) or (not view.plain and any(rough)):  # one program for all
+    if any(blur.varies for blur in exact) or any(rough):  # one program for all
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [_variances(view, rig, blur, pixels) for blur in blurs]
     half_width = float(rig.camera.pixel.half_width)
@@ -186,7 +176,7 @@ def _gaussian_blurs(
 def _rest_blurs(
     view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> _Blurs:
-    """Return what Gaussians leave of the blurs. It is small itself: what lamp and focus add to it are Gaussians.
+    """Return the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
 
     How those change along an axis is left out. pixels: x, y and the lamp's angle.
     """
@@ -237,19 +227,25 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
     """Return the rules of pixels, given by x, y, theta_d, the lamp's angle, and the record's factor.
 
-    widths: blurs of one width; on a distant sphere of several, on one set of nodes.
+    widths: blurs of one width; on a sphere of several, on one set of nodes.
     """
     x, y, theta_d, lamp_angle, factor = pixels
-    if view.plain:
-        return [_far_rules(view.radius, Pixels(x, y, theta_d, factor), widths, finest)]
+    if not view.line:
+        return [
+            _sphere_rules(
+                view, SpherePixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), theta_d, widths, finest
+            )
+        ]
     (through,) = widths
-    if view.line and (any(through.lamps) or not view.distant):
+    if any(through.lamps) or not view.distant:
         pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
         return _cylinder_rules(view, pixels, through, None if view.distant else theta_d)
-    if view.line:
-        return _line_rules(view.radius, Pixels(x, y, theta_d, factor), through)
-    near = NearPixels(x, y, lamp_angle, view.highlight(lamp_angle), factor)
-    return [_near_rules(view, near, through, None if view.distant else theta_d)]
+    return _line_rules(view.radius, LinePlaces(x, y, theta_d, factor), through)
+
+
+def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
+    """Return the half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
+    return half_width + _REACH * stds
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
@@ -273,42 +269,50 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
     return [widths[a:b] for a, b in zip([0, *ends], [*ends, len(widths)], strict=True) if b > a]
 
 
-def _far_rules(radius: float, pixels: Pixels, widths: list[_Blurs], finest: float) -> _Found:
-    """Return a rule on one set of nodes for terms of several widths. finest: as of a `PolarWindow`."""
+def _sphere_rules(
+    view: SampleView, pixels: SpherePixels, theta_d: np.ndarray, widths: list[_Blurs], finest: float
+) -> _Found:
+    """Return a rule on one set of nodes for terms of several widths. finest: see `ThetaRange`."""
+    own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
+    widest, onto = (
+        one._replace(finest=finest)
+        for one in sphere_range(view, pixels, np.max([through.reaches for through in widths], axis=(0, 1)))
+    )
 
-    def rule(n: int, window: PolarWindow, through: _Blurs) -> PolarRule:
-        disc, spread = through.discs[n], tuple(through.spreads[n])
-        program = polar_rule if disc is None else disc_rule
-        return program(jnp.asarray(radius), through.blurs[n], spread, through.terms, pixels, window, disc)
+    def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
+        blur, nodes = through.blurs[n], _pixel_nodes(through.blurs) if view.azimuth else 0
+        kernel = Kernel(blur, through.terms, tuple(through.spreads[n]), reach, through.discs[n], nodes)
+        return sphere_rule(view, pixels, kernel, circles, onto, theta_d)
 
-    if len(widths[0].blurs) == len(widths) == 1 and np.isinf(finest):
-        shown = rule(0, polar_window(radius, pixels, *widths[0].reaches[0]), widths[0])
-        weights = [np.asarray(shown.weight)]
-    else:  # all on the nodes of the widest
-        own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
-        widest = polar_window(radius, pixels, *np.max([through.reaches for through in widths], axis=(0, 1)))
-        widest = widest._replace(finest=finest)
+    def laid(through: _Blurs, n: int) -> tuple[np.ndarray, ...]:
+        """Return the weights of a blur at the nodes, and in a near rig their moments."""
+        seen = sphere_range(view, pixels, through.reaches[n])[0]
+        parts = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
+        rules = [(part, rule(through, n, part, through.reaches[n])) for part in parts]
+        if view.distant:
+            return (np.sum([onto.carry(part.nodes()[0], one.weight) for part, one in rules], axis=0),)
+        return tuple(
+            np.sum(parts, axis=0) for parts in zip(*((one.weight, one.moment) for _, one in rules), strict=True)
+        )
 
-        def laid(n: int, through: _Blurs) -> np.ndarray:
-            seen = polar_window(radius, pixels, *through.reaches[n])
-            parts = [seen._replace(finest=own)] if through.blurs[n].rest is None else ring_windows(seen)
-            return sum(np.asarray(transfer(rule(n, part, through), widest)) for part in parts)  # type: ignore[return-value]
+    def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
+        """Return the same of all blurs of a width; those of one residual are the same."""
+        first, rest = laid(through, 0), through.blurs[0].rest
+        others = enumerate(through.blurs[1:], start=1)
+        return [first, *(first if rest is not None and blur.rest is rest else laid(through, n) for n, blur in others)]
 
-        def each(through: _Blurs) -> list[np.ndarray]:
-            """Return the weights of a width's blurs; those of one rest are the same."""
-            first, rest = laid(0, through), through.blurs[0].rest
-            others = enumerate(through.blurs[1:], start=1)
-            return [
-                first,
-                *(first if rest is not None and blur.rest is rest else laid(n, through) for n, blur in others),
-            ]
-
-        weights = [sum(of_blur) for of_blur in zip(*map(each, widths), strict=True)]  # type: ignore[misc]
-        seen = widths[-1].reaches[0]
-        by = widths[0] if len(widths) == 1 else _standing_for(widths)
-        shown = rule(0, widest._replace(reach=seen[0], rows=seen[1]), by)
-    samples = dict(zip(("sample_theta", "sample_cos_psi", "sample_share"), masking_samples(shown), strict=True))
-    return _Found(np.asarray(shown.theta), weights, samples)
+    found = [
+        tuple(np.sum(parts, axis=0) for parts in zip(*of_blur, strict=True))
+        for of_blur in zip(*map(each, widths), strict=True)
+    ]
+    weights, *moments = zip(*found, strict=True)
+    by = widths[0] if len(widths) == 1 else _standing_for(widths)
+    shown = rule(by, 0, widest, widths[-1].reaches[0])
+    theta = onto.nodes()[0]
+    # close to the limb of a near sphere no polynomial follows G
+    at = SAMPLED if view.distant else np.arange(NODES[0].size)
+    sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
+    return _Found(theta, list(weights), sampled, *(tuple(one) for one in moments))
 
 
 def _standing_for(widths: list[_Blurs]) -> _Blurs:
@@ -324,7 +328,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     return widths[0]._replace(blurs=[stand_in])
 
 
-def _line_rules(radius: float, pixels: Pixels, through: _Blurs) -> list[_Found]:
+def _line_rules(radius: float, pixels: LinePlaces, through: _Blurs) -> list[_Found]:
     """Return the rules of a cylinder's two arms."""
     blurs, spreads, reaches, *_ = through
     terms = through.terms
@@ -353,7 +357,7 @@ def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta
     near = jnp.asarray(view.lamp) if view.lamp else None
     arms = []
     for arm in ARMS:
-        rules: list[NearRule] = [
+        rules = [
             cylinder_rule(
                 view.cylinder,
                 blur,
@@ -374,38 +378,30 @@ def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta
     return arms
 
 
-def _found(rules: list[NearRule]) -> _Found:
+def _found(rules: list[CylinderRule]) -> _Found:
     """Return the rules of all blurs on the same nodes."""
-    samples = dict(zip(_MASKED, near_masking_samples(rules[0]), strict=True))
+    theta = np.asarray(rules[0].theta)
+    circles = CircleSums(*(np.asarray(a) for a in rules[0].circles))
+    samples = dict(zip(_MASKED, masking_samples(circles, theta, np.arange(NODES[0].size)), strict=True))
     moments = tuple(np.asarray(rule.moment) for rule in rules if rule.moment is not None)
-    return _Found(np.asarray(rules[0].theta), [np.asarray(rule.weight) for rule in rules], samples, moments)
+    return _Found(theta, [np.asarray(rule.weight) for rule in rules], samples, moments)
 
 
-def _near_rules(view: SampleView, pixels: NearPixels, through: _Blurs, theta_d: np.ndarray | None) -> _Found:
-    """Return the rules of a sphere's pixels. theta_d: from which moments count, rad; None: none do."""
-    blurs, spreads, reaches, discs, _ = through
-    terms = through.terms
-    onto = near_window(view, pixels, *np.max(reaches, axis=0)).theta
-    nodes = _pixel_nodes(blurs, terms) if view.azimuth else 0
-    return _found(
-        [
-            near_rule(view, blur, spread, terms, pixels, near_window(view, pixels, *reach), onto, nodes, disc, theta_d)
-            for blur, spread, reach, disc in zip(blurs, spreads, reaches, discs, strict=True)
-        ]
-    )
-
-
-def _pixel_nodes(blurs: list[Blur], terms: tuple[int, ...]) -> int:
-    """Return how many nodes over a turned pixel serve all blurs: more where the pixel's borders show."""
-    sharpest = min(float(np.min(np.asarray(blur.stds)[list(terms)])) for blur in blurs)
+def _pixel_nodes(blurs: list[Blur]) -> int:
+    """Choose the number of nodes over a turned pixel for all blurs: more where the lens resolves the borders of the pixel."""
+    if not blurs[0].varies or not blurs[0].stds.size:
+        return 1
+    sharpest = min(float(np.min(np.asarray(blur.stds))) for blur in blurs)
     ratio = float(blurs[0].pixel.half_width) / max(sharpest, 1e-3)
-    return 1 if not blurs[0].varies else next(n for most, n in _PIXEL_NODES if ratio <= most)
+    return next(n for most, n in _PIXEL_NODES if ratio <= most)
 
 
 MOMENT_ALONG = "moment_along"
 """Name of what changes of the moments along each axis, before the axis's number."""
 _MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
-"""Names of what `near_masking_samples` returns."""
+"""Names of what `masking_samples` returns."""
+_REACH = 6.2
+"""How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
 _SURROUNDINGS = np.array([9.0, 45.0])
 """Reach of the terms of a lens that count as its core, and as what surrounds it, px."""
 _RESOLVED = 10

@@ -37,7 +37,7 @@ _MOST_IN_RING = 4
 
 
 class RealPixels(NamedTuple):
-    """Hold what real pixels show, whose centres are not the cells' places. Shapes: s slices, n cells, w pixels of a cell.
+    """Real pixels behind cells, not centred on the cells. Shapes: s slices, n cells, w pixels of a cell.
 
     Attributes:
         theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
@@ -53,7 +53,7 @@ class RealPixels(NamedTuple):
 
 
 class ChosenCells(NamedTuple):
-    """Hold cells of some theta_d slices and the two pixels behind each. Shapes: s slices, n cells; the last axis is the way.
+    """Cells of some theta_d slices and the two pixels behind each. Shapes: s slices, n cells; the last axis is the direction.
 
     Attributes:
         slices: (s,), indices of theta_d.
@@ -138,8 +138,8 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
 
-    It is half where the cell's two positions, on either side of the highlight of their image, surely show two pixels. Cells that
-    are means of pixels have one over their count, and interpolated cells the sum of the squared weights of an interpolation.
+    It is half where the cell's two positions, on either side of the highlight of their image, surely show two pixels. Cells
+    that are means of pixels have one over their count, and interpolated cells the sum of the squared weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     ways = [
@@ -175,7 +175,7 @@ def _azimuth(view: SampleView, pixels: PixelGrid | None) -> float:
 
 
 class _SliceCells(NamedTuple):
-    """Hold the chosen cells of a slice, filled up to one length.
+    """Chosen cells of a slice, padded to one length.
 
     Attributes:
         i: indices of theta_h.

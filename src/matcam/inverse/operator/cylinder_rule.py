@@ -3,7 +3,7 @@
 One line under one lamp does not do then (`line_rule.py`): points of a disc miss the line by different angles, and so do rows
 that a near camera or lamp shows. Both are samples of one kind. Each is a line of its own, under a lamp of its own, that misses
 its half vector by an angle of its own. Polynomials in asinh(theta_h / scale) carry the weights of all over to few nodes in
-theta_h, as in `near_rule.py`, and with them the moments of theta_d.
+theta_h, as in `theta_nodes.py`, and with them the moments of theta_d.
 
 A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is integrated in
 closed form. Where a sample may meet the half vector itself, samples crowd.
@@ -20,8 +20,8 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.integral.cylinder_record import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
-from matcam.inverse.operator.near_rule import Directions, NearRule, azimuths_seen, rise_of
-from matcam.inverse.operator.polar_rule import NODES, onto_nodes, stretched
+from matcam.inverse.operator.sphere_rule import Directions
+from matcam.inverse.operator.theta_nodes import NODES, CircleSums, onto_nodes, rise_of, stretched
 from matcam.sample.curved import Cylinder
 
 _PANEL = np.polynomial.legendre.leggauss(16)
@@ -38,7 +38,7 @@ _SHORT = 1e-3
 
 
 class LinePixels(NamedTuple):
-    """Hold pixels on a cylinder at height 0, arrays of one shape, each under a lamp of its own.
+    """Pixels on a cylinder at height 0, arrays of one shape, each under a lamp of its own.
 
     Attributes:
         x: px from the axis.
@@ -53,8 +53,24 @@ class LinePixels(NamedTuple):
     factor: np.ndarray
 
 
+class CylinderRule(NamedTuple):
+    """Rule of each pixel; arrays of shape (pixels, nodes).
+
+    Attributes:
+        theta: angle between normal and half vector, rad.
+        weight: of each node.
+        circles: sums over nodes at about one turn from the place of the least angle.
+        moment: weights of the difference of theta_d from the cell's, rad; None: not requested.
+    """
+
+    theta: jax.Array
+    weight: jax.Array
+    circles: CircleSums
+    moment: jax.Array | None
+
+
 class _Samples(NamedTuple):
-    """Hold lines under lamps of their own, arrays (pixels, samples).
+    """Lines under lamps of their own, arrays (pixels, samples).
 
     Attributes:
         light: their lamps.
@@ -121,7 +137,7 @@ def cylinder_rule(
     arm: float,
     discs: bool,
     theta_d: jax.Array | np.ndarray | None = None,
-) -> NearRule:
+) -> CylinderRule:
     """Return one arm's rule for some terms of a blur.
 
     Args:
@@ -188,12 +204,18 @@ def cylinder_rule(
         moment = None if cell is None else onto_nodes(place, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         # nodes of all samples at about one turn are a circle
-        circles = jax.tree.map(lambda a: jnp.swapaxes(jnp.broadcast_to(a, u.shape), 1, 2), (at, place, share))
-        return nodes, weight, *azimuths_seen(*circles), moment
+        cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
+        cos_psi = jnp.clip(cos_psi, -1, 1)
+        sums = [
+            jnp.sum(share * one, axis=1)
+            for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, place, at.theta_d, at.theta_d * cos_psi)
+        ]
+        return nodes, weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment
 
     arguments = (*pixels, variance, reach, *onto), theta_d
     found = jax.lax.map(block, jax.tree.map(lambda a: jnp.asarray(a).reshape(-1, _BLOCK), arguments))
-    return NearRule(*jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found))
+    theta, weight, circles, moment = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
+    return CylinderRule(theta, weight, circles._replace(cosine=jnp.moveaxis(circles.cosine, 1, 0)), moment)
 
 
 def _samples(
@@ -250,7 +272,7 @@ def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[ja
 
 
 def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return where in [-1, 1] an angle is closest to 0, and by how much it changes, from its values at -1, 0 and 1."""
+    """Find the position in [-1, 1] at which an angle is closest to 0, and its slope, from its values at -1, 0 and 1."""
     slope = (last - first) / 2
     safe = jnp.where(jnp.abs(slope) > _LEAST, slope, _LEAST)
     return jnp.clip(-middle / safe, -1, 1), jnp.abs(safe)

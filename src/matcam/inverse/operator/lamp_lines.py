@@ -17,10 +17,9 @@ import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Line, Spread
+from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Spread
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
 from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
@@ -29,11 +28,13 @@ from matcam.sample.shape import highlight_between
 _GAUSSIAN = 0.45
 """Radius of the lamp's image over the blur's standard deviation up to which a Gaussian of its variance is within 1e-3."""
 DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE, LARGEST, len(DISC_GAUSSIANS))
-"""All that says how many chords a rig's pixels have: a kept rule is of no use where this is different."""
+"""Parameters that set the number of chords. A stored rule is valid only for the same parameters."""
 _SMALLEST = 1e-5
 """Least angular radius of a disc, rad: that of a lamp which is a point."""
 _SLACK = 1.1
 """Share by which an image may be larger at the kernel's end than at its middle."""
+_ALIGNED = 1e-9
+"""Sine of the angle between the pixel's axes and the plane of camera and lamp below which they are parallel."""
 _ROUND = np.pi * np.arange(16) / 8
 
 
@@ -50,7 +51,7 @@ _AT, _HALF, _SHARE = _chords()
 
 
 class LampDisc(NamedTuple):
-    """Hold the disc of a lamp and the chords that each pixel needs.
+    """Disc of a lamp and the chords that each pixel needs.
 
     Attributes:
         radius: (pixels,), angular radius of the disc, rad.
@@ -80,7 +81,7 @@ def lamp_discs(
     blurs, px. lamp_angle, x, y: of the pixels.
     """
     half = float(blurs[0].pixel.half_width)
-    turn = view.azimuth if view.azimuth <= np.pi / 4 else view.azimuth - np.pi / 2  # a square has four axes
+    turn = view.azimuth - np.pi / 2 * np.round(view.azimuth / (np.pi / 2))  # a square has four axes
     cosine, sine = np.cos(turn), np.sin(turn)
     moved = [_moved(view, blur, lamp_angle, x, y) for blur in blurs]
     if all(
@@ -103,57 +104,10 @@ def lamp_discs(
     return discs, np.stack([_SLACK * reach for _, reach in moved])
 
 
-def disc_kernel(
-    radius: jax.Array, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
-) -> jax.Array:
-    """Return what `lamp_kernel` does of a distant rig whose pixels lie along the plane of camera and lamp.
-
-    Small discs are Gaussians where all of the block are small. radius: of the sphere, px.
-    """
-
-    def in_chords() -> jax.Array:
-        return lamp_kernel(SampleView(radius), blur, terms, disc, normal, at, variances)  # type: ignore[arg-type]
-
-    def in_gaussians() -> jax.Array:
-        widening, place = dataclasses.replace(blur, varies=True), (radius * normal[0] - at[0], radius * normal[1])
-        half_widths = [(disc.radius * scale)[:, None, None] for scale in disc.image.T]
-
-        def of_width(total, gaussian):  # type: ignore[no-untyped-def]
-            share, wide = gaussian
-            along, across = (v + wide * half**2 for v, half in zip(variances, half_widths, strict=True))
-            return total + share * both_sides(widening, terms, Spread(along, across, jnp.zeros(())), place, at[1]), None
-
-        start = jnp.zeros(jnp.broadcast_shapes(*(a.shape for a in normal)))
-        return jax.lax.scan(of_width, start, tuple(jnp.asarray(a) for a in DISC_GAUSSIANS.T))[0]
-
-    return jax.lax.cond(jnp.all(disc.relative <= LARGEST), in_gaussians, in_chords)
-
-
-def both_sides(
-    blur: Blur, terms: tuple[int, ...], spread: Spread, at: tuple, y: jax.Array, side: ArrayLike = 1.0
-) -> jax.Array:
-    """Return the kernel at places on either side of the plane of camera and lamp, added up, 1/px^2.
-
-    at: px, from the pixel along x, and from the plane. y: of the pixel, px. side: -1 where all is mirrored at the plane.
-    """
-
-    def of(along: Line, across: Line) -> jax.Array:
-        return along(-at[0]) * (across(y - at[1]) + across(y + at[1]))
-
-    total = jnp.zeros(())
-    for term in terms:
-        if blur.is_rest(term):
-            seen = [blur.at(term, spread, -at[0], side * (y - up * at[1])) for up in (1, -1)]
-            total += seen[0] + seen[1]
-        else:
-            total += blur.share(term) * blur.through_disc(term, spread, of)
-    return total
-
-
 def lamp_kernel(
     view: SampleView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
 ) -> jax.Array:
-    """Return the kernel over the disc, 1/px^2, at places on either side of the plane of camera and lamp, added up.
+    """Return the kernel over the disc of a lamp at nodes, 1/px^2, (groups, nodes).
 
     Differentiable in the disc's radius.
 
@@ -161,19 +115,46 @@ def lamp_kernel(
         view: how the sphere is seen and lit.
         blur: the blur under a point.
         terms: of the blur.
-        disc: of a block of pixels.
-        normal: (block, nodes, azimuths) each, normals where the lamp's centre shows them.
-        at: (block, 1, 1) each, the pixel's place in the plane's axes, px.
-        variances: px^2, (block, 1, 1), that are added along x and y besides.
+        disc: of the pixel of each group.
+        normal: normals where the lamp's centre shows them, (groups, nodes) each.
+        at: the pixel's place along the plane of camera and lamp and across it, (groups, 1) each, px.
+        variances: px^2, (groups, 1), that are added along x and y besides.
     """
-    cosine, sine = (a[:, None, None] for a in disc.turn.T)
+    if not (is_concrete(view.camera) and is_concrete(view.lamp) and view.distant):
+        return _by_chords(view, blur, terms, disc, normal, at, variances)
+    # an image along the pixel's axes that is small beside the blur is an ellipse
+    small = jnp.all((disc.relative <= LARGEST) & (jnp.abs(disc.turn[:, 1]) < _ALIGNED))
+    return jax.lax.cond(
+        small,
+        lambda: _by_gaussians(view, blur, terms, disc, normal, at, variances),
+        lambda: _by_chords(view, blur, terms, disc, normal, at, variances),
+    )
+
+
+def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
+    """Return the kernel over a disc that is small beside the blur, as a sum of Gaussians."""
+    widening = dataclasses.replace(blur, varies=True)
+    offset = at[0] - view.radius * normal[0], at[1] - view.radius * normal[1]
+    half_widths = [(disc.radius * scale)[:, None] for scale in disc.image.T]
+
+    def of_width(total, gaussian):  # type: ignore[no-untyped-def]
+        share, wide = gaussian
+        along, across = (v + wide * half**2 for v, half in zip(variances, half_widths, strict=True))
+        added = Spread(along, across, jnp.zeros(()))
+        seen = sum((blur.share(j) * widening.at(j, added, *offset) for j in terms), jnp.zeros(()))
+        return total + share * seen, None
+
+    start = jnp.zeros(jnp.broadcast_shapes(*(a.shape for a in normal)))
+    return jax.lax.scan(of_width, start, tuple(jnp.asarray(a) for a in DISC_GAUSSIANS.T))[0]
+
+
+def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
+    """Return the kernel over chords of a disc, over each of which the pixel is integrated in closed form."""
+    cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
     radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
     peak, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
-    from_ = [a[:, None, None] for a in peak]
-
-    sides = np.array([1.0, -1.0]).reshape(2, 1, 1, 1)
-    here = normal[0], sides * normal[1], normal[2]
+    from_ = [a[:, None] for a in peak]
     # its beginning, middle and end, and two places in between
     on_chord = np.array([-1.0, 0.0, 1.0, -0.5, 0.5])[:, None]
 
@@ -186,9 +167,9 @@ def lamp_kernel(
         to, light = _highlights(view, u, v, radius, lamp)
         run = _rotated(*_place(view, to), *disc.turn.T)[1]
         # the image's y is a cubic of the place on the chord: less of it is linear than the whole chord says
-        less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None, None]
-        light = [(share * part / own_light)[:, None, None] for part in light[:3]]
-        there = _turned(from_, [a[:3, None, :, None, None] for a in to], here)
+        less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None]
+        light = [(share * part / own_light)[:, None] for part in light[:3]]
+        there = _turned(from_, [a[:3, :, None] for a in to], normal)
         x, y = _rotated(*_place(view, there), cosine, sine)
         x, (y_0, y_1, y_2) = x - own_x, y - own_y
         half, bend = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
@@ -202,7 +183,7 @@ def lamp_kernel(
             for j in terms
         )
         density = 2 * (half * (1 + less * (3 * on**2 - 1)) + 2 * bend * on)
-        return total + jnp.sum(seen * _parabola(*light, on) / density, axis=0)
+        return total + seen * _parabola(*light, on) / density
 
     def step(total, chord):  # type: ignore[no-untyped-def]
         return jax.lax.cond(jnp.any(chord[2] > 0), of_chord, lambda total, _: total, total, chord), None
@@ -215,7 +196,7 @@ def lamp_kernel(
 def _moved(
     view: SampleView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Return how far the disc's rim moves the highlight along x and y, (rim, pixels), and at most what is seen, px."""
+    """Compute the shift of the highlight by points of the rim, (rim, pixels) along x and y, and its largest value, px."""
     farthest = np.zeros((2, *x.shape))
     if float(blur.lamp_radius) == 0:
         return (farthest[:1], farthest[:1]), farthest
@@ -237,7 +218,7 @@ def _moved(
 
 
 def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far the highlight moves with the lamp along and across its plane, px/rad."""
+    """Compute the shift of the highlight with the lamp along and across its plane, px/rad."""
     step = 1e-4
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)
@@ -290,8 +271,8 @@ def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
 
 
 def _place(view: SampleView, normal: Any) -> tuple[Any, Any]:
-    """Return where the picture shows a normal, px."""
-    far = is_concrete(view.camera) and view.camera == 0  # then nobody needs the normal's z
+    """Compute the image position of a normal, px."""
+    far = is_concrete(view.camera) and view.camera == 0  # the normal's z is not needed
     scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])
     return scale * normal[0], scale * normal[1]
 

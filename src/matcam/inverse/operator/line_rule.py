@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.inverse.operator.polar_rule import NODES, Pixels, onto_nodes, stretched
+from matcam.inverse.operator.theta_nodes import NODES, onto_nodes, stretched
 
 _PANEL = np.polynomial.legendre.leggauss(24)
 _HALVES = np.array([0.5])
@@ -26,8 +26,24 @@ ARMS = (1.0, -1.0)
 """Sides of the place that is closest to the half vector: away from the axis, and towards it."""
 
 
+class LinePlaces(NamedTuple):
+    """Places in the images of a sphere, whose distance from the axis is that on the cylinder; arrays of one shape.
+
+    Attributes:
+        x: distance from the optical axis, the lamp towards +x, px.
+        y: the same across, px.
+        theta_d: rad.
+        factor: factor of the record.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    theta_d: np.ndarray
+    factor: np.ndarray
+
+
 class LineRule(NamedTuple):
-    """Hold the rule of one arm of each pixel; arrays of shape (pixels, nodes).
+    """Rule of one arm of each pixel; arrays of shape (pixels, nodes).
 
     Attributes:
         theta: angle between normal and half vector, rad.
@@ -46,7 +62,7 @@ def line_rule(
     blur: Blur,
     variance: jax.Array,
     terms: tuple[int, ...],
-    pixels: Pixels,
+    pixels: LinePlaces,
     reach: jax.Array,
     onto: jax.Array,
     arm: float,
@@ -76,7 +92,7 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Return how far normals that columns show lie along the arm, rad."""
+            """Compute the angle along the arm of the normals at columns, rad."""
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 

@@ -1,7 +1,7 @@
 """The record of D G in chosen cells: one compiled function of lobe and camera for every material.
 
 `record` is the integral of docs/model.md 3 without F. A table reads F(theta_d) times it, because a slice of a distant sphere
-under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`polar_rule`) and
+under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`sphere_rule`) and
 kept.
 
 Before a near camera or under a near lamp every node has a theta_d of its own. There the table reads F A + F' B, A the record at
@@ -34,10 +34,9 @@ from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import MOMENT_ALONG, rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
 from matcam.inverse.operator.lamp_lines import DISC_RULE
-from matcam.inverse.operator.near_rule import RISE
-from matcam.inverse.operator.polar_rule import NODE_RULE, SAMPLED, THROUGH_SAMPLES
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
+from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
 from matcam.material.lambda_table import STEEPEST, lambda_at, place_of, quick_table
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
@@ -164,7 +163,7 @@ class LobeOperator(eqx.Module):
         return joint.reshape(self.slope2.shape)
 
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
-        """Return what a function makes of each slice's operator, one slice after the other; shape (slices, ...).
+        """Apply a function to the operator of each slice, one slice after the other; shape (slices, ...).
 
         What a function of all nodes holds would be hundreds of MB; of a slice it stays in the processor's cache.
         """
@@ -199,7 +198,7 @@ class LobeOperator(eqx.Module):
 
 
 class _Rules(NamedTuple):
-    """Hold the arrays of an operator, on their way to disk and back."""
+    """Arrays of an operator as they are stored on disk."""
 
     theta: np.ndarray
     weight: np.ndarray
@@ -243,7 +242,7 @@ class _Rules(NamedTuple):
 
 
 class WholeRule(NamedTuple):
-    """Say of which slices a rule is made, and along which axes, that a part of it is taken of.
+    """Slices and axes of a rule of which a part is taken.
 
     Attributes:
         every: spacing of the slices; those of the part are among them.
@@ -270,7 +269,7 @@ def lobe_operator(
     if rig is None:
         return perfect_operator(sampling, every, FAR_AWAY, workspace)
     workspace = workspace or default_workspace()
-    known = rig_key(rig)  # refuses what cannot be fitted, before anything else is asked of it
+    known = rig_key(rig)  # raises for rigs that cannot be fitted
     pixels = grid_of(rig)
     key = (known, sampling, every, axes, pixels)
     if whole is not None and whole != (every, axes):
@@ -298,8 +297,8 @@ def rig_key(rig: Rig) -> tuple:
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
     view = sample_view(rig)
-    rest = tuple(float(a) for a in (view.radius, rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
-    return repr(camera), tuple(sorted(parameters.items())), rest if view.plain else (*rest, *view[1:])
+    blurs = tuple(float(a) for a in (rig.lamp_radius, rig.jitter, rig.aperture, rig.focus))
+    return repr(camera), tuple(sorted(parameters.items())), blurs, tuple(view)
 
 
 def check_rig(rig: Rig) -> None:
@@ -312,10 +311,7 @@ def check_rig(rig: Rig) -> None:
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
-    if not sample_view(rig).plain:
-        checked_isotropic(
-            rig.camera.optics, "a fit of a cylinder, or before a near camera or lamp, or one at an azimuth,"
-        )
+        checked_isotropic(rig.camera.optics, "a fit of a cylinder")
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
             f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
@@ -331,7 +327,7 @@ def operator_in(
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
         description = f"{description}, discs out of focus by {CHORD_RULE}"
-    if sample_view(rig).plain and kernel_error(rig) > 0:
+    if kernel_error(rig) > 0:
         description = f"{description}, rings by {REST_RULE}"
     description = f"{description}, masking at {SAMPLED.size} nodes, {NODE_RULE}"
     if not sample_view(rig).distant:

@@ -23,11 +23,11 @@ UNKNOWN_STD = 0.3
 _LEAST_OUTWARDS = 0.1
 _EQUAL = 1e-9
 _SIGNATURES = np.random.default_rng(0).random((64, 64))
-"""Values by which neighbouring pixels, and means of them, are told apart."""
+"""Random values that distinguish neighbouring pixels, and means of them."""
 
 
 class Repeats(NamedTuple):
-    """Hold which neighbouring cells near the highlight hold one value. Shapes: s slices, r rings, k azimuths.
+    """Pairs of neighbouring cells near the highlight that hold one value. Shapes: s slices, r rings, k azimuths.
 
     Attributes:
         outwards: (s, r - 1, k), 1 where a cell repeats its outer neighbour's, 0 where not, -1 where there is none.
@@ -48,7 +48,7 @@ class Repeats(NamedTuple):
 
 
 def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
-    """Return which neighbouring cells near the highlight of a table hold one value."""
+    """Find the neighbouring cells near the highlight of a table that hold one value."""
     values = table.values[:RINGS][:, slices].transpose(1, 0, 2, 3)
 
     def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ class Borders:
         return total
 
     def _values(self, x: float, y: float) -> np.ndarray:
-        """Return what cells read from pixels of random values, (slices, rings, azimuths)."""
+        """Read cells from pixels of random values, (slices, rings, azimuths)."""
         column, row = (np.rint(a - b).astype(int) for a, b in zip(self.places, (x, y), strict=True))
         return _signature(column, row).mean(axis=-1)
 

@@ -69,7 +69,7 @@ READ_FROM: dict[CellValue, str] = {
 
 
 class FoundPhase(NamedTuple):
-    """Say where the pixels behind a table lie.
+    """Position of the pixels behind a table.
 
     Attributes:
         phase: (x, y), px, or a pair for each slice.
@@ -82,7 +82,7 @@ class FoundPhase(NamedTuple):
     unexplained: float
 
     def remark(self, rule: CellValue) -> Remark:
-        """Say what a reader should know of it."""
+        """Return the remarks for the user."""
         how = READ_FROM[rule]
         return Remark(
             "real-pixels-found", f"cells were {how}, whose centres {self.words}, as the cells themselves show"
@@ -90,7 +90,7 @@ class FoundPhase(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Say where the pixels' centres lie."""
+        """Describe the position of the pixels' centres."""
         phases = np.atleast_2d(self.phase)
         if len(phases) == 1:
             return f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) +- {self.std:.1g} px from the sphere's"
@@ -98,12 +98,12 @@ class FoundPhase(NamedTuple):
 
 
 class LocatedRig(NamedTuple):
-    """Hold a rig that says what its table's cells stand for.
+    """Rig whose meaning of a cell is known.
 
     Attributes:
         rig: with the pixels' phase, where cells were looked up in real pixels.
         std: standard deviation of a phase that the table had to tell, px; 0 where it was stated.
-        remarks: what the table told.
+        remarks: findings from the table.
         unexplained: whether cells repeat values in a way that no grid of pixels explains.
     """
 
@@ -114,9 +114,9 @@ class LocatedRig(NamedTuple):
 
 
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
-    """Return a rig that says what cells stand for, and where the lamp stood: as it states, or as the table shows.
+    """Return the rig with its meaning of a cell and its lamp azimuth, as specified or as found from the table.
 
-    FitError where the cells are not what the rig says; ArgumentError where rig and table state different azimuths.
+    FitError where the cells contradict the rig; ArgumentError where rig and table specify different azimuths.
     """
     rig = rig_behind(table, rig)
     table = table.assign_attrs(lamp_azimuth=rig.lamp_azimuth or 0.0)
@@ -239,7 +239,7 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
 
 
 class _NearCells(NamedTuple):
-    """Hold some cells near the highlight of a slice: both places of each (cells, 2), px, on the pixels' axes; and values."""
+    """Cells near the highlight of a slice: both positions of each (cells, 2) along the pixels' axes, px, and values."""
 
     x: np.ndarray
     y: np.ndarray
@@ -315,7 +315,7 @@ def _wrapped(phase: tuple[float, float]) -> tuple[float, float]:
 
 
 class CellRule(NamedTuple):
-    """Say how a table's cells look to have been read from pixels.
+    """Determine how the cells of a table were read from pixels.
 
     Attributes:
         rule: "nearest", "bilinear" or "mean"; None: nothing shows that cells share pixels.

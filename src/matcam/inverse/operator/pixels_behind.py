@@ -25,7 +25,7 @@ _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 
 
 class CellPlaces(NamedTuple):
-    """Hold the two places of a sphere that show a cell, on a last axis.
+    """The two positions on a sphere that show a cell, on a last axis.
 
     Attributes:
         x: px from the optical axis, the lamp towards +x.
@@ -41,7 +41,7 @@ class CellPlaces(NamedTuple):
 
 
 class PixelsBehind(NamedTuple):
-    """Hold the pixels behind cells; the last axis is over the pixels of a cell, of both ways.
+    """Pixels behind cells; the last axis is over the pixels of a cell, of both directions.
 
     Attributes:
         x: centres, px from the sphere's centre, the lamp towards +x.
@@ -72,7 +72,7 @@ def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: floa
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
-    """Return how many pixels show light of each cell of some slices, both ways, on average over phases: (90, slices, 1)."""
+    """Compute the number of pixels in each cell of some slices, both directions, averaged over phases: (90, slices, 1)."""
     edges = theta_h_edges()
     theta_h = (edges[1:] + edges[:-1]) / 2
     solid = np.sin(theta_h) * np.diff(edges) * np.pi / GRID_SHAPE[2]

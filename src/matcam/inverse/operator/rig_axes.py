@@ -1,4 +1,4 @@
-"""The parameters of a rig that a fit may change, each along an axis of its own, and what a rig says of them beforehand.
+"""The parameters of a rig that a fit may change, each along an axis of its own, and their priors.
 
 A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other blurs. Its
 coordinate is half the logarithm of that total variance: what a pixel records is smooth in it down to a width of 0. Where a
@@ -39,7 +39,7 @@ _NEARBY = 0.03
 _SHARPEST = 0.1
 """px; below this a lens makes the pixel's border a step, which the rule's nodes do not follow: extrapolated from here."""
 _NARROWEST = 1e-3
-"""px; a lens of 0 is none at all, and no camera of ours."""
+"""px; the smallest width of a lens, whose logarithm must exist."""
 _PRIOR_RANGE = 5.0
 """Half range in standard deviations, where something is known."""
 _GUESS = 0.25
@@ -58,7 +58,7 @@ _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 
 
 class Axis(NamedTuple):
-    """Describe one parameter. Its coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
+    """Axis of one parameter. Its coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
 
     Attributes:
         name: name of the parameter, as in `Camera.parameters`, or a field of `Rig`.
@@ -67,8 +67,8 @@ class Axis(NamedTuple):
         low: smallest coordinate.
         high: largest coordinate.
         points: coordinates at which a rule is computed; 0 is among them.
-        by_variance: whether a lamp's disc counts by its variance alone, as a Gaussian: it is doubted, and nobody says how large
-            it is. Default: False.
+        by_variance: whether a lamp's disc counts by its variance alone, as a Gaussian, because its size is not known.
+            Default: False.
     """
 
     name: str
@@ -107,7 +107,7 @@ def shape_axis() -> Axis:
 
 
 class KnownLens(NamedTuple):
-    """Say what is known of a camera's lens before the data.
+    """Prior knowledge of a camera's lens.
 
     Attributes:
         uncertainty: of the camera's parameters; None: there is none to state.
@@ -123,7 +123,7 @@ class KnownLens(NamedTuple):
 
 
 def known_lens(camera: Camera) -> KnownLens:
-    """Return what is known of a camera's lens: as its profile states, or a tenth of its width."""
+    """Return the prior of a camera's lens: that of its profile, or a tenth of its width."""
     if camera.uncertainty is not None and camera.uncertainty.names:
         if any(std > 0 for std in camera.uncertainty.std().values()):
             return KnownLens(camera.uncertainty, "stated", assumed=False, exact=False)
@@ -141,7 +141,7 @@ def known_lens(camera: Camera) -> KnownLens:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Say whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
+    """Judge whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
     return name == LENS and relative >= _GUESS
 
 

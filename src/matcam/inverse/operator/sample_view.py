@@ -24,13 +24,14 @@ Normals = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class SampleView(NamedTuple):
-    """Hold how a curved sample is seen and lit; numbers, so that views can be compared.
+    """Geometry of a curved sample before a camera and under a lamp; numbers, so that views can be compared.
 
     Attributes:
         radius: of the limb in the picture, px.
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
-        azimuth: of the plane of camera and lamp against the pixels' rows, rad, in [0, pi/2); a quarter turn is no turn.
+        azimuth: of the plane of camera and lamp against the pixels' rows, rad; in [0, pi/2) for an isotropic lens, which a
+            quarter turn does not change, in [0, 2 pi) for any other.
         line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell has a lamp of its own
             then (`forward/cylinder_cells.py`); its place is that on the sphere, whose distance from the axis is the column.
     """
@@ -43,18 +44,13 @@ class SampleView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """Say whether camera and lamp both are distant."""
+        """Whether camera and lamp both are distant."""
         return self.camera == 0 and self.lamp == 0
 
     @property
     def one_picture(self) -> bool:
-        """Say whether one picture shows all cells of one theta_d."""
+        """Whether one image shows all cells of one theta_d."""
         return self.distant and not self.line
-
-    @property
-    def plain(self) -> bool:
-        """Say whether the rule of `polar_rule` holds: camera and lamp are distant, and pixels lie along their plane."""
-        return self.one_picture and self.azimuth == 0
 
     @property
     def stretch(self) -> float:
@@ -72,7 +68,7 @@ class SampleView(NamedTuple):
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
     def place(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Place:
-        """Return where a picture shows half and difference angles, and under which lamp."""
+        """Compute the image position and the lamp of half and difference angles."""
         angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
         count = angles[0].size
         size = 1 << max(count - 1, 1).bit_length()  # few sizes: each is a program
@@ -94,7 +90,7 @@ class SampleView(NamedTuple):
     def from_highlight(
         self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a picture shows half and difference angles, from its highlight, px along x and y."""
+        """Compute the image position of half and difference angles relative to the highlight, px along x and y."""
         if self.distant:
             x = self.radius * (
                 np.sin(theta_d) * (np.cos(theta_h) - 1) - np.sin(theta_h) * np.cos(phi_d) * np.cos(theta_d)
@@ -126,23 +122,25 @@ class SampleView(NamedTuple):
 _ONE_AZIMUTH = 1e-6
 """Sine of half a difference up to which two azimuths are one."""
 _ALIGNED = 1e-9
-"""Sine of twice an azimuth below which square pixels lie along the plane of camera and lamp."""
+"""Sine of a multiple of an azimuth below which the image has the axes of the plane of camera and lamp."""
 FAR_AWAY = SampleView(256.0)
-"""The MERL rig's sphere, whose pixels are told apart where no rig is given."""
+"""Sphere of the MERL rig, whose pixels are used where no rig is given."""
 
 
 def sample_view(rig: Rig | None) -> SampleView:
-    """Return the view of a rig's sphere or cylinder; without a rig, of the sphere whose pixels are told apart."""
+    """Return the view of a rig's sphere or cylinder; without a rig, of the sphere of the MERL rig."""
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
-    turned = 0.0 if abs(np.sin(2 * azimuth)) < _ALIGNED else float(np.mod(azimuth, np.pi / 2))
+    # square pixels and an isotropic lens are the same after a quarter turn
+    alike = np.pi / 2 if rig.camera.optics.isotropic else 2 * np.pi
+    turned = 0.0 if abs(np.sin(np.pi * azimuth / alike)) < _ALIGNED else float(np.mod(azimuth, alike))
     near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
     return SampleView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
 
 
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
-    """Return a rig that says where the lamp stood in a table's pictures, as it states or the table does.
+    """Return the rig with the azimuth of the lamp in a table's images, as specified by the rig or by the table.
 
     ArgumentError where they state different azimuths or samples.
     """

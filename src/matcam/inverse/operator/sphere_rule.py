@@ -1,0 +1,282 @@
+"""The record of an isotropic lobe in one pixel of a sphere, as a rule that is linear in the lobe.
+
+A pixel records the integral over the visible, lit part of the sphere, in polar coordinates about the normal of the highlight,
+
+    R cos_i = 1/4 integral of  k(x - x(n)) F D(theta_h) G |v| |l|^-2 (1 - q n_z)^-3 s^2  over the solid angle of normals n  ,
+
+with the kernel k, the scale s of the image, the nearness q of the camera, and the lengths |v| and |l| of the vectors to camera
+and lamp in units of their distances (docs/model.md 3 and 10; all factors but s are 1 in a distant rig). Nodes lie on circles
+about the highlight, on the arcs that the pixel sees (`circle_arcs.py`). The weights of all nodes are carried over to few nodes
+in theta_h (`theta_nodes.py`), at which a lobe is evaluated. All else depends on the rig alone.
+
+In a distant rig a circle has one theta_h. Near a camera or lamp each node has a theta_h, a theta_d and an irradiance of its
+own. Weights times the difference of theta_d from the cell's (`rise_of`) then give F at each node's theta_d.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jit_plainly, jnp
+from matcam.forward.integral.blur import Blur, Spread
+from matcam.forward.pixel_grid import turned
+from matcam.inverse.operator.circle_arcs import Arcs, SpherePixels, circle_arcs
+from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
+from matcam.inverse.operator.sample_view import SampleView, angles_between, square_border
+from matcam.inverse.operator.theta_nodes import (
+    FROM_MOMENTS,
+    NODES,
+    CircleSums,
+    ThetaRange,
+    legendre_sums,
+    rise_of,
+    stretched,
+)
+from matcam.numerics.sine import sine
+
+_ARC = np.polynomial.legendre.leggauss(24)
+"""Nodes on an arc."""
+_ARC_OF_RINGS = np.polynomial.legendre.leggauss(48)
+"""Nodes on an arc that resolve the diffraction rings of a lens."""
+_CALL, _BLOCK = 4096, 256
+"""Arcs of one call of the compiled program, and of the blocks that it works through: their arrays fit into a cache."""
+_SLACK = 0.02
+"""Share by which the range of angles on the border of a window is widened."""
+_OUTSIDE = 1.1
+"""Largest place beyond the nodes, in [-1, 1], at which a weight is kept."""
+
+
+class Kernel(NamedTuple):
+    """Kernel of some terms of a blur in some pixels.
+
+    Attributes:
+        blur: the blur.
+        terms: indices of the terms.
+        variances: added along the plane of camera and lamp and across it by lamp and focus, two arrays (pixels,), px^2.
+        reach: half sides of the window along the pixel's axes, (2, pixels), px.
+        disc: disc of the lamp; None: a point, or part of the variances.
+        pixel_nodes: nodes over a pixel that is turned against the plane, see `Blur.turned_kernel`; 0: it is not.
+    """
+
+    blur: Blur
+    terms: tuple[int, ...]
+    variances: tuple[np.ndarray, ...]
+    reach: np.ndarray
+    disc: LampDisc | None = None
+    pixel_nodes: int = 0
+
+    def at(self, index: np.ndarray) -> tuple[tuple[np.ndarray, ...], LampDisc | None]:
+        """Return variances and disc at indices of pixels."""
+        disc = self.disc and LampDisc._make(np.asarray(a)[index] for a in self.disc)
+        return tuple(np.asarray(v)[index] for v in self.variances), disc
+
+
+class SphereRule(NamedTuple):
+    """Rule of each pixel.
+
+    Attributes:
+        weight: weights of a distant rig on its circles, of a near one at the nodes of theta_h, (pixels, 40), no unit.
+        circles: sums over the circles, of which masking takes its azimuths.
+        moment: weights of the difference of theta_d from the cell's, as `weight`, rad; None in a distant rig.
+    """
+
+    weight: np.ndarray
+    circles: CircleSums
+    moment: np.ndarray | None = None
+
+
+def sphere_range(view: SampleView, pixels: SpherePixels, reach: np.ndarray) -> tuple[ThetaRange, ThetaRange]:
+    """Find the angles from the highlight's normal, and theta_h, that a window of half sides `reach` shows.
+
+    The extremes lie on the border of the window, or on the limb where it leaves the sphere.
+    """
+    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach[0], reach[1], view.azimuth))
+    peak = np.sin(pixels.highlight), 0 * pixels.x, np.cos(pixels.highlight)
+    circle = angles_between(normal, tuple(a[..., None] for a in peak))  # type: ignore[arg-type]
+    lamp = pixels.lamp_angle[..., None]
+    at = view.stretch * peak[0] / (1 - view.camera * peak[2])
+    off = np.abs(turned(at - pixels.x, -pixels.y, view.azimuth))
+    inside = (off[0] < reach[0]) & (off[1] < reach[1])
+    own = _between(circle, inside)
+    if view.distant:
+        return own, own
+    return own, _between(directions(normal, np.sin(lamp), np.cos(lamp), view.camera, view.lamp).theta_h, inside)
+
+
+def _between(angle: np.ndarray, inside: np.ndarray) -> ThetaRange:
+    low, high = angle.min(-1), angle.max(-1)
+    slack = _SLACK * (high - low)
+    return ThetaRange(np.where(inside, 0.0, np.maximum(low - slack, 0.0)), np.minimum(high + slack, np.pi / 2))
+
+
+class Directions(NamedTuple):
+    """Directions to camera and lamp at normals: lengths over their distances, cosines, and half and difference angle."""
+
+    view: Any
+    light: Any
+    cos_i: Any
+    cos_o: Any
+    theta_h: Any
+    theta_d: Any
+
+
+def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
+    """Compute the directions at normals of a sphere. sin, cos: of the lamp's angle. q, w: nearness of camera and lamp."""
+    xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
+    n_x, n_y, n_z = normal
+    up = n_x * sin + n_z * cos
+    view, light = xp.sqrt(1 + q**2 - 2 * q * n_z), xp.sqrt(1 + w**2 - 2 * w * up)
+    cos_o, cos_i = (n_z - q) / view, (up - w) / light
+    # half vector x normal, which vanishes at the highlight without a loss of digits
+    cross = -n_y / view - cos * n_y / light, n_x / view + (cos * n_x - sin * n_z) / light, sin * n_y / light
+    theta_h = xp.arctan2(xp.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2), cos_i + cos_o)
+    v = -q * n_x / view, -q * n_y / view, (1 - q * n_z) / view
+    i = (sin - w * n_x) / light, -w * n_y / light, (cos - w * n_z) / light
+    apart, together = (sum((a + side * b) ** 2 for a, b in zip(v, i, strict=True)) for side in (-1, 1))
+    return Directions(view, light, cos_i, cos_o, theta_h, xp.arctan2(xp.sqrt(apart), xp.sqrt(together)))
+
+
+def sphere_rule(
+    view: SampleView,
+    pixels: SpherePixels,
+    kernel: Kernel,
+    circles: ThetaRange,
+    onto: ThetaRange,
+    theta_d: np.ndarray,
+) -> SphereRule:
+    """Compute the rule of pixels.
+
+    Args:
+        view: the sphere and the distances of camera and lamp.
+        pixels: the pixels.
+        kernel: the kernel.
+        circles: angles from the highlight's normal between which the circles lie.
+        onto: theta_h between which the nodes lie.
+        theta_d: of the cells, (pixels,), rad.
+    """
+    angle, step = circles.nodes()
+    arcs = circle_arcs(view, pixels, angle, kernel.reach)
+    scale, first, last = stretched(onto.low, onto.high, onto.finest)
+    through = pixels.factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
+    key = arcs.pixel * NODES[0].size + arcs.circle
+    place = 2 * (np.arcsinh(angle / scale[:, None]) - first[:, None]) / (last - first)[:, None] - 1
+    per_pixel = (
+        *turned(pixels.x, pixels.y, view.azimuth), pixels.lamp_angle, pixels.highlight, theta_d, scale, first, last,
+    )  # fmt: skip
+    sums, near = [], not view.distant
+    for begin in range(0, arcs.pixel.size, _CALL):
+        part = Arcs(*(_filled(a[begin : begin + _CALL]) for a in arcs))
+        variances, disc = kernel.at(part.pixel)
+        of_pixel = np.stack([*(a[part.pixel] for a in per_pixel), *variances])
+        of_arc = np.stack([angle[part.pixel, part.circle], part.middle, part.half])
+        of_view = np.array([view.radius, view.camera, view.lamp, view.azimuth])
+        used = min(_CALL, arcs.pixel.size - begin)
+        program = _arc_sums if disc is None else _arc_sums_of_disc
+        found = program(of_view, of_pixel, of_arc, kernel.blur, disc, kernel.terms, near, kernel.pixel_nodes)
+        sums.append([np.asarray(a)[:, :used] for a in found])
+    if not sums:
+        return _nothing(angle, near)
+    powers, *moments = (np.concatenate(parts, axis=1) for parts in zip(*sums, strict=True))
+    total, *others = (np.bincount(key, power, angle.size).reshape(angle.shape) for power in powers)
+    if not near:
+        others += [total * place, total * theta_d[:, None], others[0] * theta_d[:, None]]
+    seen = CircleSums(total, np.stack(others[:3]), *others[3:])
+    if not near:
+        return SphereRule(through * total, seen)
+    begins, own = np.flatnonzero(np.diff(arcs.pixel, prepend=-1)), np.zeros((2, *angle.shape))
+    for weight, moment in zip(own, moments, strict=True):
+        by_pixel = np.add.reduceat(moment * through[arcs.pixel, arcs.circle], begins, axis=1)
+        weight[arcs.pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
+    return SphereRule(own[0], seen, own[1])
+
+
+def _nothing(angle: np.ndarray, near: bool) -> SphereRule:
+    """Return the rule of pixels that see no part of the sphere."""
+    zero = np.zeros_like(angle)
+    return SphereRule(zero, CircleSums(zero, np.zeros((3, *angle.shape)), zero, zero, zero), zero if near else None)
+
+
+def _filled(array: np.ndarray) -> np.ndarray:
+    """Fill the arcs of a call up with copies of the last one."""
+    return np.pad(array, (0, _CALL - array.size), mode="edge")
+
+
+@partial(jit_plainly, static=("terms", "near", "pixel_nodes"))
+def _arc_sums(
+    of_view: Any,
+    of_pixel: Any,
+    of_arc: Any,
+    blur: Blur,
+    disc: LampDisc | None,
+    terms: tuple[int, ...],
+    near: bool,
+    pixel_nodes: int,
+) -> tuple[jax.Array, ...]:
+    """Sum over the nodes of arcs: powers, (4 or 7, arcs), and in a near rig Legendre's polynomials, (40, arcs) twice."""
+    radius, turn = of_view[0], of_view[3]
+    q, w = (of_view[1], of_view[2]) if near else (0.0, 0.0)
+    stretch = radius * jnp.sqrt(1 - q**2) if near else radius
+    node, node_weight = _ARC if blur.rest is None else _ARC_OF_RINGS
+    cosine, sine_ = jnp.cos(turn), jnp.sin(turn)
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        of_pixel, of_arc, disc = arguments
+        x, y, lamp, peak, cell, scale, first, last, var_x, var_y = (a[:, None] for a in of_pixel)
+        circle, middle, half = (a[:, None] for a in of_arc)
+        off = half * node
+        sin_off, haversine = sine(off), sine(off / 2) ** 2
+        sin_m, cos_m = jnp.sin(middle), jnp.cos(middle)
+        cos_a = cos_m - sin_m * sin_off - 2 * cos_m * haversine
+        sin_a = sin_m + cos_m * sin_off - 2 * sin_m * haversine
+        s, c = jnp.sin(circle), jnp.cos(circle)
+        sin_p, cos_p = jnp.sin(peak), jnp.cos(peak)
+        normal = c * sin_p + s * cos_a * cos_p, s * sin_a, c * cos_p - s * cos_a * sin_p
+        depth = 1 - q * normal[2]
+        image = stretch * normal[0] / depth, stretch * normal[1] / depth
+        offset = x - (image[0] * cosine - image[1] * sine_), y - (image[0] * sine_ + image[1] * cosine)
+        out_of_focus = jnp.abs(blur.defocus(radius, normal[2]))
+
+        def in_plane(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """Return components along the plane of camera and lamp and across it."""
+            return x * cosine + y * sine_, y * cosine - x * sine_
+
+        def through(term: int) -> jax.Array:
+            if pixel_nodes and not blur.is_rest(term):
+                added = Spread(var_x, var_y, out_of_focus)
+                return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
+            # the residual of a lens is small: on a turned pixel what widens it counts as round
+            widths = ((var_x + var_y) / 2,) * 2 if pixel_nodes else (var_x, var_y)
+            return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
+
+        if disc is None:
+            seen = sum((blur.share(term) * through(term) for term in terms), jnp.zeros(()))
+        else:
+            view = SampleView(radius, q, w) if near else SampleView(radius)
+            seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
+        share = jax.lax.optimization_barrier(seen * half * node_weight)
+        if not near:
+            return ([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)],)
+        at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), q, w)
+        # area in the image over the cosine of the view, times the irradiance across the light
+        share = share * at.view / depth**3 / at.light**2
+        place = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
+        place = jnp.clip(place, -_OUTSIDE, _OUTSIDE)
+        cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
+        cos_psi = jnp.clip(cos_psi, -1, 1)
+        factors = 1, cos_psi, cos_psi**2, cos_psi**3, place, at.theta_d, at.theta_d * cos_psi
+        powers = [jnp.sum(share * one, axis=1) for one in factors]
+        return powers, *legendre_sums(place, (share, share * rise_of(at.theta_d, cell)))
+
+    def blocks(array: jax.Array) -> jax.Array:
+        return array.reshape(-1, _BLOCK, *array.shape[1:])
+
+    of_blocks = jax.tree.map(blocks, (tuple(of_pixel), tuple(of_arc), disc))
+    powers, *moments = jax.lax.map(block, of_blocks)
+    return jnp.stack(powers).reshape(len(powers), -1), *(jnp.moveaxis(a, 1, 0).reshape(a.shape[1], -1) for a in moments)
+
+
+_arc_sums_of_disc = jax.jit(_arc_sums.__wrapped__, static_argnames=("terms", "near", "pixel_nodes"))  # type: ignore[attr-defined]
+"""The same, compiled with all passes: the Gaussians of a disc take a third of the time."""
