@@ -64,8 +64,23 @@ class TestHDF5:
                 "file.create_dataset('z', (4,), '<f8', maxshape=(None,), chunks=(1 << 27,), compression='gzip')",
                 "does not fit into",
             ),
+            (
+                "import zlib; one = file.create_dataset('s', (1,), h5py.string_dtype(), chunks=(1,)); one[0] = 'text'; "
+                "many = file.create_dataset('t', (400_000,), h5py.string_dtype(), chunks=(400_000,), compression='gzip'); "
+                "place = one.id.read_direct_chunk((0,))[1]; many.id.write_direct_chunk((0,), zlib.compress(place * 400_000))",
+                "does not fit into",
+            ),
+            (
+                "file.create_dataset('l', (2,), h5py.vlen_dtype('i4'))",
+                "holds lists or references",
+            ),
+            (
+                "plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE); plan.set_chunk((4,)); plan.set_deflate(9); plan.set_deflate(9); "
+                "h5py.h5d.create(file.id, b'd', h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((4,)), plan)",
+                "passes deflate twice",
+            ),
         ],
-        ids=["external", "link", "virtual", "symbolic", "cycle", "zeros", "chunk"],
+        ids=["external", "link", "virtual", "symbolic", "cycle", "zeros", "chunk", "texts", "lists", "deflated twice"],
     )
     def test_files_that_reach_out(self, tmp_path, code, words):
         hdf5(tmp_path / "victim.nc")
@@ -144,6 +159,10 @@ class TestZarr:
             ({"chunk_grid": {"name": "rectilinear", "configuration": {}}}, "no regular chunks"),
             ({"storage_transformers": [{"name": "other"}]}, "storage transformers"),
             ({"zarr_format": 2}, "not of Zarr version 3"),
+            ({"shape": [-4]}, "has the lengths [-4]"),
+            ({"shape": [4.0]}, "has the lengths [4.0]"),
+            ({"shape": [True]}, "has the lengths [True]"),
+            ({"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [-4]}}}, "has the lengths [-4]"),
         ],
     )
     def test_arrays_beyond_the_list(self, tmp_path, changes, words):
@@ -151,6 +170,16 @@ class TestZarr:
             tmp_path / "a.zarr.zip", {"zarr.json": GROUP, "raw/zarr.json": array(**changes), "raw/c/0": b"\0" * 32}
         )
         refused(read_zarr, path, words)
+
+    def test_a_negative_length_hides_no_other(self, tmp_path):
+        """Of an array inside an array, which the library never opens."""
+        chunks = {"name": "regular", "configuration": {"chunk_shape": [1000]}}
+        members = {
+            "zarr.json": GROUP,
+            "raw/inner/zarr.json": array(shape=[-4_000_000_000]),
+            "raw/zarr.json": array(shape=[1 << 29], chunk_grid=chunks),
+        }
+        refused(read_zarr, zip_of(tmp_path / "a.zarr.zip", members), "lies inside an array")
 
     def test_no_root(self, tmp_path):
         refused(
