@@ -269,7 +269,7 @@ class Command(TyperCommand):
         values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
         modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
         if modules:
-            from matcam.files.apart import start_reader
+            from matcam.core.readers.apart import start_reader
 
             start_reader(modules)
         result: Any = None

@@ -32,7 +32,8 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import printable, read_toml
+from matcam.core.io import printable
+from matcam.core.readers.texts import read_toml
 
 SCHEMA = "matcam-rig-1"
 

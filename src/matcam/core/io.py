@@ -1,8 +1,8 @@
-"""Safe reading and writing of files: bytes, columns of text, JSON.
+"""Safe writing of files: bytes, columns of text, JSON; and what the names of files and the system's errors become.
 
 A file appears under its final name whole, or not at all, and nothing is destroyed unasked. What the system refuses is said in
-one line, the same for every format. JSON is whole, without NaN, and never trusted to be small or sound; documents of matcam's
-own formats bear a version. Datasets go into columns of text (CSV) for spreadsheets and plotting programs.
+one line, the same for every format. JSON is written whole and without NaN. Datasets go into columns of text (CSV) for
+spreadsheets and plotting programs.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ import signal
 import stat
 import tempfile
 import threading
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
-from importlib import metadata
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -274,12 +273,6 @@ def user_cache_folder() -> Path:
     return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # which cannot be made: nothing is kept
 
 
-if TYPE_CHECKING:
-    from pydantic import ValidationError
-
-_LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
-
-
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
     """Write a document, indented for people.
 
@@ -289,78 +282,6 @@ def write_json(path: str | Path, document: dict[str, Any], *, force: bool = Fals
     with replacing(path, force=force) as temporary:
         # what is no text, such as a byte of a file's name, is an escape in JSON, too
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
-
-
-def read_json(path: str | Path, what: str) -> Any:
-    """Read a document; `what` says what it should be, such as "a camera profile".
-
-    FileFormatError naming the file, where it is not JSON or more than 16 MiB.
-    """
-    path = Path(path)
-
-    def refuse(constant: str) -> None:
-        raise ValueError(f"{constant} is not a number")
-
-    try:
-        with reading(path):
-            if path.stat().st_size > _LARGEST:
-                raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
-            return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not {what}: {error}") from None
-
-
-_LARGEST_TOML, _LONGEST_LINE = 64 << 10, 1000  # bytes, characters
-
-
-def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Read settings that people write; `what` says what they should be, such as "a rig".
-
-    FileFormatError naming the file, where it is not TOML, more than 64 KiB, or has lines of more than
-    1000 characters: a key of a thousand dots takes a second to read, and the time grows with their square.
-    """
-    import tomllib
-
-    path = Path(path)
-    try:
-        with reading(path, what):
-            if path.stat().st_size > _LARGEST_TOML:
-                raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
-            text = path.read_text(encoding="utf-8-sig")
-        for number, line in enumerate(text.split("\n"), 1):
-            if len(line) > _LONGEST_LINE:
-                raise FileFormatError(
-                    f"{path}: line {number} has {len(line)} characters; {_LONGEST_LINE} at most are read"
-                )
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a number of too many digits is not TOMLDecodeError
-        raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
-
-
-def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
-    """Return the version of a document of ours: {"format": form, "version": one of `versions`, ...}.
-
-    FileFormatError says `where` it stands, `what` it should be, and the field.
-    """
-    if not isinstance(document, dict) or document.get("format") != form:
-        raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
-    version = document.get("version")
-    if type(version) is not int or version not in versions:  # True == 1
-        raise FileFormatError(
-            f"{where}: {form.split()[-1]} version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads version{'s' * (len(versions) > 1)} {' and '.join(map(str, versions))}"
-        )
-    return version
-
-
-def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
-    """Return what a schema finds wrong first, in one line that names the field.
-
-    unnamed: parts of the field's place that are no names of fields.
-    """
-    first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
-    return printable(f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}")
 
 
 def plain(value: Any) -> Any:

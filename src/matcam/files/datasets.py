@@ -19,7 +19,7 @@ import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing, uninterrupted
-from matcam.files.apart import read_apart
+from matcam.core.readers.apart import read_apart
 from matcam.files.decoders import DESCRIPTION, check_stored_sizes, one_line
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -11,7 +11,7 @@ import math
 import struct
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,8 +49,7 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
         raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
     total = 0
     for name, (shape, kind) in variables.items():
-        if not all(type(length) is int and length >= 0 for length in shape):
-            raise FileFormatError(f"{path}: variable {name!r:.60} has the lengths {list(shape)!r:.60}: damaged")
+        check_lengths(path, name, shape)
         # text of any length does not state its size
         each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else _BYTES_A_TEXT
         total += math.prod(shape) * max(each, 1)
@@ -59,6 +58,12 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
                 f"{path}: variable {name!r:.60} of {' x '.join(map(str, shape))} values does not fit into {size} bytes: "
                 "damaged, or compressed beyond what is trusted"
             )
+
+
+def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
+    """Check that lengths are whole numbers from 0. FileFormatError."""
+    if not all(type(length) is int and length >= 0 for length in shape):
+        raise FileFormatError(f"{path}: variable {name!r:.60} has the lengths {list(shape)!r:.60}: damaged")
 
 
 def one_line(error: Exception) -> str:
@@ -168,6 +173,17 @@ def decode_zarr(path: Path) -> dict[str, Any]:
         raise FileFormatError(f"{path}: not a Zarr in a zip file that can be read: {one_line(error)}") from None
 
 
+def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> dict[str, Any]:
+    """Read the attributes of a Zarr, and some of its arrays or one row of each."""
+    import zarr
+
+    group: Any = zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+    return {
+        "attrs": dict(group.attrs),
+        "values": {name: group[name][...] if row is None else group[name][row] for name in arrays},
+    }
+
+
 def _check_zarr(path: Path) -> None:
     """Check the zip's list of members, then every description, before anything is decoded."""
     size = path.stat().st_size
@@ -202,7 +218,7 @@ def _check_zarr(path: Path) -> None:
             check_codecs(path, name, document)
             width = _width(document["data_type"])
             shapes[name] = (tuple(document["shape"]), width)
-            chunks[f"{name} (chunk)"] = (_chunk_of(document), width)
+            chunks[f"{name} (chunk)"] = (chunk_shape(document), width)
         elif name != DESCRIPTION:
             raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group; results have variables only")
     check_stored_sizes(path, size, shapes)
@@ -210,7 +226,7 @@ def _check_zarr(path: Path) -> None:
 
 
 def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
-    """Refuse an array of a Zarr, by its description, whose values or codecs are beyond a short list (FileFormatError)."""
+    """Check that the values and codecs of an array of a Zarr are on a short list, by its description (FileFormatError)."""
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
     if kind not in _NUMBERS | _TEXTS:
@@ -225,7 +241,7 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
             raise FileFormatError(f"{path}: {name!r:.60} is coded by {used!r:.40}; known: {', '.join(sorted(_CODECS))}")
 
 
-def _chunk_of(document: dict[str, Any]) -> tuple[int, ...]:
+def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
     """Return the shape of an array's chunks from its description."""
     return tuple(document["chunk_grid"]["configuration"]["chunk_shape"])
 

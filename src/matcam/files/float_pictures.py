@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
-from matcam.files.apart import read_apart
+from matcam.core.readers.apart import read_apart
 from matcam.files.picture_header import LARGEST, check_memory, check_promised, picture_memory
 
 _DECODERS = "matcam.files.picture_decoders"

@@ -28,7 +28,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Square, Star
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import checked_version, first_problem, read_json, write_json
+from matcam.core.io import write_json
+from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT, VERSION = "matcam chart", 1
 _WHAT = "the description of a chart"
