@@ -15,6 +15,7 @@ import os
 import re
 import signal
 import stat
+import sys
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -260,13 +261,18 @@ def _cells(column: Sequence[Any]) -> list[str]:
 
 
 def user_cache_folder() -> Path:
-    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    if root:
-        return Path(root) / "matcam"
-    import pooch  # a fifth of a second that only programs should cost
+    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own.
 
+    A relative path there is ignored, as the XDG Base Directory Specification requires.
+    """
+    root = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if root.is_absolute():
+        return root / "matcam"
     try:
+        if sys.platform == "linux":
+            return Path.home() / ".cache" / "matcam"
+        import pooch  # a fifth of a second that only programs should cost
+
         folder = pooch.os_cache("matcam")
     except RuntimeError:  # without a home there is no folder that is this user's alone
         folder = Path()

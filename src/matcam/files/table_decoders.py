@@ -21,7 +21,7 @@ _UNITS = {"rad": 1.0, "deg": np.pi / 180}
 _LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
 _LONGEST_LINE = 16 << 10
 """Bytes in a line of a CSV file: the first line names at most 450 columns, whose values have at most 25 characters each."""
-_BLOCK = 1 << 20  # bytes
+_BLOCK = 1 << 16  # bytes
 
 RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
 RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
