@@ -20,6 +20,7 @@ BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
 _INTERRUPTION = "interrupted; nothing half-written was left"
+_TOO_LATE = "interrupted after its files were written; they are whole"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -59,7 +60,9 @@ def _end_on_signals() -> None:
 
 
 def _interrupted() -> int:
-    return _complain(_INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
+    options: Any = sys.modules.get("matcam.cli.options")  # commands may still be being loaded
+    late = options is not None and options.files_are_written()
+    return _complain(_TOO_LATE if late else _INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
 
 
 def _unwritable() -> OSError | None:
