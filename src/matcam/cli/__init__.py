@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -33,6 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
         if hasattr(stream, "reconfigure"):  # a locale without a sign for degrees gets its escape
             stream.reconfigure(errors="backslashreplace")
     _end_on_signals()
+    warnings.formatwarning = _warning_as_line
     try:
         code = _run(arguments)
     except KeyboardInterrupt:  # while the commands themselves were being loaded
@@ -57,6 +59,12 @@ def _end_on_signals() -> None:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup's wish stands
             signal.signal(number, end)
+
+
+def _warning_as_line(message: Any, *where: Any, **line: Any) -> str:
+    from matcam.core.io import printable
+
+    return f"matcam: {printable(_one_line(str(message)))}\n"
 
 
 def _interrupted() -> int:

@@ -91,9 +91,15 @@ def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
 
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     """Return `value` if it is one of `allowed`; ArgumentError otherwise."""
-    if value not in allowed:
+    if not any(_is_one(value, one) for one in allowed):
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {_shown(value)}")
     return value
+
+
+def _is_one(value: Any, one: Any) -> bool:
+    """Compare a value of any type with a choice: an array of several values is none, nor is True the number 1."""
+    same = value == one
+    return isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool) == isinstance(one, bool)
 
 
 def not_masked(name: str, value: Any) -> None:

@@ -343,6 +343,9 @@ def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]],
     if isinstance(data, dict):
         columns = {name: _cells(column) for name, column in data.items()}
     else:
+        given: Any = data
+        if not callable(getattr(given, "to_dataframe", None)):
+            raise ArgumentError(f"data must be an xarray.Dataset or columns by name, got {type(given).__name__}")
         frame = data.to_dataframe().reset_index()
         units = {
             str(n): v.attrs["units"].replace("/", "_per_") for n, v in data.variables.items() if "units" in v.attrs
@@ -371,10 +374,11 @@ def user_cache_folder() -> Path:
         return root / "matcam"
     try:
         if sys.platform == "linux":
-            return Path.home() / ".cache" / "matcam"
-        import pooch  # a fifth of a second that only programs should cost
+            folder = Path.home() / ".cache" / "matcam"
+        else:
+            import pooch  # a fifth of a second that only programs should cost
 
-        folder = pooch.os_cache("matcam")
+            folder = Path(pooch.os_cache("matcam"))
     except RuntimeError:  # without a home there is no folder that is this user's alone
         folder = Path()
     return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # which cannot be made: nothing is kept

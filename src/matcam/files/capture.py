@@ -282,7 +282,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     """Return the frames of frames.csv that are there, the lamps, and what is wrong with the others."""
     path = folder / LIST
     check_within(path, folder)
-    reader = csv.reader(read_lines(path, "the list of a capture"))
+    reader = csv.reader(f"{line}\n" for line in read_lines(path, "the list of a capture"))
     try:
         lines = [
             (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)

@@ -48,6 +48,11 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     """
     if np.ma.is_masked(picture):
         raise ArgumentError("picture must not be masked: use .filled(np.nan) where values are missing")
+    labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
+    if labels and labels != list(_names(len(labels))):
+        raise ArgumentError(
+            f"picture has the channels {', '.join(labels)[:60]}; {', '.join(_names(len(labels)))} are stored"
+        )
     given = np.asarray(picture)
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")

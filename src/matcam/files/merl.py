@@ -85,7 +85,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
     Args:
         path: file to write (.binary).
-        brdf: table in 1/sr as from `read_merl`, three channels, nowhere negative, not all missing, shape (90, 90, 180, 3).
+        brdf: table in 1/sr as from `read_merl`, three channels (by their labels R, G, B, where they have labels), nowhere
+            negative, not all missing, shape (90, 90, 180, 3).
         force: replace an existing file (no unit). Default: False.
 
     Raises:

@@ -30,6 +30,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import check_unit
 from matcam.core.io import reading, replacing
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import SMALL_TEXT
@@ -136,6 +137,9 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
             f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored; whole numbers and floats can"
         )
     check_fields(fields)
+    for name, unit in (("phi_i", "rad"), ("theta_i", "rad"), ("wavelengths", "nm")):
+        if name in fields:
+            check_unit(f"field {name}", fields[name], unit)
     at = len(RGL_MAGIC) + len(RGL_VERSION) + 4 + sum(13 + len(n.encode()) + 8 * a.ndim for n, a in arrays.items())
     head = [RGL_MAGIC, RGL_VERSION, struct.pack("<I", len(arrays))]
     for name, array in arrays.items():

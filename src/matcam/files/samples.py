@@ -10,13 +10,23 @@ a channel of the BRDF. An empty value is missing. Numbers are written with all t
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.grid import CHANNELS, SAMPLINGS, brdf_table, checked_table, half_and_difference, merl_grid
+from matcam.core.grid import (
+    CHANNELS,
+    SAMPLINGS,
+    brdf_table,
+    check_unit,
+    checked_table,
+    half_and_difference,
+    in_order,
+    merl_grid,
+)
 from matcam.core.io import reading, replacing
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import SMALL_TEXT
@@ -25,6 +35,8 @@ from matcam.files.table_decoders import PAIR as _PAIR
 from matcam.files.table_decoders import VALUE as _VALUE
 
 _ON_THE_GRID = 1e-6  # rad
+_LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
+"""Label of a channel that can be the name of a column."""
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
@@ -40,11 +52,10 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
 
     Nothing is interpolated: ArgumentError where a sample lies beside the MERL grid, or two in one cell.
     """
-    if "sample" not in getattr(samples, "dims", ()) or samples.sizes["channel"] not in (1, len(CHANNELS)):
-        dims = getattr(samples, "dims", type(samples).__name__)
-        raise ArgumentError(
-            f"samples must have dims (sample, channel) with one channel or three (see read_samples), got {dims}"
-        )
+    samples = in_order(checked_samples(samples), "samples")
+    labels = [str(label) for label in samples["channel"].values]
+    if len(labels) not in (1, len(CHANNELS)) or (len(labels) == 1 and labels[0] in CHANNELS):
+        raise ArgumentError(f"samples must have one channel for all colours, or R, G, B, got {', '.join(labels)[:60]}")
     found = {name: np.asarray(samples[name].values) for name in _HALF}
     found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is 0 again
     for sampling in SAMPLINGS:
@@ -69,6 +80,24 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
     return brdf_table(values, sampling)
 
 
+def checked_samples(samples: xr.DataArray) -> xr.DataArray:
+    """Return samples of a BRDF, dims (sample, channel); ArgumentError names the wrong dims, coordinate, label or unit."""
+    if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
+        dims = getattr(samples, "dims", type(samples).__name__)
+        raise ArgumentError(f"samples must have dims (sample, channel) (see read_samples), got {dims}")
+    if samples.dtype.kind not in "fiu":
+        raise ArgumentError(f"samples must hold real numbers, got {samples.dtype}")
+    check_unit("samples", samples, "1/sr")
+    for name in _HALF:
+        if name not in samples.coords or samples[name].dims != ("sample",) or samples[name].dtype.kind not in "fiu":
+            raise ArgumentError(f"samples must have a coordinate {name} of numbers along sample")
+        check_unit(f"coordinate {name}", samples[name], "rad")
+    labels = [str(label) for label in samples["channel"].values]
+    if "channel" not in samples.coords or len(set(labels)) < len(labels) or not all(map(_LABEL.fullmatch, labels)):
+        raise ArgumentError(f"samples must label each channel by a name of its own, got {', '.join(labels)!r:.60}")
+    return samples
+
+
 def _nearest(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Return the indices of the nearest points of an axis."""
     above = np.clip(np.searchsorted(axis, angle), 1, axis.size - 1)
@@ -85,11 +114,13 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
         force: replace an existing file (no unit). Default: False.
 
     Raises:
+        ArgumentError: `samples` has other dims, units or labels.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
         >>> import tempfile
-        >>> from pathlib import Path
+        >>> import re
+    from pathlib import Path
         >>> text = "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n"
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "a.csv"
@@ -100,6 +131,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
     """
     import pandas as pd
 
+    samples = checked_samples(samples)
     columns = {f"{name}_rad": samples[name].values for name in _HALF}
     columns |= {f"{c}{_VALUE}": samples.values[:, k] for k, c in enumerate(samples["channel"].values)}
     with replacing(path, force=force) as temporary:
@@ -122,7 +154,8 @@ def read_samples(path: str | Path) -> xr.DataArray:
 
     Example:
         >>> import tempfile
-        >>> from pathlib import Path
+        >>> import re
+    from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "a.csv"
         ...     _ = path.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n")
