@@ -28,7 +28,8 @@ from matcam.files.decoders import DESCRIPTION, check_codecs, check_lengths, chun
 from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
-_MOST_ROWS = 10_000_000
+_MOST_ROWS = 1_000_000
+"""Materials in a run at most. Their names alone take 64 MB."""
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     name: (bool if name == "supported" else np.float32 if name.endswith("_std") else float, attributes)
     for name, attributes in TABLE_ATTRIBUTES.items()
