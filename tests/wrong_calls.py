@@ -63,8 +63,9 @@ def values(folder):
         None, True, -1, 0, 1, 2, 0.5, -0.5, float("nan"), float("inf"), 1e300, 10**400, 1j, "", "x", b"x", [], [1],
         [[1], [1, 2]], (), (1, 2), {}, {"a": 1}, {1}, object(), len, int, slice(3), iter([1]), decimal.Decimal("0.5"),
         np.int8(3), np.zeros(0), np.ones(3), np.ones((2, 3)), np.ones((2, 3, 3)), np.array("x"), np.array([None]),
-        np.array([1j]), masked, np.array(["2020-01-01"], "M8[D]"), np.bool_(True), xr.DataArray(np.ones(3), dims="x"), xr.Dataset(), samples,
-        table, table.isel(channel=[2, 1, 0]), table.assign_attrs(units="W"), table.assign_coords(channel=["a", "b", "c"]),
+        np.array([1j]), masked, np.array(["2020-01-01"], "M8[D]"), np.bool_(True), xr.DataArray(np.ones(3), dims="x"),
+        xr.Dataset(), samples, table, table.isel(channel=[2, 1, 0]), table.assign_attrs(units="W"),
+        table.assign_coords(channel=["a", "b", "c"]),
         table.isel(theta_h=[1, 0]), table.isel(channel=0), folder, folder / "none.nc", str(folder / "none.csv"), "x" * 300,
         "a\nb", "a\0b", rig, lobe, material, rig.camera, rig.sample, rig.lamp, matcam.GGX, lambda *a: a,
     ]  # fmt: skip

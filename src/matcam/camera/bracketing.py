@@ -145,7 +145,9 @@ def _nan_where_zero(total: jax.Array) -> jax.Array:
 def _exposures_and_times(
     exposures: Sequence[float], times: Sequence[float] | None
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    positive = checks.positive("exposures", jnp.atleast_1d(jnp.asarray(exposures)), "e- per unit of radiance")
+    positive = checks.positive(
+        "exposures", jnp.atleast_1d(checks.number("exposures", exposures)), "e- per unit of radiance"
+    )
     if positive.ndim != 1 or positive.size == 0:
         raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
     strengths = tuple(positive.tolist())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 
@@ -18,6 +19,9 @@ class MatcamError(Exception):
         ...     print(error)
         alpha must lie in (0, 1], got 2
     """
+
+    def __init__(self, *args: object):
+        super().__init__(*(re.sub(r"\s*[\r\n]\s*", " ", one) if isinstance(one, str) else one for one in args))
 
 
 class ArgumentError(MatcamError, ValueError):

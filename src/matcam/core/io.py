@@ -298,6 +298,8 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
 
     `what` says what it should be ("a picture"): then a folder is refused, too.
     """
+    if "\0" in str(path):
+        raise FileFormatError(f"{printable(str(path))}: is no name of a file")
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:

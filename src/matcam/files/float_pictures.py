@@ -53,7 +53,10 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
         raise ArgumentError(
             f"picture has the channels {', '.join(labels)[:60]}; {', '.join(_names(len(labels)))} are stored"
         )
-    given = np.asarray(picture)
+    try:
+        given = np.asarray(picture)
+    except ValueError:  # rows of different lengths
+        raise ArgumentError("picture must be an array, got rows of different lengths") from None
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
     if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:

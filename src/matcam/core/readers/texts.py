@@ -98,7 +98,7 @@ def _bytes_of(path: Path, what: str, largest: int) -> bytes:
     if size > largest:
         raise FileFormatError(f"{path}: {size} bytes is too large for {what}")
     with path.open("rb") as file:
-        return file.read(largest)  # it may have grown since
+        return file.read(size)  # it may have grown since
 
 
 def _checked_text(path: Path, what: str, largest: int) -> bytes:
