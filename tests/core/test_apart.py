@@ -167,6 +167,8 @@ def test_one_rule_limits_memory_and_time_by_the_size_of_the_file(path):
 def test_a_small_file_is_parsed_here(path):
     assert read_apart(f"{HERE}:everything", path, small=3)["process"] == os.getpid()
     assert read_apart(f"{HERE}:everything", path, small=2)["process"] != os.getpid()
+    path.write_bytes(b"")
+    assert read_apart(f"{HERE}:everything", path)["process"] != os.getpid()  # by the rule, an empty file too
 
 
 @pytest.mark.skipif(not hasattr(os, "register_at_fork"), reason="needs fork")

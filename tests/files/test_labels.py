@@ -102,6 +102,6 @@ def test_units_of_angles(table, samples, tmp_path):
 
 def test_channels_of_a_picture(tmp_path):
     picture = xr.DataArray(np.ones((2, 3, 3)), dims=("row", "column", "channel"), coords={"channel": ["B", "G", "R"]})
-    with pytest.raises(ArgumentError, match="R, G, B are stored"):
+    with pytest.raises(ArgumentError, match="must have R, G, B"):
         write_exr(tmp_path / "a.exr", picture)
     write_exr(tmp_path / "a.exr", picture.isel(channel=[2, 1, 0]))

@@ -70,6 +70,7 @@ def expose_bracket(
         (2, 2, 3)
     """
     exposures, times = _exposures_and_times(exposures, times)
+    checks.instance("sensor", sensor, Sensor)
     pairs = zip(jax.random.split(random_key(seed), len(exposures)), exposures, times, strict=True)
     return jnp.stack([sensor.expose(radiance, exposure, one, time) for one, exposure, time in pairs])
 

@@ -51,12 +51,14 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
     if labels and labels != list(_names(len(labels))):
         raise ArgumentError(
-            f"picture has the channels {', '.join(labels)[:60]}; {', '.join(_names(len(labels)))} are stored"
+            f"picture has the channels {', '.join(labels)[:60]}; it must have {', '.join(_names(len(labels)))}"
         )
     try:
         given = np.asarray(picture)
     except ValueError:  # rows of different lengths
-        raise ArgumentError("picture must be an array, got rows of different lengths") from None
+        raise ArgumentError(
+            f"picture must be an array, got a {type(picture).__name__} of rows of different lengths"
+        ) from None
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
     if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:

@@ -119,8 +119,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
 
     Example:
         >>> import tempfile
-        >>> import re
-    from pathlib import Path
+        >>> from pathlib import Path
         >>> text = "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n"
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "a.csv"
@@ -154,8 +153,7 @@ def read_samples(path: str | Path) -> xr.DataArray:
 
     Example:
         >>> import tempfile
-        >>> import re
-    from pathlib import Path
+        >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "a.csv"
         ...     _ = path.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n")

@@ -158,7 +158,7 @@ def table_values(
         )
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
-    workspace = checks.instance("workspace", workspace or default_workspace(), Workspace)
+    workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     if isinstance(rig.sample, Flat):
         return _flat_values(material, rig), np.zeros(GRID_SHAPE)
     if isinstance(rig.sample, Cylinder):

@@ -93,7 +93,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     """
     sources = metals(name)[name]
     source = sources[0] if source is None else source
-    if source not in sources:
+    if not isinstance(source, str) or source not in sources:
         raise unknown_name(f"source for {name}", source, sources)
     table = _table(name, source)
     try:

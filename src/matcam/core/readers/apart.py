@@ -117,7 +117,7 @@ def read_apart(
     if size is None:
         with reading(path):
             size = path.stat().st_size
-    if size <= small:
+    if small and size <= small:
         return called(module, name, path, options)
     seconds = _SECONDS + size / _BYTES_A_SECOND if limits.seconds is None else limits.seconds
     wall = _PATIENCE * seconds if limits.wall is None else limits.wall

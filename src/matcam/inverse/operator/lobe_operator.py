@@ -270,7 +270,7 @@ def lobe_operator(
     """
     if rig is None:
         return perfect_operator(sampling, every, FAR_AWAY, workspace)
-    workspace = checks.instance("workspace", workspace or default_workspace(), Workspace)
+    workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     known = rig_key(rig)  # refuses what cannot be fitted, before anything else is asked of it
     pixels = grid_of(rig)
     key = (known, sampling, every, axes, pixels)
