@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from matcam.core.io import read_json
+from matcam.core.readers.texts import read_json
 from matcam.io import read_netcdf
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"

@@ -52,6 +52,8 @@ def test_all_are_found():
             "RemoteIOError",
             "KeyError",
             "NotImplementedError",
+            "PermissionError",
+            "_EndedError",
         }, path
 
 

@@ -379,3 +379,29 @@ def test_a_table_in_another_form_is_the_same(table, tmp_path, use):
             use(wrong, tmp_path)
             pytest.fail(f"{form} was accepted")
         assert "\n" not in str(error.value), form
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda folder: matcam.metal(1, 5e-7), "metal must be a name, got 1"),
+        (lambda folder: matcam.metal("Cr", 5e-7, source=1), "source for Cr must be a name"),
+        (
+            lambda folder: matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.1), dims=np.array([1, 2])),
+            "dims must be one of",
+        ),
+        (lambda folder: matcam.loss_angle(matcam.rigs.merl(), matcam.GGX(0.1), dims=True), "dims must be one of"),
+        (lambda folder: matcam.io.write_netcdf(folder / "a.nc", 3), "must be an xarray.Dataset, got int"),
+        (lambda folder: matcam.io.write_netcdf(folder / "a.nc", xr.DataArray([1.0])), "got DataArray"),
+        (lambda folder: matcam.io.write_zarr(folder / "a.zarr.zip", None), "got NoneType"),
+        (lambda folder: matcam.io.write_exr(folder / f"{'x' * 253}.exr", np.ones((2, 2))), "File name too long"),
+        (
+            lambda folder: matcam.io.write_exr(folder / "a.exr", np.ones((2, 2)), force="no"),
+            "force must be True or False",
+        ),
+    ],
+)
+def test_arguments_of_another_kind_are_an_error_of_the_family(tmp_path, call, words):
+    with pytest.raises(matcam.MatcamError, match=words):
+        call(tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -64,6 +64,17 @@ def test_nothing_without_the_token(app, path):
     assert text.count("\n") == 1
 
 
+@pytest.mark.parametrize("request_", ["GET / HTTP/1.1\r\n\r\n", "POST / HTTP/1.1\r\nContent-Length: 1000000\r\n\r\n"])
+def test_a_refused_connection_is_closed(app, request_):
+    """Though it asks to be kept, and before its body has come."""
+    request_ = request_.replace("\r\n\r\n", f"\r\nHost: 127.0.0.1:{app.port}\r\nConnection: keep-alive\r\n\r\n")
+    with socket.create_connection(("127.0.0.1", app.port), timeout=20) as connection:
+        connection.sendall(request_.encode())
+        received = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert received.startswith(b"HTTP/1.1 403")
+    assert b"refused: the token is missing" in received
+
+
 def test_a_wrong_cookie_is_none(app, cookie):
     assert answer(app, Cookie=cookie[:-1] + ("a" if cookie[-1] != "a" else "b"))[0] == 403
     assert answer(app, Cookie=f"{cookie.split('=')[0]}={app.token}")[0] == 403

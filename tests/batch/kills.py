@@ -47,6 +47,7 @@ COMMANDS = {
     "chart": ["chart", "squares", "star", "-o", "out/a.svg"],
     "capture": ["simulate", "--capture", "out/shots", "--radius", "30", "--roughness", "0.05", "--lamp-positions", "2"],
     "calibrate": ["calibrate", "chart.tif", "--tone", "linear", "-o", "out/camera.json"],
+    "init": ["capture", "init", "out/shots", "--from", "in"],
     "reconstruct": ["reconstruct", "shots", "--ndf", "ggx", "-o", "out/a.binary"],
 }
 ENDS = ["SIGKILL", "SIGTERM", "SIGINT", "full disk", "memory"]
@@ -79,6 +80,10 @@ def prepare(name, folder):
     (folder / "program.py").write_text(_PROGRAM)
     if name in ("correct", "run"):
         write_database(folder / "in", _MATERIALS if name == "run" else "a")
+    if name == "init":
+        (folder / "in").mkdir()
+        for number in range(6):
+            tifffile.imwrite(folder / "in" / f"{number}.tif", np.zeros((1000, 1500), np.uint16))
     if name == "calibrate":
         from tests.oracle import slanted_squares
 

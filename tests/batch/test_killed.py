@@ -11,7 +11,7 @@ from tests.batch.kills import COMMANDS, adopt_orphans, kill_at_random
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("name", COMMANDS)
 def test_killed_at_a_random_moment(tmp_path, name):
-    """30 times each, 210 in all; MATCAM_TEST_KILLS says how many of each instead."""
+    """30 times each, 240 in all; MATCAM_TEST_KILLS says how many of each instead."""
     adopt_orphans()
     tally = kill_at_random(name, tmp_path, int(os.environ.get("MATCAM_TEST_KILLS", "30")))
     print(name, tally.ended, tally.ratio)

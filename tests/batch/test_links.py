@@ -1,6 +1,7 @@
 """No file reads another: links out of a folder are refused by name, and what they lead to goes nowhere."""
 
 import json
+import resource
 import shutil
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from matcam import rigs
 from matcam.batch.run import correct_all
+from matcam.batch.store import read_row, row_names
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError, OutputError
 from matcam.exchange.conversion import convert
@@ -57,22 +59,63 @@ def test_a_link_in_a_run_s_folder(tables, tmp_path, name):
 
 @pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("name", "change", "words"),
     [
-        ({"codecs": [{"name": "numcodecs.pickle"}]}, "coded by 'numcodecs.pickle'"),
-        ({"data_type": "object"}, "values of type 'object'"),
-        ({"shape": [1 << 40]}, "1099511627776 materials"),
-        ({"zarr_format": 2, "codecs": None}, "not the Zarr of a run"),
+        ("material", {"codecs": [{"name": "numcodecs.pickle"}]}, "coded by 'numcodecs.pickle'"),
+        ("material", {"data_type": "object"}, "values of type 'object'"),
+        ("material", {"shape": [1 << 40]}, "1099511627776 materials"),
+        ("material", {"shape": [-1]}, "has the lengths [-1]"),
+        ("material", {"zarr_format": 2, "codecs": None}, "not the Zarr of a run"),
+        ("material", {"chunk_key_encoding": {"name": "v2"}}, "other names than a run gives them"),
+        ("brdf", {"shape": [1, 90, 90, 180, 300]}, "(1, 90, 90, 180, 300) values of 'float64'"),
+        ("brdf", {"data_type": "float32"}, "values of 'float32'"),
+        (
+            "brdf_std",
+            {"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [9, 90, 90, 180, 3]}}},
+            "chunks of (9",
+        ),
+        ("corrected", {"shape": [1, 1 << 40]}, "(1, 1099511627776) values"),
     ],
 )
-def test_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch, change, words):
+def test_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch, name, change, words):
     simple.work_in_this_process(monkeypatch)
     corrected([tables / "a.binary"], tmp_path / "out", zarr=True)
-    described = tmp_path / "out" / "run.zarr" / "material" / "zarr.json"
+    described = tmp_path / "out" / "run.zarr" / name / "zarr.json"
     described.write_text(json.dumps(json.loads(described.read_text()) | change))
+    with pytest.raises(FileFormatError, match="not the Zarr of a run"):
+        row_names(tmp_path / "out" / "run.zarr")
     with pytest.raises(OutputError, match="is not the Zarr of a run") as caught:
         corrected([tables], tmp_path / "out", zarr=True)
     assert words in str(caught.value)
+
+
+@pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
+def test_chunks_of_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch):
+    simple.work_in_this_process(monkeypatch)
+    corrected([tables / "a.binary"], tmp_path / "out", zarr=True)
+    store = tmp_path / "out" / "run.zarr"
+    assert read_row(store, 0)["brdf"].shape == (90, 90, 180, 3)
+    chunk = store / "brdf" / "c" / "0" / "0" / "0" / "0" / "0"
+    (tmp_path / "victim").write_bytes(bytes(8 * 90 * 90 * 180 * 3))
+    chunk.unlink()
+    chunk.symlink_to(tmp_path / "victim")
+    with pytest.raises(FileFormatError, match="is a link"):
+        read_row(store, 0)
+    chunk.unlink()
+    chunk.write_bytes(_zstd(bytes(1 << 30)))  # 33 kB
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(FileFormatError):
+        read_row(store, 0)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # KiB: nothing is decoded here
+    for row in (-1, 1):
+        with pytest.raises(FileFormatError, match="is not whole"):
+            read_row(store, row)
+
+
+def _zstd(content):
+    from numcodecs import Zstd
+
+    return bytes(Zstd().encode(content))
 
 
 @pytest.fixture

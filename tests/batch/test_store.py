@@ -1,6 +1,9 @@
 """A run's Zarr: labelled, lazy, whole where it says so, grown and mended by later runs."""
 
+import functools
+import itertools
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -8,10 +11,13 @@ import xarray as xr
 
 from matcam import rigs
 from matcam.batch.run import correct_all
+from matcam.batch.store import open_rows, read_row, row_names, whole_rows
 from matcam.core.errors import OutputError
+from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES
 from matcam.io import read_netcdf
 from tests.batch import simple
 from tests.batch.tables import write_database
+from tests.files.mutations import mutated, mutated_text, survives
 
 
 def open_run(folder):
@@ -49,3 +55,36 @@ def test_a_run_as_one_zarr(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match=r"run\.zarr"):
         again(zarr=True)
     assert (out / "run.zarr").read_text() == "mine"
+
+
+@pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
+@pytest.mark.parametrize("count", [60, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_a_damaged_store(tmp_path, count):
+    """Descriptions and chunks in turn; a table, which takes half a second, is read of every hundredth."""
+    store = tmp_path / "run.zarr"
+    rows = open_rows(store, ["a", "b"], "centre")
+    table = xr.Dataset({name: (("x",), np.zeros(1)) for name in TABLE_ATTRIBUTES})
+    for name in table:
+        shape = (90, 90, 180, 3)[: 3 if name == "response" else 4]
+        table[name] = xr.DataArray(np.zeros(shape), dims=[f"{name}{k}" for k in range(len(shape))])
+    rows["a"].write(table)
+    assert read_row(store, 0)["brdf"].values.max() == 0
+    number = itertools.count()
+
+    def read(path):
+        row_names(store)
+        whole_rows(store)
+        if next(number) % 100 == 0:
+            read_row(store, 0)
+
+    targets = [
+        "zarr.json", "material/zarr.json", "material/c/0", "corrected/zarr.json", "corrected/c/0", "brdf/zarr.json",
+        "brdf/c/0/0/0/0/0",
+    ]  # fmt: skip
+    for target in targets:
+        path = store / target
+        whole = path.read_bytes()
+        change = mutated_text if target.endswith(".json") else functools.partial(mutated, header=len(whole))
+        survives(read, path, change(whole, -(-count // len(targets)), seed=5), spare=512 << 20, clock=time.process_time)
+        path.write_bytes(whole)
+    assert row_names(store) == ["a", "b"]

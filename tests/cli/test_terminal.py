@@ -109,6 +109,7 @@ def test_no_home(monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME")
     for answer in (homeless, lambda name: io.Path("~/.cache") / name):
         monkeypatch.setattr(pooch, "os_cache", answer)
+        monkeypatch.setattr(Path, "home", lambda answer=answer: answer("matcam"))
         folder = io.user_cache_folder()
         assert folder.is_absolute()
         with pytest.raises(OutputError), io.replacing(folder / "a") as temporary:
@@ -141,3 +142,16 @@ def test_too_small_a_limit_of_address_space_is_said():
         )  # fmt: skip
         assert ran.returncode == 2
         assert ran.stderr.startswith(f"matcam: this process may use {limit / 1e9:.2f} GB of address space (ulimit -v)")
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "19", "none"])
+def test_a_width_that_nothing_fits_into(monkeypatch, capsys, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    show.table(["metal", "F"], [["Cr", "0.55"]])
+    assert "0.55" in capsys.readouterr().out
+
+
+def test_a_warning_is_one_line():
+    code = "import sys, warnings\nfrom matcam import cli\ncli._run = lambda a: warnings.warn('two\\nlines', stacklevel=1)\n"
+    done = subprocess.run([sys.executable, "-c", code + "cli.main([])"], capture_output=True, text=True, check=False)
+    assert done.stderr == "matcam: two lines\n"

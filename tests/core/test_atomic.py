@@ -7,8 +7,17 @@ import sys
 
 import pytest
 
-from matcam.core.errors import OutputError
-from matcam.core.io import all_or_nothing, check_output, one_by_one, replacing, uninterrupted, where_written
+from matcam.core import io
+from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.io import (
+    all_or_nothing,
+    check_output,
+    make_folder,
+    one_by_one,
+    replacing,
+    uninterrupted,
+    where_written,
+)
 
 
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -139,3 +148,123 @@ def test_signals_wait_for_what_must_not_be_interrupted(name):
         assert signal.getsignal(number) is end
     finally:
         signal.signal(number, before)
+
+
+def interrupted_at(line, call):
+    """Call something and send Ctrl-C at the so manieth line of core/io.py that it executes: (whether it came, the error)."""
+    count = 0
+
+    def trace(frame, event, argument):
+        nonlocal count
+        if frame.f_code.co_filename != io.__file__:
+            return None
+        if event == "line":
+            count += 1
+            if count == line:
+                signal.raise_signal(signal.SIGINT)
+        return trace
+
+    error = None
+    sys.settrace(trace)
+    try:
+        call()
+    except (KeyboardInterrupt, RuntimeError) as caught:
+        error = type(caught)
+    finally:
+        sys.settrace(None)
+    return count >= line, error
+
+
+def write_two(folder, fails):
+    with all_or_nothing():
+        write(folder / "a.txt", force=True)
+        write(folder / "deep" / "b.txt", force=True)
+        if fails:
+            raise RuntimeError
+
+
+def write_one(folder, fails):
+    with replacing(folder / "a.txt", force=True) as temporary:
+        temporary.write_text("new")
+        if fails:
+            raise RuntimeError
+
+
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize("call", [write_two, write_one])
+def test_an_interruption_at_any_line_leaves_all_or_nothing(tmp_path, call, fails):
+    """No orphan, no folder, no file without the other; and the next one is written."""
+    before, old, new = signal.getsignal(signal.SIGINT), {"a.txt": "old"}, {"a.txt": "new"}
+    if call is write_two:
+        new |= {"deep": None, "deep/b.txt": "new"}
+    line, outcomes = 0, []
+    came = True
+    while came:
+        line += 1
+        folder = tmp_path / str(line)
+        folder.mkdir()
+        (folder / "a.txt").write_text("old")
+        came, error = interrupted_at(line, lambda folder=folder: call(folder, fails))
+        left = {str(p.relative_to(folder)): p.read_text() if p.is_file() else None for p in folder.rglob("*")}
+        assert left in (old, new), line
+        assert left == old or not fails
+        assert signal.getsignal(signal.SIGINT) is before
+        if came:
+            outcomes.append((error, left == new))
+        write(folder / "c.txt")
+        assert (folder / "c.txt").read_text() == "new"
+    assert len(outcomes) > 40
+    assert {error for error, _ in outcomes} <= {KeyboardInterrupt, RuntimeError}
+    if not fails:
+        assert {done for _, done in outcomes} == {False, True}
+        assert all(error is KeyboardInterrupt for error, _ in outcomes)
+
+
+def test_what_an_interruption_between_two_statements_has_left_goes_at_the_end(tmp_path):
+    """The exception comes where no signal can come: within what removes."""
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom matcam.core import io\n"
+        "io.Outputs.publish = lambda self: sys.exit(3)\n"
+        "discard, calls = io.Outputs.discard, []\n"
+        "def interrupted(self):\n    calls.append(1)\n"
+        "    if len(calls) == 1: raise KeyboardInterrupt\n    discard(self)\n"
+        "io.Outputs.discard = interrupted\n"
+        "with io.replacing(Path(sys.argv[1])) as temporary: temporary.write_text('half')\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.txt")], capture_output=True, check=False)
+    assert os.listdir(tmp_path) == []
+
+
+def test_folders_vanish_with_the_files_that_do_not_appear(tmp_path):
+    with pytest.raises(RuntimeError), all_or_nothing():
+        make_folder(tmp_path / "a" / "b")
+        write(tmp_path / "c" / "d.txt")
+        (tmp_path / "c" / "mine").write_text("mine")
+        raise RuntimeError
+    assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")) == ["c", "c/mine"]
+
+
+@pytest.mark.parametrize("force", ["no", 1, None, "True"])
+def test_force_is_true_or_false(tmp_path, force):
+    with pytest.raises(ArgumentError, match="force must be True or False"):
+        check_output(tmp_path / "a.txt", force=force)
+
+
+def test_a_link_that_leads_nowhere_is_there(tmp_path):
+    (tmp_path / "a.txt").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OutputError, match="exists"):
+        write(tmp_path / "a.txt")
+    write(tmp_path / "a.txt", force=True)
+    assert not (tmp_path / "a.txt").is_symlink()
+    assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize("letter", ["x", "\N{GREEK SMALL LETTER ALPHA}"])
+def test_names_up_to_what_the_file_system_allows(tmp_path, letter):
+    size = len(letter.encode())
+    longest = letter * ((255 - 4) // size) + ".txt"
+    write(tmp_path / longest)
+    write(tmp_path / longest, force=True)
+    assert (tmp_path / longest).read_text() == "new"
+    with pytest.raises(OutputError, match="File name too long"):
+        write(tmp_path / (letter + longest))

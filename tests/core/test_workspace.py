@@ -1,5 +1,6 @@
 """What a workspace keeps, what it lets go, and that a broken disk is no harm."""
 
+import errno
 import os
 import pickle
 import subprocess
@@ -9,8 +10,7 @@ import numpy as np
 import pytest
 
 from matcam.core import jax as jax_module
-from matcam.core import sealed
-from matcam.core.errors import ArgumentError, OutputError
+from matcam.core.errors import ArgumentError
 from matcam.core.workspace import Workspace, default_workspace, user_cache_folder
 
 
@@ -52,11 +52,11 @@ def test_no_flipped_bit_is_believed(tmp_path, caplog, monkeypatch):
     (file,) = tmp_path.glob("*.npz")
     whole = file.read_bytes()
 
-    def full(path, **options):
-        raise OutputError("output cannot be written: full")
+    def full(*given, **options):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as context:
-        context.setattr(sealed, "replacing", full)  # a flip is not mended before the next one
+        context.setattr(os, "replace", full)  # a flip is not mended before the next one
         for bit in random.choice(8 * len(whole), 1200, replace=False).tolist():
             damaged = bytearray(whole)
             damaged[bit // 8] ^= 1 << bit % 8

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from matcam.core.io import read_json
+from matcam.core.readers.texts import read_json
 
 ROOT = Path(__file__).parents[2]
 

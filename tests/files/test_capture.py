@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from matcam.core.errors import FileFormatError
-from matcam.files.capture import COLUMNS, json_schema, read_capture
+from matcam.files.capture import COLUMNS, json_schema, read_capture, read_settings
 from tests.conftest import REPOSITORY
 from tests.oracle.capture import as_toml, write_tiff
 
@@ -274,3 +274,13 @@ def test_an_intensity_that_is_none(tmp_path, light):
 def test_a_lamp_has_one_intensity(tmp_path):
     capture = read_capture(listed(tmp_path, with_light(ROWS, "2", "3", "1", ""), **TABLE))
     assert any("another intensity" in problem.text for problem in capture.problems)
+
+
+@pytest.mark.parametrize("box", ["[0, 0, 0, 0]", "[0, 0, 10, 0]"])
+@pytest.mark.parametrize("table", ["sample", "reference"])
+def test_a_region_without_pixels(tmp_path, table, box):
+    text = 'format = "matcam capture"\nversion = 1\n'
+    text += "[sample]\n" if table == "sample" else '[reference]\nkind = "monitor"\n'
+    (tmp_path / "capture.toml").write_text(f"{text}region_px = {box}\n")
+    with pytest.raises(FileFormatError, match=rf"field {table}\.region_px.*at least 1 px"):
+        read_settings(tmp_path / "capture.toml")

@@ -1,9 +1,14 @@
 """A disk that is full: every writer says so in one line, and leaves nothing and no half."""
 
+import os
 import resource
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
+import tifffile
 import xarray as xr
 from matplotlib.figure import Figure
 
@@ -56,3 +61,38 @@ def test_a_full_disk(tmp_path, name):
         assert f"{name} cannot be written: " in str(caught.value)
         assert "\n" not in str(caught.value)
         assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interruption_while_files_appear_says_that_they_are_written(tmp_path, name):
+    code = (
+        "import pathlib, signal, sys\nfrom matcam.cli import main\nreplace = pathlib.Path.replace\n"
+        "def interrupted(self, target):\n    signal.raise_signal(getattr(signal, sys.argv[2]))\n"
+        "    return replace(self, target)\n"
+        "pathlib.Path.replace = interrupted\n"
+        "main(['chart', 'star', '-o', sys.argv[1]])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a.svg"), name], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 128 + getattr(signal, name)
+    assert done.stderr == "matcam: interrupted after its files were written; they are whole\n"
+    assert sorted(os.listdir(tmp_path)) == ["a.json", "a.svg"]
+
+
+def test_a_capture_that_does_not_fit_leaves_no_folder(tmp_path):
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    tifffile.imwrite(photographs / "a.tif", np.zeros((200, 200), np.uint16))
+    for arguments in ([], ["--from", str(photographs)]):
+        code = (
+            "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+            "from matcam.cli import main\nresource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nmain(sys.argv[1:])"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, "capture", "init", str(tmp_path / "new" / "shots"), *arguments],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 2
+        assert "cannot be written: File too large" in done.stderr
+        assert os.listdir(tmp_path) == ["photographs"]

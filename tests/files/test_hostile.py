@@ -4,9 +4,11 @@ import io
 import json
 import os
 import pickle
+import re
 import struct
 import subprocess
 import sys
+import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,12 +16,24 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import read_merl
+from matcam import Camera, read_merl
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.exchange.contents import read_contents
 from matcam.files.formats import identify
 from matcam.files.photographs import open_photograph
-from matcam.io import read_netcdf, read_samples, read_zarr, write_netcdf, write_zarr
+from matcam.files.tone_curve import read_tone_curve
+from matcam.io import (
+    read_netcdf,
+    read_rgl,
+    read_samples,
+    read_sidecar,
+    read_zarr,
+    write_netcdf,
+    write_sidecar,
+    write_zarr,
+)
+from matcam.targets import read_chart
+from tests.files.test_sidecar import sections
 
 SECRET = np.arange(4.0) + 1000
 
@@ -64,8 +78,24 @@ class TestHDF5:
                 "file.create_dataset('z', (4,), '<f8', maxshape=(None,), chunks=(1 << 27,), compression='gzip')",
                 "does not fit into",
             ),
+            (
+                "import zlib; one = file.create_dataset('s', (1,), h5py.string_dtype(), chunks=(1,)); one[0] = 'text'; "
+                "many = file.create_dataset('t', (400_000,), h5py.string_dtype(), chunks=(400_000,), compression='gzip'); "
+                "place = one.id.read_direct_chunk((0,))[1]; many.id.write_direct_chunk((0,), zlib.compress(place * 400_000))",
+                "does not fit into",
+            ),
+            (
+                "file.create_dataset('l', (2,), h5py.vlen_dtype('i4'))",
+                "holds lists or references",
+            ),
+            (
+                "plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE); plan.set_chunk((4,)); plan.set_deflate(9); "
+                "plan.set_deflate(9); h5py.h5d.create(file.id, b'd', h5py.h5t.NATIVE_DOUBLE, "
+                "h5py.h5s.create_simple((4,)), plan)",
+                "passes deflate twice",
+            ),
         ],
-        ids=["external", "link", "virtual", "symbolic", "cycle", "zeros", "chunk"],
+        ids=["external", "link", "virtual", "symbolic", "cycle", "zeros", "chunk", "texts", "lists", "deflated twice"],
     )
     def test_files_that_reach_out(self, tmp_path, code, words):
         hdf5(tmp_path / "victim.nc")
@@ -144,6 +174,10 @@ class TestZarr:
             ({"chunk_grid": {"name": "rectilinear", "configuration": {}}}, "no regular chunks"),
             ({"storage_transformers": [{"name": "other"}]}, "storage transformers"),
             ({"zarr_format": 2}, "not of Zarr version 3"),
+            ({"shape": [-4]}, "has the lengths [-4]"),
+            ({"shape": [4.0]}, "has the lengths [4.0]"),
+            ({"shape": [True]}, "has the lengths [True]"),
+            ({"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [-4]}}}, "has the lengths [-4]"),
         ],
     )
     def test_arrays_beyond_the_list(self, tmp_path, changes, words):
@@ -151,6 +185,16 @@ class TestZarr:
             tmp_path / "a.zarr.zip", {"zarr.json": GROUP, "raw/zarr.json": array(**changes), "raw/c/0": b"\0" * 32}
         )
         refused(read_zarr, path, words)
+
+    def test_a_negative_length_hides_no_other(self, tmp_path):
+        """Of an array inside an array, which the library never opens."""
+        chunks = {"name": "regular", "configuration": {"chunk_shape": [1000]}}
+        members = {
+            "zarr.json": GROUP,
+            "raw/inner/zarr.json": array(shape=[-4_000_000_000]),
+            "raw/zarr.json": array(shape=[1 << 29], chunk_grid=chunks),
+        }
+        refused(read_zarr, zip_of(tmp_path / "a.zarr.zip", members), "lies inside an array")
 
     def test_no_root(self, tmp_path):
         refused(
@@ -192,3 +236,57 @@ def test_a_table_without_values(tmp_path):
     path.write_bytes(struct.pack("<3i", 90, 90, 180))
     with pytest.raises(FileFormatError):
         read_merl(path)
+
+
+class TestTexts:
+    """Texts that would take minutes and gigabytes: each takes at most 2 s of this process, and no memory to speak of."""
+
+    HEAD = "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n"
+
+    @pytest.fixture(autouse=True)
+    def _quickly(self):
+        begin = time.process_time()
+        yield
+        assert time.process_time() - begin < 2.5
+
+    def test_a_row_of_a_million_values(self, tmp_path):
+        (tmp_path / "a.csv").write_text(self.HEAD + "1," * 3_000_000 + "\n")
+        refused(read_samples, tmp_path / "a.csv", "line 2 has more than 16384 bytes")
+
+    def test_lines_without_values(self, tmp_path):
+        (tmp_path / "a.csv").write_text(self.HEAD + "\n" * 6_000_000)
+        refused(read_samples, tmp_path / "a.csv", "no line follows")
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            "{" + ",".join(f'"key{k}": {k}' for k in range(500_000)) + "}",
+            '{"format": "matcam camera profile", "version": 1, "notes": [' + "[]," * 3_000_000 + "0]}",
+            "[" * 8_000_000,
+        ],
+        ids=["keys", "lists", "depth"],
+    )
+    @pytest.mark.parametrize("read", [Camera.load, read_sidecar, read_chart])
+    def test_documents_of_many_values(self, tmp_path, read, content):
+        (tmp_path / "a.json").write_text(content)
+        refused(read, tmp_path / "a.json", "values are too many")
+
+    def test_a_document_whose_values_are_all_wrong(self, tmp_path):
+        """As many as may be: the schema refuses each."""
+        write_sidecar(tmp_path / "a.json", **sections())
+        text = (tmp_path / "a.json").read_text()
+        wrong = ", ".join(f'"{k}"' for k in range(240_000))
+        text = re.sub(r'"angles_rad": \[[^]]*\]', lambda _: f'"angles_rad": [{wrong}]', text)
+        (tmp_path / "a.json").write_text(text)
+        refused(read_sidecar, tmp_path / "a.json", "field lamp.angles_rad.0")
+
+    def test_a_tone_curve_of_many_lines(self, tmp_path):
+        (tmp_path / "a.txt").write_text("1\n" * 2_000_000)
+        refused(read_tone_curve, tmp_path / "a.txt", "2000000 lines are too many")
+
+    def test_an_rgl_file_without_an_end(self, tmp_path):
+        """A hole of 100 GB, which nobody reads."""
+        with (tmp_path / "a.bsdf").open("wb") as file:
+            file.write(b"tensor_file\0\1\0" + struct.pack("<I", 1))
+            file.truncate(100 << 30)
+        refused(read_rgl, tmp_path / "a.bsdf", "needs more than")

@@ -13,8 +13,9 @@ import tifffile
 
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError
-from matcam.files import apart, formats, picture_decoders, picture_header
-from matcam.files.apart import Limits, reading_limits, start_reader
+from matcam.core.readers import apart
+from matcam.core.readers.apart import Limits, reading_limits, start_reader
+from matcam.files import formats, picture_decoders, picture_header
 from matcam.files.photographs import open_photograph, read_photograph, read_raw
 from matcam.io import read_exr, read_float_tiff, write_exr, write_float_tiff
 from tests.files.test_open_photograph import COUNTS, write_dng

@@ -137,6 +137,7 @@ class _Request(HTTPMessageDelegate):
             secured: Any = _Secured(self.guard, self.connection)
             self.inner = self.guard.application.start_request(self.server_conn, secured)
             return self.inner.headers_received(start_line, headers)
+        self._refuse(*self.refused)  # before its body is read: the connection closes with the answer
         return None
 
     def data_received(self, chunk: bytes) -> Any:
@@ -145,15 +146,15 @@ class _Request(HTTPMessageDelegate):
     def finish(self) -> None:
         if self.inner:
             self.inner.finish()
-        elif self.refused:
-            code, headers, text = self.refused
-            body = text.encode()
-            headers["Content-Length"] = str(len(body))
-            headers["Connection"] = "close"
-            self.guard.secure(headers)
-            line = ResponseStartLine("HTTP/1.1", code, "See Other" if code == 303 else "Forbidden")
-            self.connection.write_headers(line, headers, body)
-            self.connection.finish()
+
+    def _refuse(self, code: int, headers: HTTPHeaders, text: str) -> None:
+        body = text.encode()
+        headers["Content-Length"] = str(len(body))
+        headers["Connection"] = "close"
+        self.guard.secure(headers)
+        line = ResponseStartLine("HTTP/1.1", code, "See Other" if code == 303 else "Forbidden")
+        self.connection.write_headers(line, headers, body)
+        self.connection.finish()
 
     def on_connection_close(self) -> None:
         if self.inner:

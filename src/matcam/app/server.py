@@ -32,6 +32,10 @@ LARGEST_MESSAGE = 64 << 20
 """Largest message from a browser, bytes; larger files come in pieces."""
 
 
+_IDLE = 60.0
+"""Seconds until a connection that asks for nothing, or does not end its request, is closed."""
+
+
 class AppServer:
     """Serve the app's page until it is stopped.
 
@@ -69,7 +73,7 @@ class AppServer:
             stats_log_frequency_milliseconds=10**9,
         )
         self.guard = Guard(tornado, host, self.port)
-        http = HTTPServer(self.guard)
+        http = HTTPServer(self.guard, idle_connection_timeout=_IDLE, body_timeout=_IDLE)
         http.add_sockets(sockets)
         self._server = BaseServer(IOLoop.current(), tornado, http)
         self._server.start()

@@ -18,7 +18,7 @@ import xarray as xr
 
 from matcam.camera.camera import Camera
 from matcam.camera.profile import Provenance
-from matcam.core.errors import FitError, MatcamError
+from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.core.io import plain
 from matcam.core.workspace import Workspace
@@ -118,6 +118,8 @@ class Recipe:
 
     def settings(self, *, fit_camera: bool) -> dict[str, Any]:
         """Return everything that decides what a run's files hold, as plain numbers and texts."""
+        if not hasattr(self.corrector, "__qualname__"):
+            raise ArgumentError(f"corrector must be a function at the top of a module, got {self.corrector!r:.60}")
         return plain(
             {
                 "format": SETTINGS_FORMAT,

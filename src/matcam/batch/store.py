@@ -1,11 +1,16 @@
 """A run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Needs the extra `matcam[scale]`.
 
 A folder, version 3, dims (material, theta_h, theta_d, phi_d, channel); one chunk a material, so that workers write their rows
-beside each other. `corrected` says which rows are whole; it is a row's last chunk.
+beside each other. `corrected` indicates which rows are whole; it is a row's last chunk.
+
+Others may have changed the folder. So its arrays must have the shapes and types that a run gives them, and chunks are decoded
+in a process of their own only (core/readers/apart.py). A worker writes whole chunks, for which none is decoded.
 """
 
 from __future__ import annotations
 
+import os
+import stat
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,18 +21,25 @@ import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
-from matcam.core.io import read_json
+from matcam.core.readers.apart import read_apart
+from matcam.core.readers.texts import read_json
 from matcam.files.datasets import with_short_deviations
-from matcam.files.decoders import DESCRIPTION, check_codecs
+from matcam.files.decoders import DESCRIPTION, check_codecs, check_lengths, chunk_shape
 from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
-_MOST_ROWS = 10_000_000
+_MOST_ROWS = 1_000_000
+"""Materials in a run at most. Their names alone take 64 MB."""
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     name: (bool if name == "supported" else np.float32 if name.endswith("_std") else float, attributes)
     for name, attributes in TABLE_ATTRIBUTES.items()
 }
 """Type and attributes of each variable; as in NetCDF, standard deviations have 7 digits."""
+_CHUNK_KEYS = {"name": "default", "configuration": {"separator": "/"}}
+_NAMES_A_CHUNK = 4096
+_SIZES = (*GRID_SHAPE, len(CHANNELS))
+_TABLES = {name: _SIZES if name != "response" else _SIZES[:3] for name in _VALUES}
+"""Shape of each variable of one material."""
 
 
 class StoreRow(NamedTuple):
@@ -69,7 +81,7 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
                 if any(True for _ in group):
                     raise OutputError(f"output {store} is not the Zarr of a run: choose another folder")
                 _create_arrays(group, sampling)
-            there = [str(name) for name in group[_ROW][:]]
+            there = _stored(store, [_ROW])[_ROW].tolist()
             new = [name for name in names if name not in set(there)]
             if new:
                 _grow(group, [*there, *new])
@@ -79,13 +91,14 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
 
 
 def whole_rows(store: Path) -> np.ndarray:
-    """Return which rows hold a corrected table, bool."""
-    return np.asarray(_zarr().open_group(store, mode="r", zarr_format=3, use_consolidated=False)[_DONE][:])
+    """Read which rows hold a corrected table, bool."""
+    return _stored(store, [_DONE])[_DONE]
 
 
 def row_names(store: Path) -> list[str]:
-    """Return the materials of a run's Zarr, by row; tables are not read."""
-    return [str(name) for name in _readable(store)[_ROW][:]]
+    """Read the materials of a run's Zarr, by row; tables are not read."""
+    _check_readable(store)
+    return _stored(store, [_ROW])[_ROW].tolist()
 
 
 def read_row(store: Path, row: int) -> xr.Dataset:
@@ -94,39 +107,81 @@ def read_row(store: Path, row: int) -> xr.Dataset:
     Raises:
         FileFormatError: the row is not whole, or the store is damaged.
     """
-    group = _readable(store)
+    _check_readable(store)
+    done = whole_rows(store)
+    if not 0 <= row < done.size or not done[row]:
+        raise FileFormatError(f"{store}: row {row} is not whole: the run has not finished it")
+    names = [*_VALUES]
+    read = read_apart(_DECODER, store, libraries=_LIBRARIES, size=_bytes_of(store, names, row), arrays=names, row=row)
     try:
-        if not bool(group[_DONE][row]):
-            raise FileFormatError(f"{store}: row {row} is not whole: the run has not finished it")
-        grid = merl_grid(group.attrs["sampling"])._asdict()
-        coordinates = {name: (name, values, {"units": "rad"}) for name, values in grid.items()}
-        said = {"brdf": {"sampling": group.attrs["sampling"]}}
+        sampling = read["attrs"]["sampling"]
+        coordinates = {name: (name, v, {"units": "rad"}) for name, v in merl_grid(sampling)._asdict().items()}
         data = {
-            name: (DIMS if name != "response" else DIMS[:3], group[name][row], attributes | said.get(name, {}))
+            name: (DIMS[: len(_TABLES[name])], read["values"][name], {**attributes})
             for name, (_, attributes) in _VALUES.items()
         }
-        return xr.Dataset(data, coords={**coordinates, "channel": list(CHANNELS)}, attrs=dict(group.attrs))
-    except (OSError, KeyError, ValueError, IndexError) as error:
+        data["brdf"][2]["sampling"] = sampling
+        return xr.Dataset(data, coords={**coordinates, "channel": list(CHANNELS)}, attrs=read["attrs"])
+    except (KeyError, ValueError) as error:
         raise FileFormatError(f"{store}: row {row} cannot be read: {error}") from None
 
 
-def _readable(store: Path) -> Any:
-    """Open a store, when its arrays have been found to be a run's."""
+_DECODER, _LIBRARIES = "matcam.files.decoders:decode_rows", ("zarr.storage",)
+
+
+def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Read whole arrays of a store that has been checked."""
+    _zarr()
+    size = _bytes_of(store, names)
+    return read_apart(_DECODER, store, libraries=_LIBRARIES, size=size, arrays=list(names))["values"]
+
+
+def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
+    """Add the sizes of the chunks of arrays, or of one row of them; FileFormatError for a link among them."""
+    total = 0
+    for name in names:
+        chunks = store / name / "c"
+        for folder, folders, files in os.walk(chunks if row is None else chunks / str(row)):
+            for entry in (*folders, *files):
+                status = Path(folder, entry).lstat()
+                if stat.S_ISLNK(status.st_mode):
+                    raise FileFormatError(f"{Path(folder, entry)}: is a link in a run's Zarr: remove it")
+                total += status.st_size if stat.S_ISREG(status.st_mode) else 0
+    return total
+
+
+def _check_readable(store: Path) -> None:
+    """Check that the arrays of a store are those of a run. FileFormatError."""
     try:
         _check_store(store)
-        return _zarr().open_group(store, mode="r", zarr_format=3, use_consolidated=False)
-    except (OSError, KeyError, ValueError, OutputError) as error:
+    except OutputError as error:
         raise FileFormatError(f"{store}: not the Zarr of a run: {error}") from None
+    if not (store / _ROW / DESCRIPTION).is_file():
+        raise FileFormatError(f"{store}: not the Zarr of a run: it has no array {_ROW}")
 
 
 def _check_store(store: Path) -> None:
     """Check the arrays of a store before anything of it is decoded. OutputError for what no run has written."""
     for described in sorted(store.glob(f"*/{DESCRIPTION}")):
+        name = described.parent.name
         try:
             document = read_json(described, "an array of a run's Zarr")
-            check_codecs(store, described.parent.name, document)
-            if document["shape"][0] > _MOST_ROWS and described.parent.name in (_ROW, _DONE):
-                raise FileFormatError(f"{described}: {document['shape'][0]} materials")
+            check_codecs(store, name, document)
+            shape, chunks, kind = tuple(document["shape"]), chunk_shape(document), document["data_type"]
+            check_lengths(store, name, shape)
+            if document["chunk_key_encoding"] != _CHUNK_KEYS:
+                raise FileFormatError(f"{described}: its chunks have other names than a run gives them")
+            expected: tuple[tuple[int, ...], tuple[int, ...], str]
+            if name in _VALUES:
+                expected = _TABLES[name], (1, *_TABLES[name]), np.dtype(_VALUES[name][0]).name
+            elif name in (_ROW, _DONE):
+                expected = (), (_NAMES_A_CHUNK if name == _ROW else 1,), "string" if name == _ROW else "bool"
+            else:
+                continue  # it is never opened
+            if shape[0] > _MOST_ROWS:
+                raise FileFormatError(f"{described}: {shape[0]} materials")
+            if (shape[1:], chunks, kind) != expected:
+                raise FileFormatError(f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks}")
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
             raise OutputError(f"output {store} is not the Zarr of a run: {error}") from None
 
@@ -141,16 +196,15 @@ def _create_arrays(group: Any, sampling: Sampling) -> None:
         array[:] = values
     channels = group.create_array("channel", shape=(len(CHANNELS),), dtype=str, dimension_names=("channel",))
     channels[:] = np.array(CHANNELS, dtype=object)
-    sizes = (*GRID_SHAPE, len(CHANNELS))
     for name, (kind, attributes) in _VALUES.items():
-        dims = DIMS if name != "response" else DIMS[:3]
+        sizes = _TABLES[name]
         group.create_array(
-            name, shape=(0, *sizes[: len(dims)]), chunks=(1, *sizes[: len(dims)]), dtype=kind,
-            fill_value=False if kind is bool else np.nan, dimension_names=(_ROW, *dims), attributes=attributes,
+            name, shape=(0, *sizes), chunks=(1, *sizes), dtype=kind, attributes=attributes,
+            fill_value=False if kind is bool else np.nan, dimension_names=(_ROW, *DIMS[: len(sizes)]),
         )  # fmt: skip
     meaning = {"long_name": "whether the row is whole"}
     group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=meaning)
-    group.create_array(_ROW, shape=(0,), chunks=(4096,), dtype=str, dimension_names=(_ROW,))
+    group.create_array(_ROW, shape=(0,), chunks=(_NAMES_A_CHUNK,), dtype=str, dimension_names=(_ROW,))
 
 
 def _grow(group: Any, names: list[str]) -> None:

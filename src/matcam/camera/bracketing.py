@@ -70,6 +70,7 @@ def expose_bracket(
         (2, 2, 3)
     """
     exposures, times = _exposures_and_times(exposures, times)
+    checks.instance("sensor", sensor, Sensor)
     pairs = zip(jax.random.split(random_key(seed), len(exposures)), exposures, times, strict=True)
     return jnp.stack([sensor.expose(radiance, exposure, one, time) for one, exposure, time in pairs])
 
@@ -145,7 +146,9 @@ def _nan_where_zero(total: jax.Array) -> jax.Array:
 def _exposures_and_times(
     exposures: Sequence[float], times: Sequence[float] | None
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    positive = checks.positive("exposures", jnp.atleast_1d(jnp.asarray(exposures)), "e- per unit of radiance")
+    positive = checks.positive(
+        "exposures", jnp.atleast_1d(checks.number("exposures", exposures)), "e- per unit of radiance"
+    )
     if positive.ndim != 1 or positive.size == 0:
         raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
     strengths = tuple(positive.tolist())

@@ -86,7 +86,7 @@ class Camera(eqx.Module):
         self.provenance = provenance or Provenance()
         self.field = field
         if uncertainty is not None:
-            uncertainty.check_names(self.parameters())
+            checks.instance("uncertainty", uncertainty, Uncertainty).check_names(self.parameters())
         if sensor is not None:
             self._check_pitch(sensor.pitch)
 

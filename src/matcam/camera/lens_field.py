@@ -68,7 +68,9 @@ class LensField:
         checks.within("unit_px", self.unit, 0, np.inf, "px", open_low=True, open_high=True)
         checks.within("holds_at_px", self.holds_at, 0, np.inf, "px", open_high=True)
         for name in ("k1", "k2", "growth"):
-            value, std = getattr(self, name)
+            if np.shape(given := getattr(self, name)) != (2,):
+                raise ArgumentError(f"{name} must be (value, standard deviation), got {given!r:.60}")
+            value, std = given
             checks.within(name, value, -_LARGEST, _LARGEST)
             checks.within(f"standard deviation of {name}", std, 0, np.inf, open_high=True)
         rho2 = np.linspace(0, 1.5, 30)

@@ -45,8 +45,8 @@ from matcam.camera.profile_schemas import FIELD_SCHEMA, MODELS, SENSOR_FIELDS, V
 from matcam.camera.sensor import Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import checked_version, first_problem, read_json
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 
 class Uncertainty(eqx.Module):

@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,6 +21,7 @@ BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
 _INTERRUPTION = "interrupted; nothing half-written was left"
+_TOO_LATE = "interrupted after its files were written; they are whole"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -32,6 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
         if hasattr(stream, "reconfigure"):  # a locale without a sign for degrees gets its escape
             stream.reconfigure(errors="backslashreplace")
     _end_on_signals()
+    warnings.formatwarning = _warning_as_line
     try:
         code = _run(arguments)
     except KeyboardInterrupt:  # while the commands themselves were being loaded
@@ -58,8 +61,16 @@ def _end_on_signals() -> None:
             signal.signal(number, end)
 
 
+def _warning_as_line(message: Any, *where: Any, **line: Any) -> str:
+    from matcam.core.io import printable
+
+    return f"matcam: {printable(_one_line(str(message)))}\n"
+
+
 def _interrupted() -> int:
-    return _complain(_INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
+    options: Any = sys.modules.get("matcam.cli.options")  # commands may still be being loaded
+    late = options is not None and options.files_are_written()
+    return _complain(_TOO_LATE if late else _INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
 
 
 def _unwritable() -> OSError | None:

@@ -58,7 +58,7 @@ def _options(
     ] = False,
 ) -> None:
     if trust:
-        from matcam.files.apart import reading_limits
+        from matcam.core.readers.apart import reading_limits
 
         context.with_resource(reading_limits(None))
 

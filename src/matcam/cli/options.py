@@ -17,7 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from matcam.cli import help_page
 from matcam.core.errors import ArgumentError, MatcamError
-from matcam.core.io import all_or_nothing
+from matcam.core.io import Outputs, all_or_nothing
 from matcam.core.memory import check_address_space
 from matcam.core.registry import CFAS, FAMILIES, FITTED_LENSES, FRESNEL_MODELS, MASKING_MODELS, PARAMETRIC_LENSES
 from matcam.files import formats
@@ -238,6 +238,14 @@ class Group(TyperGroup):
         formatter.write(help_page.page(self, ctx))
 
 
+_outputs_of_command: list[Outputs] = []
+
+
+def files_are_written() -> bool:
+    """Check whether the files of a command have appeared under their names."""
+    return any(outputs.are_published for outputs in _outputs_of_command)
+
+
 class Command(TyperCommand):
     """Run a command; errors speak of its options.
 
@@ -269,12 +277,13 @@ class Command(TyperCommand):
         values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
         modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
         if modules:
-            from matcam.files.apart import start_reader
+            from matcam.core.readers.apart import start_reader
 
             start_reader(modules)
         result: Any = None
         try:
-            with all_or_nothing():  # it takes an exception for a failure, and discards the files
+            with all_or_nothing() as outputs:  # it takes an exception for a failure, and discards the files
+                _outputs_of_command.append(outputs)
                 try:
                     result = super().invoke(ctx)
                 except typer.Exit as end:

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import printable, read_toml
+from matcam.core.io import printable
 
 SCHEMA = "matcam-rig-1"
 
@@ -81,6 +81,8 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
 
 
 def _entries(path: Path) -> dict[tuple[str, ...], Any]:
+    from matcam.core.readers.texts import read_toml  # it loads NumPy, which a page of help does not need
+
     document = read_toml(path, "a rig")
     if document.pop("schema", None) != SCHEMA:
         raise FileFormatError(f'{path}: does not begin with schema = "{SCHEMA}"')

@@ -9,6 +9,7 @@ import contextlib
 import io
 import json
 import math
+import os
 import re
 import sys
 import time
@@ -18,6 +19,8 @@ from typing import Any
 from matcam.core.io import UNPRINTABLE, plain, printable
 
 _SECONDS = 30.0
+_LEAST_WIDTH = 20
+"""Characters of a line at least: Rich prints nothing into a width of 0."""
 
 OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
 """Arguments that the library's messages name, and the options that they are here."""
@@ -77,8 +80,14 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
     for row in rows:
         drawn.add_row(*(Text(printable(cell)) for cell in row))
     with io.StringIO() as drawing:
-        Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty()).print(drawn)
+        Console(file=drawing, highlight=False, force_terminal=sys.stdout.isatty(), width=_width()).print(drawn)
         _print(drawing.getvalue(), end="")
+
+
+def _width() -> int | None:
+    """Return the width of tables where the environment states one that nothing fits into; None: it does not."""
+    stated = os.environ.get("COLUMNS", "")
+    return _LEAST_WIDTH if stated.isdigit() and int(stated) < _LEAST_WIDTH else None
 
 
 def say(text: str, *, quiet: bool = False) -> None:

@@ -5,7 +5,7 @@ Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermo
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,8 @@ from jax.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp, placed
+
+T = TypeVar("T")
 
 
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
@@ -91,8 +93,21 @@ def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
 
 def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     """Return `value` if it is one of `allowed`; ArgumentError otherwise."""
-    if value not in allowed:
+    if not any(_is_one(value, one) for one in allowed):
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {_shown(value)}")
+    return value
+
+
+def _is_one(value: Any, one: Any) -> bool:
+    """Compare a value of any type with a choice: an array of several values is none, nor is True the number 1."""
+    same = value == one
+    return isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool) == isinstance(one, bool)
+
+
+def instance(name: str, value: Any, kind: type[T]) -> T:
+    """Return `value` if it is of a class; ArgumentError names the class otherwise."""
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{name} must be a {kind.__name__}, got {_shown(value)}")
     return value
 
 

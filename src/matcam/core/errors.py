@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 
 
@@ -18,6 +19,9 @@ class MatcamError(Exception):
         ...     print(error)
         alpha must lie in (0, 1], got 2
     """
+
+    def __init__(self, *args: object):
+        super().__init__(*(re.sub(r"\s*[\r\n]\s*", " ", one) if isinstance(one, str) else one for one in args))
 
 
 class ArgumentError(MatcamError, ValueError):
@@ -40,9 +44,13 @@ class FitError(MatcamError):
     """Report data that do not determine what was asked of them."""
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ArgumentError:
+def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
     """Return the error for a `name` that is none of the `known` ones; it suggests the nearest of them."""
     known = sorted(known)
+    if not isinstance(name, str):
+        return ArgumentError(
+            f"{kind} must be a name, got {' '.join(repr(name).split())[:60]}; known: {', '.join(known)}"
+        )
     by_lowercase = {candidate.lower(): candidate for candidate in known}
     nearest = difflib.get_close_matches(name.lower(), by_lowercase, n=1, cutoff=0.5)
     hint = f"did you mean {by_lowercase[nearest[0]]!r}?" if nearest else f"known: {', '.join(known)}"

@@ -188,7 +188,10 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
 
 
 def checked_table(table: xr.DataArray) -> xr.DataArray:
-    """Return `table` if it is a BRDF on the MERL grid; ArgumentError names the wrong dims, shape, coordinate or value."""
+    """Return a BRDF on the MERL grid with its channels in the order R, G, B, where these are their labels.
+
+    ArgumentError names the wrong dims, shape, coordinate, label, unit or value.
+    """
     if not isinstance(table, xr.DataArray):
         raise ArgumentError(f"a BRDF table must be an xarray.DataArray (see read_merl), got {type(table).__name__}")
     if table.dims != DIMS:
@@ -201,9 +204,47 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
     for name, expected in merl_grid(sampling)._asdict().items():
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
             raise ArgumentError(f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}")
+        check_unit(f"coordinate {name}", table.coords[name], "rad")
+    check_unit("a BRDF table", table, "1/sr")
     if np.isinf(table.values).any():
         raise ArgumentError("a BRDF table must not hold infinities; a missing value is NaN")
-    return table
+    return in_order(table, "a BRDF table")
+
+
+def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
+    """Return values with their channels in the order R, G, B, where these are their labels.
+
+    Three channels have these labels in any order, or none; they are then R, G, B as they stand. ArgumentError for three other
+    labels, whose wavelengths nobody knows, and for labels that stand twice. what: the values in words, for the message.
+    """
+    if "channel" not in table.coords:
+        return table
+    labels = [str(label) for label in np.atleast_1d(table["channel"].values)]
+    if len(set(labels)) < len(labels):
+        raise ArgumentError(f"{what} has the channels {', '.join(labels)}: each label must stand once")
+    if len(labels) != len(CHANNELS) or tuple(labels) == CHANNELS:
+        return table
+    if set(labels) != set(CHANNELS):
+        raise ArgumentError(
+            f"{what} of three channels must label them R, G, B, in any order, got {', '.join(labels)[:60]}: "
+            "assign these labels, or leave the coordinate out where the channels stand in this order"
+        )
+    return table.isel(channel=[labels.index(label) for label in CHANNELS])
+
+
+def check_unit(what: str, values: xr.DataArray, unit: str) -> None:
+    """Check that values state this unit, or none. ArgumentError."""
+    stated = values.attrs.get("units", unit)
+    if not isinstance(stated, str) or stated not in _SAME_UNIT[unit]:
+        raise ArgumentError(f"{what} must be in {unit}, but its attribute units is {stated!r:.40}")
+
+
+_SAME_UNIT = {
+    "1/sr": ("1/sr", "sr-1", "sr^-1", "sr**-1"),
+    "rad": ("rad", "radian", "radians"),
+    "nm": ("nm", "nanometer"),
+}
+"""Spellings of each unit, as UDUNITS reads them."""
 
 
 def azimuth_of(table: xr.DataArray) -> float | None:

@@ -1,30 +1,31 @@
-"""Safe reading and writing of files: bytes, columns of text, JSON.
+"""Safe writing of files: bytes, columns of text, JSON; and what the names of files and the system's errors become.
 
 A file appears under its final name whole, or not at all, and nothing is destroyed unasked. What the system refuses is said in
-one line, the same for every format. JSON is whole, without NaN, and never trusted to be small or sound; documents of matcam's
-own formats bear a version. Datasets go into columns of text (CSV) for spreadsheets and plotting programs.
+one line, the same for every format. JSON is written whole and without NaN. Datasets go into columns of text (CSV) for
+spreadsheets and plotting programs.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import csv
 import json
 import math
 import os
 import re
+import secrets
 import signal
 import stat
-import tempfile
+import sys
 import threading
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
-from importlib import metadata
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcam.core.errors import FileFormatError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,11 +37,24 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     """Refuse, before any work, an output that could not be written or that would destroy something.
 
     OutputError where `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or exists and `force` is
-    not set.
+    not set; ArgumentError where `force` is neither True nor False.
     """
     path = Path(path)
+    if type(force).__name__ not in ("bool", "bool_"):  # NumPy's, too; a text would count as True
+        raise ArgumentError(f"force must be True or False, got {force!r:.60}")
     if re.search(UNPRINTABLE, path.name):
         raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another")
+    try:
+        _check_place(path, inputs)
+        taken = os.path.lexists(path)  # a link is there even where it leads nowhere
+    except OSError as error:  # such as a name that is too long
+        raise OutputError(f"output {path!s:.300} cannot be written: {error.strerror}") from None
+    if taken and not force:
+        raise OutputError(f"output {path} exists: use force=True to replace it")
+    return path
+
+
+def _check_place(path: Path, inputs: Iterable[str | Path]) -> None:
     for source in inputs:
         if path.exists() and Path(source).exists() and path.samefile(source):
             raise OutputError(f"output {path} is the input itself: choose another name")
@@ -51,9 +65,6 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
             if not parent.is_dir():
                 raise OutputError(f"output {path} cannot be written: {parent} is a file, not a folder")
             break
-    if path.exists() and not force:
-        raise OutputError(f"output {path} exists: use force=True to replace it")
-    return path
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
@@ -64,6 +75,96 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
     return path
 
 
+class Outputs:
+    """Files that are to appear together, and the folders that were made for them.
+
+    Attributes:
+        staged: name of each file -> the temporary file that has its content.
+        are_published: whether files have appeared under their names.
+    """
+
+    def __init__(self) -> None:
+        self.staged: dict[Path, Path] = {}
+        self.are_published = False
+        self._temporaries: list[Path] = []
+        self._folders: list[Path] = []
+        self._process = os.getpid()
+
+    def make_folder(self, path: Path) -> None:
+        """Make a folder and those above it. OSError if that fails."""
+        for folder in (*reversed(path.parents), path):
+            with uninterrupted():
+                if not folder.exists():
+                    folder.mkdir(exist_ok=True)
+                    self._folders.append(folder)
+
+    def temporary(self, path: Path) -> Path:
+        """Make an empty file beside `path`. OSError if that fails."""
+        stem = path.stem if len(os.fsencode(path.name)) <= _LONGEST_NAME else path.stem[: _LONGEST_NAME // 8]
+        while True:
+            temporary = path.with_name(f".{stem}-{secrets.token_hex(4)}{path.suffix}")
+            self._temporaries.append(temporary)  # before it is there: an interruption may come at any time
+            try:
+                temporary.open("x").close()
+            except FileExistsError:
+                self._temporaries.pop()
+            else:
+                return temporary
+
+    def publish(self) -> None:
+        """Give all files their names; where one cannot have it, none has, and those that were replaced are back."""
+        renamed: list[tuple[Path, Path, Path | None]] = []
+        several = len(self.staged) > 1
+        try:
+            for path, temporary in self.staged.items():
+                old = temporary.with_name(f"{temporary.name}.old") if several and os.path.lexists(path) else None
+                renamed.append((path, temporary, old))
+                if old is not None:
+                    with contextlib.suppress(OSError):  # where there are no links, what was replaced is gone
+                        os.link(path, old, follow_symlinks=False)
+                temporary.replace(path)
+        except BaseException as error:
+            for path, temporary, old in reversed(renamed):
+                if temporary.exists():
+                    continue
+                if old is None:
+                    path.unlink(missing_ok=True)
+                elif os.path.lexists(old):
+                    old.replace(path)
+            if isinstance(error, OSError):
+                raise OutputError(f"output {renamed[-1][0]} cannot be written: {error.strerror or error}") from None
+            raise
+        finally:
+            for *_, old in renamed:
+                if old is not None:
+                    old.unlink(missing_ok=True)
+        self._folders.clear()
+        self.are_published = bool(self.staged)
+
+    def discard(self) -> None:
+        """Remove what has not got its name. Nothing in a fork of the process that made it."""
+        if self._process != os.getpid():
+            return
+        for temporary in self._temporaries:
+            temporary.unlink(missing_ok=True)
+        for folder in reversed(self._folders):
+            with contextlib.suppress(OSError):  # others have put something there
+                folder.rmdir()
+
+
+_LONGEST_NAME = 240
+"""Bytes of a file's name to which what makes it temporary can be added: file systems allow 255."""
+_outputs: ContextVar[Outputs | None] = ContextVar("outputs", default=None)
+_unfinished: set[Outputs] = set()
+"""What an interruption between two statements has left to be removed when the process ends."""
+
+
+@atexit.register
+def _discard_unfinished() -> None:
+    for outputs in tuple(_unfinished):
+        outputs.discard()
+
+
 @contextlib.contextmanager
 def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
     """Yield a temporary name beside `path`; on success it becomes `path`, on any exception it vanishes.
@@ -71,124 +172,124 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
     The temporary name keeps the suffix, because writers choose their format by it.
     """
     path = check_output(path, force=force, inputs=inputs)
-    staged = _staged.get()
-    if staged is not None and path in staged and not force:
-        raise OutputError(f"output {path} is asked for twice: give two names")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise OutputError(f"output {path} cannot be written: {error.strerror}") from None
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes private files; give the result the permissions that an ordinary open() would have given
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        if staged is None:
-            temporary.replace(path)
-        else:
-            if path in staged:
-                staged.pop(path).unlink(missing_ok=True)
-            staged[path] = temporary
+        with all_or_nothing() as outputs:
+            if path in outputs.staged and not force:
+                raise OutputError(f"output {path} is asked for twice: give two names")
+            outputs.make_folder(path.parent)
+            temporary = outputs.temporary(path)
+            yield temporary
+            outputs.staged[path] = temporary
     except OSError as error:
         raise OutputError(f"output {path} cannot be written: {error.strerror or error}") from error
-    finally:
-        if staged is None or staged.get(path) != temporary:
-            temporary.unlink(missing_ok=True)
-
-
-_staged: ContextVar[dict[Path, Path] | None] = ContextVar("staged", default=None)
-"""Name -> temporary file, of the files that are to appear together."""
 
 
 @contextlib.contextmanager
-def all_or_nothing() -> Iterator[None]:
+def all_or_nothing() -> Iterator[Outputs]:
     """Let the files that are written inside appear together at its end, or none of them.
 
-    Inside another, they belong to that one. Files of other threads do not take part.
+    Inside another, they belong to that one. Files of other threads do not take part. An interruption while they appear waits
+    until all have appeared.
     """
-    if _staged.get() is not None:
-        yield
+    outer = _outputs.get()
+    if outer is not None:
+        yield outer
         return
-    staged: dict[Path, Path] = {}
-    token = _staged.set(staged)
-    try:
-        yield
-        _publish(staged)
-    finally:
-        _staged.reset(token)
-        for temporary in staged.values():
-            temporary.unlink(missing_ok=True)
+    with uninterrupted() as waiting:
+        outputs = Outputs()
+        _unfinished.add(outputs)
+        token = _outputs.set(outputs)
+        try:
+            with waiting.lifted():
+                yield outputs
+            outputs.publish()
+        finally:
+            waiting.is_lifted = False
+            _outputs.reset(token)
+            outputs.discard()
+            _unfinished.discard(outputs)
 
 
 @contextlib.contextmanager
 def one_by_one() -> Iterator[None]:
     """Let each file that is written inside appear at once, as without `all_or_nothing`."""
-    token = _staged.set(None)
+    token = _outputs.set(None)
     try:
         yield
     finally:
-        _staged.reset(token)
+        _outputs.reset(token)
+
+
+class _Waiting:
+    """Signals that wait until something short is done.
+
+    Attributes:
+        is_lifted: whether signals take effect at once.
+    """
+
+    def __init__(self) -> None:
+        self.is_lifted = False
+        self.signals: list[tuple[int, Any]] = []
+
+    @contextlib.contextmanager
+    def lifted(self) -> Iterator[None]:
+        """Let signals take effect at once in the block."""
+        self.is_lifted = True
+        try:
+            yield
+        finally:
+            self.is_lifted = False
 
 
 @contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Let Ctrl-C and the system's wish to end this process wait until a library has done something short.
+def uninterrupted() -> Iterator[_Waiting]:
+    """Let Ctrl-C and the system's wish to end this process wait until something short is done.
 
-    For libraries that an exception at the wrong moment leaves with a lock that nobody opens again.
+    For libraries that an exception at the wrong moment leaves with a lock that nobody opens again, and for files that appear
+    together.
     """
+    waiting = _Waiting()
     if threading.current_thread() is not threading.main_thread():  # signals interrupt the main one only
-        yield
+        yield waiting
         return
-    waiting: list[tuple[int, Any]] = []
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     handlers = {number: handler for number in numbers if callable(handler := signal.getsignal(number))}
-    try:
-        for number in handlers:
-            signal.signal(number, lambda *heard: waiting.append(heard))
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        if waiting:
-            number, frame = waiting[0]
+
+    def wait(number: int, frame: Any) -> None:
+        if waiting.is_lifted:
             handlers[number](number, frame)
+        else:
+            waiting.signals.append((number, frame))
+
+    def restore(number: int, handler: Any) -> None:
+        if signal.getsignal(number) is wait:  # what the block has put in its place stays
+            signal.signal(number, handler)
+
+    try:
+        with contextlib.ExitStack() as restored:  # it restores all, even if a signal interrupts it
+            for number, handler in handlers.items():
+                restored.callback(restore, number, handler)
+                signal.signal(number, wait)
+            yield waiting
+    finally:
+        if waiting.signals:
+            number, frame = waiting.signals[0]
+            handlers[number](number, frame)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for outputs; it vanishes again where they do not appear. OutputError if that fails."""
+    try:
+        with all_or_nothing() as outputs:
+            outputs.make_folder(path)
+    except OSError as error:
+        raise OutputError(f"output {path} cannot be written: {error.strerror}") from None
 
 
 def where_written(path: Path) -> Path:
     """Return where the content of an output lies now: under its name, or waiting for it."""
-    return (_staged.get() or {}).get(path, path)
-
-
-def _publish(staged: dict[Path, Path]) -> None:
-    """Give all files their names; where one cannot have it, none has, and those that were replaced are back."""
-    renamed: list[tuple[Path, Path, Path | None]] = []
-    try:
-        for path, temporary in staged.items():
-            old = temporary.with_name(f"{temporary.name}.old") if path.exists() else None
-            renamed.append((path, temporary, old))
-            if old is not None:
-                with contextlib.suppress(OSError):  # where there are no links, what was replaced is gone
-                    os.link(path, old)
-            temporary.replace(path)
-    except BaseException as error:
-        for path, temporary, old in reversed(renamed):
-            if temporary.exists():
-                continue
-            if old is None:
-                path.unlink(missing_ok=True)
-            elif old.exists():
-                old.replace(path)
-        if isinstance(error, OSError):
-            raise OutputError(f"output {renamed[-1][0]} cannot be written: {error.strerror or error}") from None
-        raise
-    finally:
-        for *_, old in renamed:
-            if old is not None:
-                old.unlink(missing_ok=True)
+    outputs = _outputs.get()
+    return path if outputs is None else outputs.staged.get(path, path)
 
 
 @contextlib.contextmanager
@@ -197,6 +298,8 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
 
     `what` says what it should be ("a picture"): then a folder is refused, too.
     """
+    if "\0" in str(path):
+        raise FileFormatError(f"{printable(str(path))}: is no name of a file")
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:
@@ -242,6 +345,9 @@ def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]],
     if isinstance(data, dict):
         columns = {name: _cells(column) for name, column in data.items()}
     else:
+        given: Any = data
+        if not callable(getattr(given, "to_dataframe", None)):
+            raise ArgumentError(f"data must be an xarray.Dataset or columns by name, got {type(given).__name__}")
         frame = data.to_dataframe().reset_index()
         units = {
             str(n): v.attrs["units"].replace("/", "_per_") for n, v in data.variables.items() if "units" in v.attrs
@@ -261,23 +367,23 @@ def _cells(column: Sequence[Any]) -> list[str]:
 
 
 def user_cache_folder() -> Path:
-    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    if root:
-        return Path(root) / "matcam"
-    import pooch  # a fifth of a second that only programs should cost
+    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own.
 
+    A relative path there is ignored, as the XDG Base Directory Specification requires.
+    """
+    root = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if root.is_absolute():
+        return root / "matcam"
     try:
-        folder = pooch.os_cache("matcam")
+        if sys.platform == "linux":
+            folder = Path.home() / ".cache" / "matcam"
+        else:
+            import pooch  # a fifth of a second that only programs should cost
+
+            folder = Path(pooch.os_cache("matcam"))
     except RuntimeError:  # without a home there is no folder that is this user's alone
         folder = Path()
     return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # which cannot be made: nothing is kept
-
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
-
-_LARGEST = 16 << 20  # bytes; a measured curve of 1e5 samples stays far below
 
 
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
@@ -289,78 +395,6 @@ def write_json(path: str | Path, document: dict[str, Any], *, force: bool = Fals
     with replacing(path, force=force) as temporary:
         # what is no text, such as a byte of a file's name, is an escape in JSON, too
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
-
-
-def read_json(path: str | Path, what: str) -> Any:
-    """Read a document; `what` says what it should be, such as "a camera profile".
-
-    FileFormatError naming the file, where it is not JSON or more than 16 MiB.
-    """
-    path = Path(path)
-
-    def refuse(constant: str) -> None:
-        raise ValueError(f"{constant} is not a number")
-
-    try:
-        with reading(path):
-            if path.stat().st_size > _LARGEST:
-                raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
-            return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not {what}: {error}") from None
-
-
-_LARGEST_TOML, _LONGEST_LINE = 64 << 10, 1000  # bytes, characters
-
-
-def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Read settings that people write; `what` says what they should be, such as "a rig".
-
-    FileFormatError naming the file, where it is not TOML, more than 64 KiB, or has lines of more than
-    1000 characters: a key of a thousand dots takes a second to read, and the time grows with their square.
-    """
-    import tomllib
-
-    path = Path(path)
-    try:
-        with reading(path, what):
-            if path.stat().st_size > _LARGEST_TOML:
-                raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for {what}")
-            text = path.read_text(encoding="utf-8-sig")
-        for number, line in enumerate(text.split("\n"), 1):
-            if len(line) > _LONGEST_LINE:
-                raise FileFormatError(
-                    f"{path}: line {number} has {len(line)} characters; {_LONGEST_LINE} at most are read"
-                )
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a number of too many digits is not TOMLDecodeError
-        raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
-
-
-def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
-    """Return the version of a document of ours: {"format": form, "version": one of `versions`, ...}.
-
-    FileFormatError says `where` it stands, `what` it should be, and the field.
-    """
-    if not isinstance(document, dict) or document.get("format") != form:
-        raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
-    version = document.get("version")
-    if type(version) is not int or version not in versions:  # True == 1
-        raise FileFormatError(
-            f"{where}: {form.split()[-1]} version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
-            f"reads version{'s' * (len(versions) > 1)} {' and '.join(map(str, versions))}"
-        )
-    return version
-
-
-def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
-    """Return what a schema finds wrong first, in one line that names the field.
-
-    unnamed: parts of the field's place that are no names of fields.
-    """
-    first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
-    return printable(f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}")
 
 
 def plain(value: Any) -> Any:

@@ -6,7 +6,6 @@ are 1e3 to 1e6 times brighter than what surrounds them.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import cache, wraps
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from matcam.core.io import user_cache_folder
-from matcam.core.sealed import CompiledFunctions
+from matcam.core.sealed import CompiledFunctions, remove_sealed, sealed_files
 
 jax.config.update("jax_enable_x64", True)
 
@@ -151,14 +150,12 @@ def _sealed_cache(path: str) -> Any:
 def _trim(folder: Path) -> None:
     """Remove the oldest files of a cache that has grown beyond its limit, and empty ones, which a killed process left."""
     # JAX's own limit is not used: it fails for good where a process was killed between two of its writes
-    try:
-        with os.scandir(folder) as entries:
-            files = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
-        total = sum(status.st_size for status, _ in files)
-        files.sort(key=lambda file: max(file[0].st_atime, file[0].st_mtime))
-        for status, path in files:
-            if total > _LARGEST_CACHE or not status.st_size:
-                os.unlink(path)  # noqa: PTH108
-                total -= status.st_size
-    except OSError:  # there is none, or another process is at it
-        return
+    files = [
+        (max(one.status.st_atime, one.status.st_mtime), one.status.st_size, one.name) for one in sealed_files(folder)
+    ]
+    total, unused = sum(size for _, size, _ in files), []
+    for _, size, name in sorted(files):
+        if total > _LARGEST_CACHE or not size:
+            unused.append(name)
+            total -= size
+    remove_sealed(folder, unused)

@@ -16,15 +16,23 @@ from jax.experimental import serialize_executable
 
 from matcam.core.jax import jax
 
-_LIBRARIES = ("jax", "jaxlib", "numpy")
 _NAMES = {
-    "AbstractMesh", "AllArgsInfo", "ArgInfo", "AutoLayout", "AutoLayoutSingleton", "AxisType", "DebugInfo", "DeviceList",
-    "DeviceLocalLayout", "Format", "GSPMDSharding", "HloSharding", "Layout", "ManualAxisType", "MemorySpace", "Mesh",
-    "NamedSharding", "OpSharding", "P", "PartitionSpec", "ShapedArray", "SingleDeviceSharding", "Space",
-    "UnloadedMeshExecutable", "UnspecifiedValue", "_unpickle_named_sharding", "_unpickle_single_device_sharding", "dtype",
-    "unpickle_pspec",
-}  # fmt: skip
-"""What a program's description may name: kinds, shapes and places of arrays. None of them does anything but hold them."""
+    "jax": ["P"],
+    "jax._src.core": ["ManualAxisType", "MemorySpace", "ShapedArray"],
+    "jax._src.interpreters.pxla": ["AllArgsInfo", "UnloadedMeshExecutable"],
+    "jax._src.layout": ["AutoLayout", "Format", "Layout"],
+    "jax._src.linear_util": ["DebugInfo"],
+    "jax._src.mesh": ["AbstractMesh", "AxisType", "Mesh"],
+    "jax._src.named_sharding": ["NamedSharding", "UnspecifiedValue", "_unpickle_named_sharding"],
+    "jax._src.partition_spec": ["PartitionSpec", "unpickle_pspec"],
+    "jax._src.sharding_impls": ["GSPMDSharding", "SingleDeviceSharding", "_unpickle_single_device_sharding"],
+    "jax._src.stages": ["ArgInfo"],
+    "jaxlib._jax": ["DeviceList", "HloSharding", "OpSharding"],
+    "numpy": ["dtype"],
+}
+"""What a program's description may name: kinds, shapes and positions of arrays, by module. None of them does anything but hold
+them. A description of another version of JAX that names something else is not kept."""
+_PAIRS = {(module, name) for module, names in _NAMES.items() for name in names}
 
 
 _LAPACK = b"lapack_"
@@ -35,7 +43,7 @@ class _Unpickler(serialize_executable._JaxPjrtUnpickler):
     """JAX's own, which finds nothing but what describes arrays."""
 
     def find_class(self, module: str, name: str) -> Any:
-        if module.split(".")[0] not in _LIBRARIES or name not in _NAMES:
+        if (module, name) not in _PAIRS:  # before anything is imported: an import runs code
             raise ValueError(f"it names {module[:40]}.{name[:40]}, which no program needs")
         return super().find_class(module, name)
 

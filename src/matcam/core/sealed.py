@@ -1,8 +1,9 @@
 """Files of a cache that are believed only whole: each ends in a SHA-256 of what it belongs to and of its content.
 
 What is damaged, or another's, is removed and made again; one line is logged. A file that cannot be written is not: a full disk
-must not stop any work. The seal finds damage; it does not find a forger. Against forgers, only what this user or the system's
-own has written is read, where nobody else may change it.
+must not stop any work. The seal finds damage; it does not find a forger. Against forgers, only a folder and files that this
+user or the system's own has written are used, where nobody else may change them. A folder is opened once, checked, and its
+files are reached through it: nobody can put another in its place between check and use. No link is followed.
 """
 
 from __future__ import annotations
@@ -11,52 +12,157 @@ import contextlib
 import hashlib
 import logging
 import os
+import secrets
 import stat
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
-
-from matcam.core.errors import OutputError
-from matcam.core.io import one_by_one, replacing
+from typing import NamedTuple
 
 _SEAL = hashlib.sha256().digest_size
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_READ = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_BY_FOLDER = {os.open, os.rename, os.unlink, os.stat} <= os.supports_dir_fd and hasattr(os, "O_DIRECTORY")
 _log = logging.getLogger("matcam")
 
 
 def read_sealed(path: Path, key: bytes) -> bytes | None:
     """Return the content that was written under this key; None where it is not there, or is damaged."""
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # a pipe would have no end
-            return None
-        if _is_foreign(status):
-            _log.warning(
-                "matcam: %s in the cache is another user's, or anybody may change it: it is not used", path.name
-            )
-            return None
-        whole = path.read_bytes()
+        with _opened(path.parent) as folder:
+            whole = _read_own(folder, path)
+            if whole is None:
+                return None
+            content, seal = whole[:-_SEAL], whole[-_SEAL:]
+            if len(whole) >= _SEAL and _seal(key, content) == seal:
+                return content
+            _log.warning("matcam: %s in the cache is damaged: it is made again", path.name)
+            folder.unlink(path.name)
     except OSError:
-        return None
-    content, seal = whole[:-_SEAL], whole[-_SEAL:]
-    if len(whole) < _SEAL or _seal(key, content) != seal:
-        _log.warning("matcam: %s in the cache is damaged: it is made again", path.name)
-        with contextlib.suppress(OSError):
-            path.unlink()
-        return None
-    return content
+        pass
+    return None
 
 
 def write_sealed(path: Path, key: bytes, content: bytes) -> None:
-    """Write content under a key, whole or not at all."""
-    with contextlib.suppress(OutputError), one_by_one(), replacing(path, force=True) as temporary:
-        temporary.write_bytes(content + _seal(key, content))
+    """Write content under a key, whole or not at all, for this user alone."""
+    temporary = f".{path.stem}-{secrets.token_hex(4)}{path.suffix}"
+    with contextlib.suppress(OSError):
+        _make(path.parent)
+        with _opened(path.parent) as folder:
+            try:
+                with os.fdopen(folder.open(temporary, _NEW), "wb") as file:
+                    file.write(content + _seal(key, content))
+                folder.rename(temporary, path.name)
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    folder.unlink(temporary)
+                raise
+
+
+class SealedFile(NamedTuple):
+    """File of a cache: its name, and its size (bytes) and times (s) as the system states them."""
+
+    name: str
+    status: os.stat_result
+
+
+def sealed_files(path: Path) -> list[SealedFile]:
+    """List the files of a cache's folder; none where it cannot be used."""
+    try:
+        with _opened(path) as folder:
+            return [
+                SealedFile(name, status)
+                for name in folder.names()
+                if stat.S_ISREG((status := folder.stat(name)).st_mode)
+            ]
+    except OSError:
+        return []
+
+
+def remove_sealed(path: Path, names: Iterable[str]) -> None:
+    """Remove files of a cache's folder, where they are there."""
+    with contextlib.suppress(OSError), _opened(path) as folder:
+        for name in names:
+            with contextlib.suppress(OSError):
+                folder.unlink(name)
+
+
+class _Folder(NamedTuple):
+    """Folder that was opened and checked: its number, or None on systems that reach files by their paths only."""
+
+    number: int | None
+    path: Path
+
+    def _of(self, name: str) -> str | Path:
+        return name if self.number is not None else self.path / name
+
+    def open(self, name: str, flags: int) -> int:
+        # without waiting: a pipe may have nobody who writes to it
+        return os.open(self._of(name), flags | getattr(os, "O_NONBLOCK", 0), 0o600, dir_fd=self.number)
+
+    def rename(self, old: str, new: str) -> None:
+        os.replace(self._of(old), self._of(new), src_dir_fd=self.number, dst_dir_fd=self.number)
+
+    def unlink(self, name: str) -> None:
+        os.unlink(self._of(name), dir_fd=self.number)
+
+    def stat(self, name: str) -> os.stat_result:
+        return os.stat(self._of(name), dir_fd=self.number, follow_symlinks=False)
+
+    def names(self) -> list[str]:
+        return os.listdir(self.path if self.number is None else self.number)  # noqa: PTH208
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[_Folder]:
+    """Open a folder that nobody else may change; OSError where there is none."""
+    if not _BY_FOLDER:
+        yield _Folder(None, path)
+        return
+    number = os.open(path, _READ | os.O_DIRECTORY)
+    try:
+        parent = os.stat("..", dir_fd=number)  # a folder in a folder of all users may be renamed, unless that is sticky
+        open_to_all = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
+        if _is_foreign(os.fstat(number)) or parent.st_uid not in (os.getuid(), 0) or open_to_all:
+            _warn_of(path)
+            raise PermissionError(path)
+        yield _Folder(number, path)
+    finally:
+        os.close(number)
+
+
+def _read_own(folder: _Folder, path: Path) -> bytes | None:
+    """Read a file that nobody else could have written; None for any other."""
+    with os.fdopen(folder.open(path.name, _READ), "rb") as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            return None
+        if _is_foreign(status):
+            _warn_of(path.parent)
+            return None
+        return file.read()
+
+
+def _make(path: Path) -> None:
+    """Make a folder for this user alone, and those above it."""
+    for folder in (*reversed(path.parents), path):
+        if not folder.exists():
+            folder.mkdir(mode=0o700, exist_ok=True)
+
+
+@cache
+def _warn_of(folder: Path) -> None:
+    _log.warning(
+        "matcam: the cache %s is not used: it or files of it are another user's, or others may change them "
+        "(make it yours alone by chmod -R go-w, or remove it)", folder
+    )  # fmt: skip
 
 
 def _is_foreign(status: os.stat_result) -> bool:
-    """Tell whether somebody else could have written a file."""
-    if not hasattr(os, "getuid"):
-        return False
-    return status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & stat.S_IWOTH)
+    """Check whether somebody else could have written a file, or what is in a folder."""
+    return hasattr(os, "getuid") and (status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & _OTHERS_WRITE))
 
 
 def _seal(key: bytes, content: bytes) -> bytes:

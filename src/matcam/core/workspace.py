@@ -9,7 +9,6 @@ basis, a lens model) are constants, whoever asks: they stay in `functools.cache`
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import threading
@@ -25,7 +24,7 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.io import user_cache_folder
-from matcam.core.sealed import read_sealed, write_sealed
+from matcam.core.sealed import read_sealed, remove_sealed, sealed_files, write_sealed
 
 T = TypeVar("T")
 
@@ -151,10 +150,10 @@ class Workspace:
         packed = io.BytesIO()
         np.savez(packed, **arrays)  # type: ignore[arg-type]
         write_sealed(path, key, packed.getvalue())
-        with contextlib.suppress(OSError):
-            by_age = sorted(self.folder.glob("*.npz"), key=lambda p: p.stat().st_mtime)
-            for old in by_age[: max(len(by_age) - self.files, 0)]:
-                old.unlink(missing_ok=True)
+        by_age = sorted(
+            (one.status.st_mtime, one.name) for one in sealed_files(self.folder) if one.name.endswith(".npz")
+        )
+        remove_sealed(self.folder, [name for _, name in by_age[: max(len(by_age) - self.files, 0)]])
         return arrays
 
 

@@ -19,7 +19,7 @@ import xarray as xr
 from matcam.camera.camera import Camera
 from matcam.camera.optics.varying import VaryingOptics
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, merl_grid, sampling_of
+from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, checked_table, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
 from matcam.forward.measurement import true_table
 from matcam.inverse.operator.pixel_phase import cell_rule
@@ -75,6 +75,7 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
         >>> print(np.round(matcam.exchange.lobe_widths(table).across[:3], 3))
         [0.065 0.065 0.065]
     """
+    table = checked_table(table)
     along = np.abs(np.cos(table["phi_d"].values))
     theta_h = table["theta_h"].values
     return LobeWidths(

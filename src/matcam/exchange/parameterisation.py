@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
 from matcam.core.shading import local_shading, vector
@@ -100,7 +101,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     solid = d * np.maximum(cos, 0) * _jacobian(place_u)
     density = values.mean(axis=-1) * solid / np.where(tabulated_density > 0, tabulated_density, 1.0)
     whole = lambda half, axis: np.concatenate([half, np.flip(half, axis)], axis).astype(np.float32)  # noqa: E731
-    note = (description or "made by matcam").encode()
+    note = (checks.instance("description", description or "made by matcam", str)).encode()
     return xr.Dataset(
         {
             "description": ("description_0", np.frombuffer(note, dtype=np.uint8)),

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, CHANNELS
 from matcam.core.io import one_by_one
@@ -204,7 +205,7 @@ def rendered_sphere(
     for name, value, low, high in (("size", size, 16, 4096), ("samples", samples, 1, 1 << 16)):
         if type(value) is not int or not low <= value <= high:
             raise ArgumentError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
-    if not -np.pi < lamp_angle < np.pi:
+    if not -np.pi < float(checks.scalar("lamp_angle", checks.number("lamp_angle", lamp_angle))) < np.pi:
         raise ArgumentError(f"lamp_angle must lie in (-180, 180) degrees, got {np.degrees(lamp_angle):g}")
     mitsuba = _mitsuba()
     with tempfile.TemporaryDirectory() as folder:

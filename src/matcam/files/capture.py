@@ -15,7 +15,6 @@ error; a bad picture is left out and named in `Capture.problems`. Nothing outsid
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
 from collections.abc import Iterable
@@ -27,7 +26,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_within, checked_version, first_problem, read_toml, reading
+from matcam.core.io import check_within
+from matcam.core.readers.texts import checked_version, first_problem, read_lines, read_toml
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
 from matcam.files.capture_frames import INTENSITY, CaptureFrame, LampGuess, stated_intensity
@@ -39,7 +39,6 @@ SETTINGS, LIST = "capture.toml", "frames.csv"
 KINDS = ("frames", "dark", "flat", "outline", "reference")
 COLUMNS = ("file", "lamp", "angle_deg", "azimuth_deg", "exposure", "time_s")
 _WHAT = "a capture"
-_LARGEST = 4 << 20  # bytes of frames.csv
 _MOST = 20_000  # lines of frames.csv
 _NAME = re.compile(r"[\w.+-]{1,60}")
 
@@ -266,14 +265,6 @@ def json_schema() -> dict[str, Any]:
     return CaptureSettings.model_json_schema()
 
 
-def _text(path: Path) -> str:
-    with reading(path, _WHAT):
-        if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a capture's description")
-        check_within(path, path.parent)
-        return path.read_text(encoding="utf-8-sig", errors="replace")
-
-
 def _inside(folder: Path, name: str) -> Path:
     """Return the path of a file of the folder; FileFormatError where it leads out of it."""
     pure = PurePosixPath(name)
@@ -290,7 +281,8 @@ def _inside(folder: Path, name: str) -> Path:
 def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
     """Return the frames of frames.csv that are there, the lamps, and what is wrong with the others."""
     path = folder / LIST
-    reader = csv.reader(io.StringIO(_text(path)))
+    check_within(path, folder)
+    reader = csv.reader(f"{line}\n" for line in read_lines(path, "the list of a capture"))
     try:
         lines = [
             (reader.line_num, [cell.strip() for cell in row]) for row in reader if any(cell.strip() for cell in row)

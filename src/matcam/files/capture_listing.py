@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError, OutputError
+from matcam.core.io import all_or_nothing, replacing
 from matcam.core.remark import some_of
 from matcam.files.capture import KINDS
 from matcam.files.light_positions import LightPosition, are_unit_vectors, read_light_positions
@@ -60,12 +61,10 @@ class Listing:
         taken = [target.name for _, target in wanted if target.exists()]
         if taken and not force:
             raise OutputError(f"output {folder} already has {some_of(taken)}: use force=True to replace them")
-        try:
+        with all_or_nothing():
             for source, target in wanted:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(source, target)
-        except OSError as error:
-            raise OutputError(f"output {folder} cannot be written: {error.strerror}") from None
+                with replacing(target, force=force) as temporary:
+                    shutil.copy2(source, temporary)
 
 
 def list_photographs(source: str | Path, light_positions: str | Path | None = None) -> Listing:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, WithJsonSchema, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    WithJsonSchema,
+    model_validator,
+)
 
 _TOO_LARGE = 1e12
 
@@ -40,7 +49,15 @@ _Positive = Annotated[list[float], *_stated(1e-12)]
 _Share = Annotated[list[float], *_stated(0.0, 1.0)]
 _NotNegative = Annotated[list[float], *_stated(0.0)]
 _Either = Annotated[list[float], *_stated(-1e6)]
-_Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4)]
+
+
+def _with_pixels(box: list[int]) -> list[int]:
+    if min(box[2:]) < 1:
+        raise ValueError("width and height (the last two) must be at least 1 px")
+    return box
+
+
+_Box = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=4, max_length=4), AfterValidator(_with_pixels)]
 _Rows = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
 _ONLY = {
     "flat": ("tilt_deg", "mm_per_px"),

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import OutputError
-from matcam.core.io import replacing
+from matcam.core.io import all_or_nothing, make_folder, replacing
 from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
@@ -80,11 +80,16 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
     Raises:
         OutputError: a file exists and `force` is False, or the folder cannot be written.
     """
-    folder = _made(folder)
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"output {folder} is a file: give a folder")
     texts = {SETTINGS: TEMPLATE, LIST: _table(rows)}
-    for name, text in texts.items():
-        with replacing(folder / name, force=force) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+    with all_or_nothing():
+        for kind in KINDS:
+            make_folder(folder / kind)
+        for name, text in texts.items():
+            with replacing(folder / name, force=force) as temporary:
+                temporary.write_text(text, encoding="utf-8")
     return [folder / name for name in texts]
 
 
@@ -116,7 +121,6 @@ def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
     """Write a frame of whole numbers as a 16-bit TIFF, without compression: frames are read in part."""
     import tifffile
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path, force=force) as temporary:
         tifffile.imwrite(temporary, np.asarray(codes, np.uint16), photometric="minisblack")
 
@@ -128,16 +132,3 @@ def as_toml(settings: Mapping[str, Any]) -> str:
         if isinstance(table, dict):
             lines += ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in table.items())]
     return "\n".join(lines) + "\n"
-
-
-def _made(folder: str | Path) -> Path:
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"output {folder} is a file: give a folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for kind in KINDS:
-            (folder / kind).mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"output {folder} cannot be written: {error.strerror}") from None
-    return folder

@@ -19,7 +19,7 @@ import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing, uninterrupted
-from matcam.files.apart import read_apart
+from matcam.core.readers.apart import read_apart
 from matcam.files.decoders import DESCRIPTION, check_stored_sizes, one_line
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -40,6 +40,7 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
             Default: True.
 
     Raises:
+        ArgumentError: `data` is no Dataset.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -51,6 +52,7 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
         ...     matcam.io.read_netcdf(Path(folder) / "a.nc")["raw"].attrs
         {'units': '1/sr'}
     """
+    _check_dataset(data)
     with replacing(path, force=force) as temporary:
         try:
             with uninterrupted():  # xarray's lock stays shut where it is interrupted, and closing the file waits for it
@@ -143,7 +145,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: zarr is not installed.
+        ArgumentError: `data` is no Dataset, or zarr is not installed.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -155,6 +157,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         ...     matcam.io.read_zarr(Path(folder) / "a.zarr.zip")["raw"].attrs
         {'units': '1/sr'}
     """
+    _check_dataset(data)
     members: dict[str, Any] = {}
     store = _storage().MemoryStore(members)
     with warnings.catch_warnings():
@@ -211,6 +214,11 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
 def _variables(stored: dict[str, Any]) -> dict[str, xr.Variable]:
     return {name: xr.Variable(tuple(v["dims"]), v["values"], v["attrs"]) for name, v in stored["variables"].items()}
+
+
+def _check_dataset(data: object) -> None:
+    if not isinstance(data, xr.Dataset):
+        raise ArgumentError(f"data must be an xarray.Dataset, got {type(data).__name__}; a DataArray has to_dataset()")
 
 
 def _storage() -> Any:

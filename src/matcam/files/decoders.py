@@ -11,7 +11,7 @@ import math
 import struct
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ import numpy as np
 from matcam.core.errors import ArgumentError, FileFormatError
 
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
+_BYTES_A_TEXT = 64
+"""Bytes of memory that a text of variable length takes: an object of Python and the pointers to it."""
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
 """HDF5's own filters by number. Any other is a plugin."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
@@ -40,21 +42,28 @@ _LOCAL_HEADER = 30  # bytes, without its name and extra field
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
     """Refuse arrays that are larger than their file could hold.
 
-    FileFormatError where arrays of these shapes and types take more than 16 times the file's bytes together: damaged, or
-    compressed beyond what is trusted.
+    FileFormatError where a length is not a whole number from 0, and where arrays of these shapes and types take more than 16
+    times the file's bytes together: damaged, or compressed beyond what is trusted.
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
     total = 0
     for name, (shape, kind) in variables.items():
-        # text and lists of any length say nothing of their size: eight bytes each
-        each = np.dtype(kind).itemsize if isinstance(kind, np.dtype) else 8
+        check_lengths(path, name, shape)
+        # text of any length does not state its size
+        each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else _BYTES_A_TEXT
         total += math.prod(shape) * max(each, 1)
         if total > _MOST_TIMES * size + _SPARE:
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} of {' x '.join(map(str, shape))} values does not fit into {size} bytes: "
                 "damaged, or compressed beyond what is trusted"
             )
+
+
+def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
+    """Check that lengths are whole numbers from 0. FileFormatError."""
+    if not all(type(length) is int and length >= 0 for length in shape):
+        raise FileFormatError(f"{path}: variable {name!r:.60} has the lengths {list(shape)!r:.60}: damaged")
 
 
 def one_line(error: Exception) -> str:
@@ -115,13 +124,19 @@ def _check_hdf5(path: Path, file: Any) -> None:
             )
         if variable.is_virtual:
             raise FileFormatError(f"{path}: variable {name!r:.60} is put together from other files: not read")
+        if variable.dtype.kind == "O" and h5py.check_string_dtype(variable.dtype) is None:
+            raise FileFormatError(f"{path}: variable {name!r:.60} holds lists or references; numbers and text are read")
         creation = variable.id.get_create_plist()
+        seen: set[int] = set()
         for number in range(creation.get_nfilters()):
             code = creation.get_filter(number)[0]
             if code not in _FILTERS:
                 raise FileFormatError(
                     f"{path}: variable {name!r:.60} is compressed by filter {code}; known: {', '.join(_FILTERS.values())}"
                 )
+            if code in seen:  # each pass of deflate multiplies the size by up to 1032
+                raise FileFormatError(f"{path}: variable {name!r:.60} passes {_FILTERS[code]} twice: damaged")
+            seen.add(code)
         shapes[name] = (variable.shape or (), variable.dtype)
         if variable.chunks:  # a chunk is decoded whole, however little of it belongs to the array
             shapes[f"{name} (chunk)"] = (variable.chunks, variable.dtype)
@@ -158,6 +173,17 @@ def decode_zarr(path: Path) -> dict[str, Any]:
         raise FileFormatError(f"{path}: not a Zarr in a zip file that can be read: {one_line(error)}") from None
 
 
+def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> dict[str, Any]:
+    """Read the attributes of a Zarr, and some of its arrays or one row of each."""
+    import zarr
+
+    group: Any = zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
+    return {
+        "attrs": dict(group.attrs),
+        "values": {name: group[name][...] if row is None else group[name][row] for name in arrays},
+    }
+
+
 def _check_zarr(path: Path) -> None:
     """Check the zip's list of members, then every description, before anything is decoded."""
     size = path.stat().st_size
@@ -172,6 +198,10 @@ def _check_zarr(path: Path) -> None:
             if member.filename.endswith((".zarray", ".zgroup", ".zattrs", ".zmetadata")):
                 raise FileFormatError(f"{path}: {member.filename!r:.60} is of Zarr version 2; version 3 is read")
             if member.filename.rsplit("/", 1)[-1] == DESCRIPTION:
+                if member.filename.count("/") > 1:
+                    raise FileFormatError(
+                        f"{path}: {member.filename!r:.60} lies inside an array or a second group; results have variables only"
+                    )
                 if member.file_size > _DESCRIPTION_BYTES:
                     raise FileFormatError(f"{path}: {member.filename!r:.60} of {member.file_size} bytes: damaged")
                 described[member.filename] = json.loads(archive.read(member))
@@ -188,7 +218,7 @@ def _check_zarr(path: Path) -> None:
             check_codecs(path, name, document)
             width = _width(document["data_type"])
             shapes[name] = (tuple(document["shape"]), width)
-            chunks[f"{name} (chunk)"] = (tuple(document["chunk_grid"]["configuration"]["chunk_shape"]), width)
+            chunks[f"{name} (chunk)"] = (chunk_shape(document), width)
         elif name != DESCRIPTION:
             raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group; results have variables only")
     check_stored_sizes(path, size, shapes)
@@ -196,7 +226,7 @@ def _check_zarr(path: Path) -> None:
 
 
 def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
-    """Refuse an array of a Zarr, by its description, whose values or codecs are beyond a short list (FileFormatError)."""
+    """Check that the values and codecs of an array of a Zarr are on a short list, by its description (FileFormatError)."""
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
     if kind not in _NUMBERS | _TEXTS:
@@ -209,6 +239,11 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
         used = codec["name"] if isinstance(codec, dict) else codec
         if used not in _CODECS:
             raise FileFormatError(f"{path}: {name!r:.60} is coded by {used!r:.40}; known: {', '.join(sorted(_CODECS))}")
+
+
+def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
+    """Return the shape of an array's chunks from its description."""
+    return tuple(document["chunk_grid"]["configuration"]["chunk_shape"])
 
 
 def _width(kind: Any) -> np.dtype | None:

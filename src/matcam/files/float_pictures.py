@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
-from matcam.files.apart import read_apart
+from matcam.core.readers.apart import read_apart
 from matcam.files.picture_header import LARGEST, check_memory, check_promised, picture_memory
 
 _DECODERS = "matcam.files.picture_decoders"
@@ -48,7 +48,17 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     """
     if np.ma.is_masked(picture):
         raise ArgumentError("picture must not be masked: use .filled(np.nan) where values are missing")
-    given = np.asarray(picture)
+    labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
+    if labels and labels != list(_names(len(labels))):
+        raise ArgumentError(
+            f"picture has the channels {', '.join(labels)[:60]}; it must have {', '.join(_names(len(labels)))}"
+        )
+    try:
+        given = np.asarray(picture)
+    except ValueError:  # rows of different lengths
+        raise ArgumentError(
+            f"picture must be an array, got a {type(picture).__name__} of rows of different lengths"
+        ) from None
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
     if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:

@@ -232,6 +232,8 @@ def format_for(path: str | Path, *contents: str) -> Format:
 _DECODERS = {
     ".nc": ("matcam.files.decoders", "h5py", "h5netcdf"),
     ".zip": ("matcam.files.decoders", "zarr.storage"),
+    ".csv": ("matcam.files.table_decoders", "pandas"),
+    ".bsdf": ("matcam.files.table_decoders",),
     ".exr": ("matcam.files.picture_decoders", "OpenEXR"),
     **dict.fromkeys((".tif", ".tiff"), ("matcam.files.picture_decoders", "tifffile", "imagecodecs._zlib")),
     ".png": ("matcam.files.picture_decoders", "imagecodecs._png"),

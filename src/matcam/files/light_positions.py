@@ -14,10 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import reading
+from matcam.core.readers.texts import read_lines
 
-_LARGEST = 1 << 22
-"""Bytes of a file: 20,000 photographs with long names take half of it."""
 _UNIT = 0.02
 """Relative scatter of the lengths about 1 up to which vectors are unit vectors: files round to two digits or more."""
 
@@ -53,10 +51,7 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
         FileFormatError: the file is missing, or a line is wrong; the message names the line.
     """
     path = Path(path)
-    with reading(path, "a light position file"):
-        if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a light position file")
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    lines = read_lines(path, "a light position file")
     numbered = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip()]
     head = numbered[0][1] if numbered else "nothing"
     if not head.isdecimal():

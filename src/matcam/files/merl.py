@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import CHANNELS, GRID_SHAPE, SAMPLINGS, Sampling, brdf_table, checked_table
 from matcam.core.io import reading, replacing
@@ -62,8 +63,7 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
         {'theta_h': 90, 'theta_d': 90, 'phi_d': 180, 'channel': 3}
     """
     path = Path(path)
-    if sampling not in SAMPLINGS:
-        raise ArgumentError(f"sampling must be 'centre' or 'edge', got {sampling!r}")
+    checks.choice("sampling", sampling, SAMPLINGS)
     stored = _read_stored(path)
     missing = stored < 0
     # a reduction tells whether anything is wrong; only then is the place looked for
@@ -85,7 +85,8 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
     Args:
         path: file to write (.binary).
-        brdf: table in 1/sr as from `read_merl`, three channels, nowhere negative, not all missing, shape (90, 90, 180, 3).
+        brdf: table in 1/sr as from `read_merl`, three channels (by their labels R, G, B, where they have labels), nowhere
+            negative, not all missing, shape (90, 90, 180, 3).
         force: replace an existing file (no unit). Default: False.
 
     Raises:

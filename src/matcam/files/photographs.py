@@ -13,7 +13,7 @@ import numpy as np
 
 from matcam.core.errors import FileFormatError
 from matcam.core.io import reading
-from matcam.files.apart import read_apart
+from matcam.core.readers.apart import read_apart
 from matcam.files.float_pictures import read_exr
 from matcam.files.picture_header import Exif, cut, picture_memory, read_exif
 

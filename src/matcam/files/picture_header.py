@@ -19,7 +19,7 @@ import numpy as np
 
 from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
-from matcam.files.apart import files_are_trusted
+from matcam.core.readers.apart import files_are_trusted
 
 _SHARE = 0.5  # of the available memory, that one picture may take
 _WORKING = 24  # bytes for each pixel: a plane of light in float64, its mask, and two copies on the way

@@ -23,7 +23,6 @@ are kept as they are. What the fields mean together: `material/measured.py`.
 
 from __future__ import annotations
 
-import math
 import struct
 from pathlib import Path
 
@@ -31,12 +30,14 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import check_unit
 from matcam.core.io import reading, replacing
+from matcam.core.readers.apart import read_apart
+from matcam.core.readers.texts import SMALL_TEXT
+from matcam.files.table_decoders import RGL_MAGIC, RGL_TYPES, RGL_VERSION
 
-_MAGIC, _VERSION = b"tensor_file\0", b"\1\0"
-_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
-_CODES = {np.dtype(name): code for code, name in _TYPES.items()}
-_ALIGNED, _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 8, 64, 8, 64
+_CODES = {np.dtype(name): code for code, name in RGL_TYPES.items()}
+_ALIGNED = 8  # bytes
 
 _LIGHT = ("phi_i", "theta_i")
 _DIMS = {
@@ -69,7 +70,7 @@ _ORDER = (
 def read_rgl(path: str | Path) -> xr.Dataset:
     """Read a BRDF in RGL's parameterisation.
 
-    Each field of the file becomes a variable of its own type. No more memory is asked for than the file has bytes.
+    Each field of the file becomes a variable of its own type.
 
     Args:
         path: RGL file (.bsdf).
@@ -95,8 +96,7 @@ def read_rgl(path: str | Path) -> xr.Dataset:
     """
     path = Path(path)
     with reading(path, "an RGL file"):
-        content = path.read_bytes()
-    fields = _fields(path, content)
+        fields = read_apart("matcam.files.table_decoders:decode_rgl", path, small=SMALL_TEXT)
     try:
         return _checked(fields).assign_attrs(source=path.name)
     except ArgumentError as error:
@@ -137,8 +137,11 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
             f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored; whole numbers and floats can"
         )
     check_fields(fields)
-    at = len(_MAGIC) + len(_VERSION) + 4 + sum(13 + len(n.encode()) + 8 * a.ndim for n, a in arrays.items())
-    head = [_MAGIC, _VERSION, struct.pack("<I", len(arrays))]
+    for name, unit in (("phi_i", "rad"), ("theta_i", "rad"), ("wavelengths", "nm")):
+        if name in fields:
+            check_unit(f"field {name}", fields[name], unit)
+    at = len(RGL_MAGIC) + len(RGL_VERSION) + 4 + sum(13 + len(n.encode()) + 8 * a.ndim for n, a in arrays.items())
+    head = [RGL_MAGIC, RGL_VERSION, struct.pack("<I", len(arrays))]
     for name, array in arrays.items():
         at = _next_aligned(at)
         head += [struct.pack("<H", len(name.encode())), name.encode()]
@@ -158,42 +161,6 @@ def check_fields(fields: xr.Dataset) -> xr.Dataset:
 
 def _next_aligned(at: int) -> int:
     return -(-at // _ALIGNED) * _ALIGNED
-
-
-def _fields(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """Return all fields as views of `content`, each within it, together no longer than it."""
-    start = len(_MAGIC) + len(_VERSION)
-    if content[:start] != _MAGIC + _VERSION:
-        raise FileFormatError(f"{path}: not an RGL file: it starts with {content[:start]!r}, not {_MAGIC + _VERSION!r}")
-    found: dict[str, np.ndarray] = {}
-    left = len(content)
-    try:
-        (count,) = struct.unpack_from("<I", content, start)
-        if count > _MOST_FIELDS:
-            raise FileFormatError(f"{path}: byte {start} says {count} fields: damaged, or no BRDF")
-        at = start + 4
-        for _ in range(count):
-            (length,) = struct.unpack_from("<H", content, at)
-            name = content[at + 2 : at + 2 + length].decode()
-            if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
-                raise FileFormatError(f"{path}: byte {at} does not hold the name of another field")
-            at += 2 + length
-            dimensions, code, offset = struct.unpack_from("<HBQ", content, at)
-            if dimensions > _MOST_DIMENSIONS or code not in _TYPES:
-                raise FileFormatError(f"{path}: field {name}: {dimensions} dimensions of type {code} are not known")
-            shape = struct.unpack_from(f"<{dimensions}Q", content, at + 11)
-            at += 11 + 8 * dimensions
-            dtype, values = np.dtype(_TYPES[code]), math.prod(shape)
-            left -= values * dtype.itemsize
-            if left < 0 or offset + values * dtype.itemsize > len(content):
-                raise FileFormatError(
-                    f"{path}: truncated or damaged: field {name} is {' x '.join(map(str, shape))} values at byte {offset}, "
-                    f"the file has {len(content)} bytes"
-                )
-            found[name] = np.frombuffer(content, dtype, values, offset).reshape(shape)
-    except (struct.error, UnicodeDecodeError):
-        raise FileFormatError(f"{path}: damaged list of fields") from None
-    return found
 
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:

@@ -10,22 +10,33 @@ a channel of the BRDF. An empty value is missing. Numbers are written with all t
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.grid import CHANNELS, SAMPLINGS, brdf_table, checked_table, half_and_difference, merl_grid
+from matcam.core.grid import (
+    CHANNELS,
+    SAMPLINGS,
+    brdf_table,
+    check_unit,
+    checked_table,
+    half_and_difference,
+    in_order,
+    merl_grid,
+)
 from matcam.core.io import reading, replacing
+from matcam.core.readers.apart import read_apart
+from matcam.core.readers.texts import SMALL_TEXT
+from matcam.files.table_decoders import HALF as _HALF
+from matcam.files.table_decoders import PAIR as _PAIR
+from matcam.files.table_decoders import VALUE as _VALUE
 
-_HALF = ("theta_h", "theta_d", "phi_d")
-_PAIR = ("theta_i", "phi_i", "theta_o", "phi_o")
-_UNITS = {"rad": 1.0, "deg": np.pi / 180}
-_VALUE = "_per_sr"
-_LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
 _ON_THE_GRID = 1e-6  # rad
+_LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
+"""Label of a channel that can be the name of a column."""
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
@@ -41,11 +52,10 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
 
     Nothing is interpolated: ArgumentError where a sample lies beside the MERL grid, or two in one cell.
     """
-    if "sample" not in getattr(samples, "dims", ()) or samples.sizes["channel"] not in (1, len(CHANNELS)):
-        dims = getattr(samples, "dims", type(samples).__name__)
-        raise ArgumentError(
-            f"samples must have dims (sample, channel) with one channel or three (see read_samples), got {dims}"
-        )
+    samples = in_order(checked_samples(samples), "samples")
+    labels = [str(label) for label in samples["channel"].values]
+    if len(labels) not in (1, len(CHANNELS)) or (len(labels) == 1 and labels[0] in CHANNELS):
+        raise ArgumentError(f"samples must have one channel for all colours, or R, G, B, got {', '.join(labels)[:60]}")
     found = {name: np.asarray(samples[name].values) for name in _HALF}
     found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is 0 again
     for sampling in SAMPLINGS:
@@ -70,6 +80,24 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
     return brdf_table(values, sampling)
 
 
+def checked_samples(samples: xr.DataArray) -> xr.DataArray:
+    """Return samples of a BRDF, dims (sample, channel); ArgumentError names the wrong dims, coordinate, label or unit."""
+    if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
+        dims = getattr(samples, "dims", type(samples).__name__)
+        raise ArgumentError(f"samples must have dims (sample, channel) (see read_samples), got {dims}")
+    if samples.dtype.kind not in "fiu":
+        raise ArgumentError(f"samples must hold real numbers, got {samples.dtype}")
+    check_unit("samples", samples, "1/sr")
+    for name in _HALF:
+        if name not in samples.coords or samples[name].dims != ("sample",) or samples[name].dtype.kind not in "fiu":
+            raise ArgumentError(f"samples must have a coordinate {name} of numbers along sample")
+        check_unit(f"coordinate {name}", samples[name], "rad")
+    labels = [str(label) for label in samples["channel"].values]
+    if "channel" not in samples.coords or len(set(labels)) < len(labels) or not all(map(_LABEL.fullmatch, labels)):
+        raise ArgumentError(f"samples must label each channel by a name of its own, got {', '.join(labels)!r:.60}")
+    return samples
+
+
 def _nearest(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Return the indices of the nearest points of an axis."""
     above = np.clip(np.searchsorted(axis, angle), 1, axis.size - 1)
@@ -86,6 +114,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
         force: replace an existing file (no unit). Default: False.
 
     Raises:
+        ArgumentError: `samples` has other dims, units or labels.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -101,6 +130,7 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
     """
     import pandas as pd
 
+    samples = checked_samples(samples)
     columns = {f"{name}_rad": samples[name].values for name in _HALF}
     columns |= {f"{c}{_VALUE}": samples.values[:, k] for k, c in enumerate(samples["channel"].values)}
     with replacing(path, force=force) as temporary:
@@ -132,12 +162,9 @@ def read_samples(path: str | Path) -> xr.DataArray:
         (array([[0.25]]), array([0.5236]))
     """
     path = Path(path)
-    names, scale, lines = _head(path)
-    values = np.empty((lines, len(names)))
-    count = _fill(path, values)
-    values = values[:count]
-    if not count:
-        raise FileFormatError(f"{path}: no line follows the names of the columns")
+    with reading(path, "a CSV file"):
+        stored = read_apart("matcam.files.table_decoders:decode_csv", path, libraries=("pandas",), small=SMALL_TEXT)
+    names, scale, values = stored["names"], stored["scale"], stored["values"]
     columns = {name: values[:, k] * scale[k] for k, name in enumerate(names)}
     angles = _PAIR if set(_PAIR) <= set(names) else _HALF
     channels = [name for name in names if name not in angles]
@@ -154,72 +181,6 @@ def _samples(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) 
     return xr.DataArray(
         values, dims=("sample", "channel"), coords={**coords, "channel": channels}, name="brdf", attrs={"units": "1/sr"}
     )
-
-
-def _head(path: Path) -> tuple[list[str], list[float], int]:
-    """Return (names of the columns, the unit of each, lines that may follow)."""
-    with reading(path, "a CSV file"), path.open("rb") as file:
-        head = file.readline(_LONGEST_HEAD)
-        lines = 1 + sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 16), b""))
-    try:
-        given = [name.strip() for name in head.decode("utf-8-sig").split(",")]
-    except UnicodeDecodeError:
-        given = []
-    names, scale = [], []
-    for name in given:
-        angle, _, unit = name.rpartition("_")
-        if angle in (*_HALF, *_PAIR) and unit in _UNITS:
-            names.append(angle)
-            scale.append(_UNITS[unit])
-        elif name.endswith(_VALUE) and name != _VALUE:
-            names.append(name.removesuffix(_VALUE))
-            scale.append(1.0)
-        else:
-            raise FileFormatError(
-                f"{path}: line 1: column {name!r:.40} is neither an angle (theta_h_rad, ...) nor a channel (R_per_sr, ...)"
-            )
-    if len(set(names)) < len(names) or not (set(_HALF) <= set(names) or set(_PAIR) <= set(names)):
-        raise FileFormatError(f"{path}: line 1 must name, once each, {', '.join(_HALF)} or {', '.join(_PAIR)}")
-    if len(names) != len(_PAIR if set(_PAIR) <= set(names) else _HALF) + sum(n.endswith(_VALUE) for n in given):
-        raise FileFormatError(
-            f"{path}: line 1 must name half and difference angles, or those of light and view, not both"
-        )
-    if not any(name.endswith(_VALUE) for name in given):
-        raise FileFormatError(f"{path}: line 1 names no channel of the BRDF (R_per_sr, ...)")
-    return names, scale, lines
-
-
-def _fill(path: Path, values: np.ndarray) -> int:
-    """Fill the rows from the file's lines, some at a time, and return how many there were."""
-    import pandas as pd
-
-    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # whose ordinary converter loses the last digit
-    exact: Any = {"float_precision": "round_trip"} if old else {}
-    at = 0
-    try:
-        reader = pd.read_csv(
-            path,
-            header=None,
-            skiprows=1,
-            dtype=np.float64,
-            chunksize=_LINES_AT_ONCE,
-            index_col=False,
-            on_bad_lines="error",
-            **exact,
-        )
-        with reader:
-            for block in reader:
-                if block.shape[1] != values.shape[1]:
-                    raise FileFormatError(
-                        f"{path}: line {at + 2} has {block.shape[1]} values, the columns are {values.shape[1]}"
-                    )
-                values[at : at + len(block)] = block.to_numpy()
-                at += len(block)
-    except pd.errors.EmptyDataError:
-        return 0
-    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
-        raise FileFormatError(f"{path}: after line {at + 1}: {' '.join(str(error).split())[:120]}") from None
-    return at
 
 
 def _check(path: Path, angles: dict[str, np.ndarray], values: np.ndarray) -> None:

@@ -31,7 +31,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import checked_version, first_problem, read_json, write_json
+from matcam.core.io import write_json
+from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT = "matcam picture sidecar"
 VERSION = 1

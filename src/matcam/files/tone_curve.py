@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import reading
+from matcam.core.readers.texts import read_lines
 
-_LARGEST = 4 << 20  # bytes: 65,536 lines of three numbers fit
 _DEEPEST = 65535
 
 
@@ -58,10 +57,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     columns: numbers in every line; None: one to three, the same in all. FileFormatError naming file and line.
     """
     path = Path(path)
-    with reading(path):
-        if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a tone curve")
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_lines(path, "a tone curve")
     rows = []
     for number, line in enumerate(lines, 1):
         words = line.split("#")[0].replace(",", " ").replace(";", " ").split()

@@ -158,15 +158,13 @@ def table_values(
         )
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
+    workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     if isinstance(rig.sample, Flat):
         return _flat_values(material, rig), np.zeros(GRID_SHAPE)
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig, _azimuth(rig, azimuth))
-        return cylinder_table(material, rig, workspace or default_workspace())
-    seen = [
-        _values_through(material, one, _azimuth(rig, azimuth), shift, workspace or default_workspace())
-        for one, shift in _colours(rig)
-    ]
+        return cylinder_table(material, rig, workspace)
+    seen = [_values_through(material, one, _azimuth(rig, azimuth), shift, workspace) for one, shift in _colours(rig)]
     if len(seen) == 1:
         return seen[0]
     channels = [values[..., min(c, values.shape[-1] - 1)] for c, (values, _) in enumerate(seen)]
@@ -343,7 +341,8 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
         >>> bool(abs(noisy / table - 1).mean() < 0.01)
         True
     """
-    noise.check()
+    checks.instance("noise", noise, PixelNoise).check()
+    checks.instance("rig", rig, Rig)
     if not isinstance(rig.sample, Sphere | Cylinder):
         raise ArgumentError(f"a noisy table needs a rig with a Sphere or Cylinder, not a {type(rig.sample).__name__}")
     rng = np.random.default_rng(seed)

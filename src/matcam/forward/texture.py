@@ -48,7 +48,8 @@ def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.
         >>> print(np.round(matcam.forward.texture_contrast(rig, 0.2, np.radians([0, 60])), 3))
         [0.768 0.344]
     """
-    return rig.camera.mtf(_flat_sample(rig).frequency_on_sensor(frequency, theta_o))
+    sample = _flat_sample(rig)
+    return rig.camera.mtf(sample.frequency_on_sensor(frequency, theta_o))
 
 
 def textured_picture(
@@ -184,6 +185,7 @@ def _check_shape(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _flat_sample(rig: Rig) -> Flat:
+    checks.instance("rig", rig, Rig)
     if not isinstance(rig.sample, Flat):
         raise ArgumentError(f"a texture needs a rig with a Flat sample, got {type(rig.sample).__name__}")
     checked_isotropic(rig.camera.optics, "a texture")

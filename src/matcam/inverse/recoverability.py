@@ -89,13 +89,16 @@ def limits(
         matcam.core.errors.ArgumentError: roughness must lie in [1e-05, 1], got -1
     """
     check_rig(rig)
+    if type(every) is not int or not 1 <= every <= 30:
+        raise ArgumentError(f"every must be a whole number in [1, 30], got {every!r:.60}")
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
     if LENS not in rig.camera.parameters():
         raise ArgumentError("limits need a camera whose lens is a Gaussian: it has no 'optics.sigma_px'")
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
-    view = _View(rig, ndf, (noise or PixelNoise(picture_gain=0.01)).check(), every, workspace)
+    noise = PixelNoise(picture_gain=0.01) if noise is None else checks.instance("noise", noise, PixelNoise)
+    view = _View(rig, ndf, noise.check(), every, workspace)
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]

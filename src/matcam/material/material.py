@@ -127,8 +127,9 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
         array([[0.5]])
     """
     angles = np.atleast_1d(np.asarray(checks.viewing_angle("theta", theta)))
-    if angles.ndim != 1:
+    if angles.ndim != 1 or not angles.size:
         raise ArgumentError(f"theta must have shape (n,), got {angles.shape}")
+    checks.instance("material", material, Material)  # type: ignore[type-abstract]
     u = ((np.arange(_NODES) + 0.5) / _NODES)[:, None]
     phi = ((np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS * 2 * np.pi)[None, :]
     theta_h = u**2 * np.pi / 2

@@ -93,10 +93,13 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     """
     sources = metals(name)[name]
     source = sources[0] if source is None else source
-    if source not in sources:
+    if not isinstance(source, str) or source not in sources:
         raise unknown_name(f"source for {name}", source, sources)
     table = _table(name, source)
-    wavelength = np.asarray(wavelength, dtype=np.float64)
+    try:
+        wavelength = np.asarray(wavelength, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"wavelength must be a number or an array of numbers, m, got {wavelength!r:.60}") from None
     low, high = table.wavelength[[0, -1]]
     outside = ~((wavelength >= low) & (wavelength <= high))
     if outside.any():

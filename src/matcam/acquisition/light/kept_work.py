@@ -7,7 +7,6 @@ than two weeks is removed by the next.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import time
 from collections.abc import Callable, Iterable
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from matcam.core.sealed import remove_sealed, sealed_files
 from matcam.core.workspace import Workspace, kept_file
 
 _PIECE = 1 << 16  # bytes of either end of a frame
@@ -54,12 +54,11 @@ class KeptWork:
 
     def clear(self) -> None:
         """Remove what this run kept, and what others left long ago."""
-        with contextlib.suppress(OSError):
-            old = [path for path in self.folder.glob("*.npz") if path.stat().st_mtime < time.time() - _OLD]
-            self._files.update(old)
-        for path in self._files:
-            with contextlib.suppress(OSError):
-                path.unlink()
+        since = time.time() - _OLD
+        old = [
+            one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and one.name.endswith(".npz")
+        ]
+        remove_sealed(self.folder, [*(path.name for path in self._files), *old])
 
 
 def identity(paths: Iterable[Path]) -> str:

@@ -189,7 +189,7 @@ def calibrate(
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     elif model != "gaussian":
         raise ArgumentError(f"half_width can be fitted with the gaussian model only, not with {model}")
-    for name in channels or ():
+    for name in () if channels is None else channels:
         checks.choice("channel", name, CHANNELS)
     if cfa is not None:
         checks.choice("cfa", cfa, MOSAICS)

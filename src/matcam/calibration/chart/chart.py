@@ -46,6 +46,8 @@ class Chart:
         for i, element in enumerate(self.elements):
             for problem in _problems(element):
                 raise ArgumentError(f"element {i} ({type(element).__name__.lower()}): {problem}")
+        if not isinstance(self.fiducials, tuple) or not all(isinstance(one, Fiducial) for one in self.fiducials):
+            raise ArgumentError(f"fiducials must be a tuple of Fiducial, got a {type(self.fiducials).__name__}")
         marks = sum(fiducial.rings == 2 for fiducial in self.fiducials)
         if self.fiducials and (len(self.fiducials) < 4 or marks != 1):
             raise ArgumentError(

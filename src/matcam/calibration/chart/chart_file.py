@@ -27,8 +27,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Square, Star
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import checked_version, first_problem, read_json, write_json
+from matcam.core.io import write_json
+from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT, VERSION = "matcam chart", 1
 _WHAT = "the description of a chart"
@@ -94,6 +96,7 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
         >>> path.exists()
         True
     """
+    checks.instance("chart", chart, Chart)
     document: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,

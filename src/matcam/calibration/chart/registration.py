@@ -19,6 +19,7 @@ from matcam.calibration.chart.marks import balanced, find_marks
 from matcam.calibration.chart.matching import match_marks
 from matcam.calibration.chart.sides import Sides, seen_sides, smoothed
 from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import FloatArray
 
@@ -122,7 +123,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         >>> where.found, [round(float(v)) for v in where(np.array([[100.0, 50.0]]))[0]]
         (8, [143, 75])
     """
-    if len(chart.fiducials) < 4:
+    if len(checks.instance("chart", chart, Chart).fiducials) < 4:
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
     picture = LinearImage.of(image).values
     picture = balanced(picture) if mosaic else picture

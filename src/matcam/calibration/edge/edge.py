@@ -254,7 +254,7 @@ def _settings(
                 raise ArgumentError(f"{name} must be given for the {model} model, m")
         checks.within("wavelength", float(wavelength or 0), 1e-9, 1e-3, "m (550 nm is 550e-9)")
         checks.within("pixel_pitch", float(pixel_pitch or 0), 1e-8, 1e-2, "m (5 um is 5e-6)")
-    if half_width != _WHOLE:
+    if not (isinstance(half_width, float) and half_width == _WHOLE):
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):
         raise ArgumentError("gain and read_noise must be given together, or neither: then both are estimated")

@@ -324,7 +324,12 @@ def as_photograph(
     ArgumentError where it is no picture. what, colours: for its message, and how many colours there may be.
     """
     checks.not_masked("image", image)
-    values = np.asarray(image)
+    try:
+        values = np.asarray(image)
+    except ValueError:  # rows of different lengths
+        raise ArgumentError(
+            f"image must be an array, got a {type(image).__name__} of rows of different lengths"
+        ) from None
     if (
         values.dtype.kind not in "uif"
         or values.ndim not in (2, 3)

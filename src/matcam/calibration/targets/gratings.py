@@ -237,7 +237,7 @@ def _expected_grating(
     grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
     """Return a described grating, and the region that holds it."""
-    corners = projection(grating.corners)
+    corners = projection(checks.instance("grating", grating, Grating).corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
         raise FitError(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.io import plain
 
@@ -54,8 +55,7 @@ class MTFSamples:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ArgumentError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}")
+        checks.choice("kind", self.kind, KINDS)
         count = np.size(self.frequency)
         for name in ("frequency", "direction", "mtf"):
             values = np.asarray(getattr(self, name), dtype=np.float64)

@@ -129,7 +129,7 @@ class Correction:
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
-        workspace = workspace or default_workspace()
+        workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
         expected = setup.axes_with_doubts

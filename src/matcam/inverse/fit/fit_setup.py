@@ -148,8 +148,9 @@ class FitSetup:
         if type(self.every) is not int or not 1 <= self.every <= 30:
             raise ArgumentError(f"every must be a whole number in [1, 30], got {self.every!r}")
         checks.within("bend", self.bend, 0, 10)
+        checks.instance("workspace", default_workspace() if self.workspace is None else self.workspace, Workspace)
         if self.noise is not None:
-            self.noise.check()
+            checks.instance("noise", self.noise, PixelNoise).check()
         if self.rig is not None:
             check_rig(self.rig)
             object.__setattr__(self, "rig", located_rig(self.rig, tables[0]).rig)

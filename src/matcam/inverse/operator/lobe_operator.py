@@ -23,6 +23,7 @@ import equinox as eqx
 import numpy as np
 
 from matcam.camera.optics.optics import checked_isotropic
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling, azimuth_difference
 from matcam.core.jax import jax, jnp, placed
@@ -268,7 +269,7 @@ def lobe_operator(
     """
     if rig is None:
         return perfect_operator(sampling, every, FAR_AWAY, workspace)
-    workspace = workspace or default_workspace()
+    workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     known = rig_key(rig)  # raises for rigs that cannot be fitted
     pixels = grid_of(rig)
     key = (known, sampling, every, axes, pixels)

@@ -303,7 +303,7 @@ def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, 
     matrix = np.bincount(entry.ravel(), found.weight.ravel() / 2, shape[0] * shape[1]).reshape(shape)
     best, *_ = lstsq(matrix, values, cond=1e-10, lapack_driver="gelsy", check_finite=False)
     left, own = values - matrix @ best, values - values.mean()
-    if (own**2).mean() < _FLAT * values.mean() ** 2:  # anything interpolates a constant
+    if (own**2).mean() <= _FLAT * values.mean() ** 2:  # anything interpolates a constant
         return 1.0
     return float((left**2).sum() / (own**2).sum())
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from matcam.camera.lens_field import LensField
 from matcam.camera.profile import FIELD_SCHEMA, field_from
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import checked_version, first_problem, read_json
+from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT, VERSION = "matcam reconstruction", 1
 SCENE_NAMES = ("lens", "camera nearness", "lamp nearness", "distortion", "blur growth")

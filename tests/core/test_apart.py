@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -10,10 +12,10 @@ import numpy as np
 import pytest
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.files import apart
-from matcam.files.apart import Limits, read_apart, reading_limits
+from matcam.core.readers import apart
+from matcam.core.readers.apart import Limits, read_apart, reading_limits
 
-HERE = "tests.files.misbehaving"
+HERE = "tests.core.misbehaving"
 
 
 @pytest.fixture
@@ -124,6 +126,74 @@ def test_the_nursery_may_die(path):
     os.kill(apart._nursery.process.pid, signal.SIGKILL)
     apart._nursery.process.wait()
     assert read_apart(f"{HERE}:everything", path)["scalar"] == 2.5
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_reader_that_is_killed_from_outside_is_no_fault_of_the_file(path, number):
+    assert read_apart(f"{HERE}:end_as", path, number=int(number), once=True) == "read"
+    with pytest.raises(FileFormatError, match="ended from outside, twice") as error:
+        read_apart(f"{HERE}:end_as", path, number=int(number))
+    assert "damaged" not in one_line(error)
+
+
+@pytest.mark.skipif(not hasattr(os, "waitid"), reason="whether a process is stopped is not known here")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_nursery_that_is_killed_or_stopped_while_it_reads_is_replaced(path, number):
+    begin = time.monotonic()
+    assert read_apart(f"{HERE}:end_nursery", path, number=int(number)) == "read"
+    assert time.monotonic() - begin < 30
+
+
+@pytest.mark.skipif(not hasattr(os, "waitid"), reason="whether a process is stopped is not known here")
+def test_a_nursery_that_was_stopped_is_replaced(path):
+    before = read_apart(f"{HERE}:everything", path)["process"]
+    os.kill(apart._nursery.process.pid, signal.SIGSTOP)
+    assert read_apart(f"{HERE}:everything", path)["process"] != before
+
+
+def test_a_text_that_is_longer_than_all_others_is_stopped(path):
+    """An array of texts has room for the longest in each of its places."""
+    with pytest.raises(FileFormatError, match="needs more than"):
+        read_apart(f"{HERE}:long_texts", path)
+
+
+def test_one_rule_limits_memory_and_time_by_the_size_of_the_file(path):
+    with pytest.raises(FileFormatError, match="512 MiB"):
+        read_apart(f"{HERE}:fill", path)
+    with pytest.raises(FileFormatError, match="more than 2 s of processor time"):
+        read_apart(f"{HERE}:spin", path)
+
+
+def test_a_small_file_is_parsed_here(path):
+    assert read_apart(f"{HERE}:everything", path, small=3)["process"] == os.getpid()
+    assert read_apart(f"{HERE}:everything", path, small=2)["process"] != os.getpid()
+    path.write_bytes(b"")
+    assert read_apart(f"{HERE}:everything", path)["process"] != os.getpid()  # by the rule, an empty file too
+
+
+@pytest.mark.skipif(not hasattr(os, "register_at_fork"), reason="needs fork")
+def test_a_fork_reads_while_threads_of_its_parent_read(tmp_path):
+    """In a process of its own, because a fork that hangs would hang the tests."""
+    (tmp_path / "a.file").write_bytes(b"abc")
+    code = (
+        "import os, sys, threading\nfrom pathlib import Path\nfrom matcam.core.readers.apart import read_apart\n"
+        f"def read(): return read_apart('{HERE}:everything', Path(sys.argv[1]))['scalar'] == 2.5\n"
+        "stop = threading.Event()\n"
+        "def work():\n    while not stop.is_set(): read()\n"
+        "threads = [threading.Thread(target=work) for _ in range(3)]\n"
+        "for thread in threads: thread.start()\n"
+        "children = []\n"
+        "for _ in range(12):\n    child = os.fork()\n    if not child:\n        os._exit(0 if read() else 1)\n"
+        "    children.append(child)\n"
+        "codes = [os.waitpid(child, 0)[1] for child in children]\n"
+        "stop.set()\nfor thread in threads: thread.join()\nsys.exit(codes != [0] * 12)"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code, str(tmp_path / "a.file")],
+        env=environment, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
 
 
 def test_threads_read_side_by_side(path):

@@ -14,6 +14,27 @@ def hang(path: Path):
     time.sleep(1e4)
 
 
+def end_as(path: Path, *, number: int, once: bool = False):
+    """End this process by a signal; once: only the first process that reads the file."""
+    if once and path.stat().st_mode & 0o100:
+        return "read"
+    path.chmod(0o744)
+    os.kill(os.getpid(), number)
+    return hang(path)
+
+
+def end_nursery(path: Path, *, number: int):
+    if path.stat().st_mode & 0o100:
+        return "read"
+    path.chmod(0o744)
+    os.kill(os.getppid(), number)
+    return hang(path)
+
+
+def long_texts(path: Path):
+    return np.array(["x" * (1 << 20), *[""] * (1 << 16)], dtype=object)
+
+
 def wait(path: Path):
     time.sleep(1.2)
     return "read"

@@ -1,0 +1,331 @@
+"""Read a file in a process of its own, which has limits and can be killed. One rule holds for all formats.
+
+Decoders of foreign formats (HDF5, OpenEXR, TIFF, PNG, JPEG, camera raw, Zarr) are large C libraries that trust their input: a
+damaged or hostile file makes them crash, hang or fill the memory. Parsers of text survive, but may need time and memory that
+grow faster than their file. So files are read apart:
+
+    this process  --request-->  nursery  --fork-->  child (limits, then one decoder, one file)
+                  <------------ result: JSON, then arrays as bytes ------------
+                  <-- end -------- (how the child ended)
+
+The nursery is a small Python process without threads, started once; a child of it costs milliseconds. A child may not write
+files, and what it answers is JSON and plain numbers: nothing is unpickled. Where a system cannot fork (Windows), each file
+has a new process. Texts of a few kilobytes are parsed in this process, where their size bounds what they cost.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import io
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matcam.core.errors import FileFormatError
+from matcam.core.io import reading
+from matcam.core.memory import available_memory
+from matcam.core.readers.answers import read_answer
+from matcam.core.readers.serving import called
+from matcam.core.threads import ONE_BLAS_THREAD
+
+_SECONDS, _BYTES_A_SECOND = 2.0, 5e6
+"""Processor time that a file may take: 2 s, and 1 s for every 5 MB. The slowest decoder (PNG) reads 30 MB in 1 s."""
+_SPARE_MEMORY, _TIMES_THE_FILE = 512 << 20, 32
+"""Memory that a file may take: 512 MiB, and 32 times its size. Parsers of text need up to 25 times, deflated pictures 10."""
+_SERVING = "matcam.core.readers.serving"
+_PATIENCE = 30.0
+"""Wall-clock time over processor time: a busy machine or a slow disk is no fault of the file."""
+
+
+class Limits(NamedTuple):
+    """Limits of the resources for reading one file.
+
+    Attributes:
+        seconds: processor time; None: 2 s, and 1 s for every 5 MB of the file. Default: None.
+        memory: bytes beyond what the decoder's process has at its start; None: 512 MiB and 32 times the file, but at most
+            half of what is available now. Default: None.
+        wall: wall-clock time, s; None: 30 times the processor time. Default: None.
+    """
+
+    seconds: float | None = None
+    memory: int | None = None
+    wall: float | None = None
+
+
+_NORMAL = Limits()
+_limits: ContextVar[Limits | None] = ContextVar("limits", default=_NORMAL)
+
+
+@contextmanager
+def reading_limits(limits: Limits | None) -> Iterator[None]:
+    """Read the files opened inside under other limits; None trusts them: they are decoded in this process."""
+    token = _limits.set(limits)
+    try:
+        yield
+    finally:
+        _limits.reset(token)
+
+
+def files_are_trusted() -> bool:
+    """Check whether files are decoded in this process, without limits."""
+    return _limits.get() is None
+
+
+def start_reader(modules: Sequence[str]) -> None:
+    """Start the process that will read files, in the background, and let it import these modules."""
+    if _CAN_FORK and not files_are_trusted():
+        with contextlib.suppress(OSError):  # the first file that is read reports what is wrong
+            for one in _request({"module": "", "libraries": list(modules)})[1:]:
+                one.close()
+
+
+def read_apart(
+    decoder: str,
+    path: Path,
+    *,
+    libraries: tuple[str, ...] = (),
+    small: int = 0,
+    size: int | None = None,
+    **options: Any,
+) -> Any:
+    """Call `decoder` ("package.module:function") on a file in a process of its own.
+
+    libraries: modules that the decoder imports.
+    small: bytes of a file up to which the decoder is called in this process. Only for decoders whose cost the size bounds.
+    size: bytes that count for the limits. Default: None, the size of the file; needed where `path` is a folder.
+
+    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays. FileFormatError,
+    naming the file, where it exceeds a limit or crashes its decoder; the decoder's own errors are raised as they are.
+    """
+    limits = _limits.get()
+    module, name = decoder.split(":")
+    if limits is None:
+        return called(module, name, path, options)
+    if size is None:
+        with reading(path):
+            size = path.stat().st_size
+    if small and size <= small:
+        return called(module, name, path, options)
+    seconds = _SECONDS + size / _BYTES_A_SECOND if limits.seconds is None else limits.seconds
+    wall = _PATIENCE * seconds if limits.wall is None else limits.wall
+    # half at most: this process will hold the answer too, and work on it
+    allowed = min(_SPARE_MEMORY + _TIMES_THE_FILE * size, available_memory() // 2)
+    memory = allowed if limits.memory is None else limits.memory
+    folder = path.anchor or str(Path.cwd())
+    request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options,
+               "seconds": seconds, "wall": wall, "memory": memory, "libraries": libraries}  # fmt: skip
+    for _ in range(_ATTEMPTS):
+        try:
+            return _answer_to(request, path, memory, wall)
+        except _EndedError as end:
+            ended_by = end.by
+        if ended_by not in _FROM_OUTSIDE:
+            break
+    raise FileFormatError(f"{path}: {_reason(ended_by, seconds, wall, memory)}")
+
+
+def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) -> Any:
+    if not _CAN_FORK:
+        return read_answer(_from_process(request), path, memory)
+    deadline = time.monotonic() + wall + 1.0
+    nursery, channel, status = _request(request)
+    with channel, status:
+        return read_answer(_from_socket(nursery, channel, status, deadline), path, memory)
+
+
+class _EndedError(Exception):
+    """The child ended before its answer was complete.
+
+    by: the number of the signal that ended it; 0: its own exit; None: it or the nursery is gone or stopped.
+    """
+
+    def __init__(self, by: int | None):
+        super().__init__(by)
+        self.by = by
+
+
+_ATTEMPTS = 2
+"""Attempts to read a file whose reader is ended from outside. A file that fills the memory of the machine ends both."""
+_OUT_OF_TIME = getattr(signal, "SIGPROF", -1), getattr(signal, "SIGALRM", -1)
+_FROM_OUTSIDE = None, getattr(signal, "SIGKILL", -1), signal.SIGTERM
+"""Ends for which the file is not responsible: the system had no memory left, or somebody ended the process."""
+
+
+def _reason(ended_by: int | None, seconds: float, wall: float, memory: int) -> str:
+    if ended_by in _FROM_OUTSIDE:
+        return "not read: the process that reads it was ended from outside, twice: is there too little memory?"
+    if ended_by == _OUT_OF_TIME[0]:
+        return f"reading takes more than {seconds:.3g} s of processor time: damaged, or made to be slow"
+    if ended_by == _OUT_OF_TIME[1]:
+        return f"reading takes more than {wall:.3g} s: damaged, or on a disk that does not answer"
+    return f"damaged: its decoder crashed, or needs more than {memory / 2**20:.0f} MiB"
+
+
+def _from_socket(
+    nursery: subprocess.Popen[bytes], channel: socket.socket, status: socket.socket, deadline: float
+) -> Callable[[int], bytearray]:
+    def end() -> _EndedError:
+        """Find out how the child ended, which is known when its nursery has waited for it."""
+        while not (ready := select.select([status], [], [], _A_MOMENT)[0]) and _is_running(nursery):
+            pass
+        said = status.recv(4) if ready else b""
+        return _EndedError(struct.unpack("<i", said)[0] if len(said) == 4 else None)
+
+    def take(size: int) -> bytearray:
+        data = bytearray(size)
+        view, at = memoryview(data), 0
+        while at < size:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise _EndedError(_OUT_OF_TIME[1])
+            ready = select.select([channel, status], [], [], min(left, _A_MOMENT))[0]
+            if not ready:
+                if not _is_running(nursery):
+                    raise _EndedError(None)
+                continue
+            count = channel.recv_into(view[at:]) if channel in ready else 0  # what was sent before the end comes first
+            if not count:
+                raise end()
+            at += count
+        return data
+
+    return take
+
+
+def _from_process(request: dict[str, Any]) -> Callable[[int], bytearray]:
+    """Decode in a new process for this file alone: systems that cannot fork."""
+    code = f"from {_SERVING} import serve_standard_streams; serve_standard_streams()"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code], input=json.dumps(request).encode(), stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, timeout=request["wall"] + 5.0, env=_environment(), check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise _EndedError(_OUT_OF_TIME[1]) from None
+    whole = io.BytesIO(done.stdout)
+
+    def take(size: int) -> bytearray:
+        data = bytearray(whole.read(size))
+        if len(data) < size:
+            raise _EndedError(max(-done.returncode, 0))
+        return data
+
+    return take
+
+
+# -- the nursery -------------------------------------------------------------------------------------------------------------
+
+_CAN_FORK = hasattr(os, "fork") and hasattr(socket, "send_fds")
+
+
+_A_MOMENT = 1.0
+"""Time between two checks whether the nursery still runs while it reads a file, s: what a user hardly notices."""
+
+
+def _is_running(process: subprocess.Popen[bytes]) -> bool:
+    """Check that a process has neither ended nor been stopped."""
+    if process.poll() is not None:
+        return False
+    if not hasattr(os, "waitid"):
+        return True
+    with contextlib.suppress(ChildProcessError):
+        return os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT) is None
+    return False
+
+
+class _Nursery:
+    """The process that forks, and the socket to it."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, in a fork of this process: it shares neither the nursery nor the lock, which another thread may hold."""
+        self.lock = threading.Lock()
+        self.process: subprocess.Popen[bytes] | None = None
+        self.channel: socket.socket | None = None
+
+    def _started(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
+        if self.process is None or self.channel is None or not _is_running(self.process):
+            self._stop()
+            ours, theirs = socket.socketpair()
+            with theirs:
+                code = f"from {_SERVING} import serve_by_forking; serve_by_forking({theirs.fileno()})"
+                self.process = subprocess.Popen(
+                    [sys.executable, "-c", code], pass_fds=[theirs.fileno()], env=_environment(), start_new_session=True,
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                )  # fmt: skip
+            self.channel = ours
+        return self.process, self.channel
+
+    def _stop(self) -> None:
+        if self.channel is not None:
+            self.channel.close()
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+        self.channel = self.process = None
+
+    def stop(self) -> None:
+        """End it; the next file starts another."""
+        with self.lock:
+            self._stop()
+
+    def send(self, request: dict[str, Any], *sockets: socket.socket) -> subprocess.Popen[bytes]:
+        """Pass a request on, with the sockets for its answer and its end."""
+        text = json.dumps(request).encode()
+        with self.lock:
+            for attempt in range(1, _ATTEMPTS + 1):  # it may have been ended since the last file
+                try:
+                    process, channel = self._started()
+                    socket.send_fds(channel, [struct.pack("<Q", len(text))], [one.fileno() for one in sockets])
+                    channel.sendall(text)
+                except OSError:
+                    self._stop()
+                    if attempt == _ATTEMPTS:
+                        raise
+                else:
+                    break
+        return process
+
+
+_nursery = _Nursery()
+atexit.register(_nursery.stop)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_nursery.forget)
+
+
+def _request(request: dict[str, Any]) -> tuple[subprocess.Popen[bytes], socket.socket, socket.socket]:
+    """Send a request; return the nursery that has it, and the sockets on which the answer and the child's end arrive."""
+    channel, its_channel = socket.socketpair()
+    status, its_status = socket.socketpair()
+    with its_channel, its_status:
+        try:
+            return _nursery.send(request, its_channel, its_status), channel, status
+        except OSError:
+            channel.close()
+            status.close()
+            raise
+
+
+def _environment() -> dict[str, str]:
+    # a process that has threads must not fork; a heap for each thread would take address space, which is limited
+    return {
+        **os.environ,
+        **ONE_BLAS_THREAD,
+        "MALLOC_ARENA_MAX": "1",
+        "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
+    }

@@ -1,0 +1,132 @@
+"""The processes that read files: a nursery that forks, and its children, each of which reads one file under its limits."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core import errors
+from matcam.core.readers.answers import packed, write_answer
+
+_THREAD_STACK, _FREE_THREADS = 8 << 20, 16
+"""Address space of one thread, and the threads that a file's memory covers: libraries start one for every processor."""
+
+
+def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
+    """Call a decoder on a file."""
+    return getattr(importlib.import_module(module), name)(path, **options)
+
+
+def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
+    """Decode one file under its limits, and write the answer."""
+    _limit(request["seconds"], request["wall"], request["memory"])
+    arrays: list[np.ndarray] = []
+    try:
+        os.chdir(request["folder"])  # the caller's: messages name the file as it does
+        answer = called(request["module"], request["name"], Path(request["path"]), request["options"])
+        message = {"answer": packed(answer, arrays)}
+    except errors.MatcamError as error:
+        message, arrays = {"error": type(error).__name__, "text": str(error)}, []
+    except MemoryError:
+        text = f"{request['path']}: reading needs more than {request['memory'] / 2**20:.0f} MiB"
+        message, arrays = {"error": "FileFormatError", "text": text}, []
+    except Exception as error:
+        text = f"{request['path']}: damaged: {' '.join(str(error).split())[:120] or type(error).__name__}"
+        message, arrays = {"error": "FileFormatError", "text": text}, []
+    write_answer(write, message, arrays)
+
+
+def _limit(seconds: float, wall: float, memory: int) -> None:
+    try:
+        import resource
+    except ImportError:  # not a Unix: the reader of the answer kills this process
+        return
+    for timer, number, limit in (
+        (signal.ITIMER_PROF, signal.SIGPROF, seconds),
+        (signal.ITIMER_REAL, signal.SIGALRM, wall),
+    ):
+        signal.signal(number, signal.SIG_DFL)
+        signal.setitimer(timer, limit)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # a decoder writes nothing
+    if sys.platform == "linux":
+        now = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        most = now + memory + _THREAD_STACK * max((os.cpu_count() or 1) - _FREE_THREADS, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+def serve_standard_streams() -> None:
+    """Read one file: the request comes from standard input, the answer goes to standard output."""
+    request = json.loads(sys.stdin.buffer.read())
+    _serve(request, sys.stdout.buffer.write)
+    sys.stdout.buffer.flush()
+
+
+def serve_by_forking(number: int) -> None:
+    """Fork a child for every request, and report how each child ended, until no more requests come."""
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    woken, waking = socket.socketpair()
+    waking.setblocking(False)
+    signal.set_wakeup_fd(waking.fileno(), warn_on_full_buffer=False)  # the end of a child ends the select
+    requests = socket.socket(fileno=number)
+    children: dict[int, socket.socket] = {}
+    while True:
+        ready = select.select([requests, woken], [], [])[0]
+        if woken in ready:
+            woken.recv(4096)
+            _report_ends(children)
+        if requests not in ready:
+            continue
+        head, descriptors, *_ = socket.recv_fds(requests, 8, 2)
+        if len(head) < 8 or len(descriptors) < 2:
+            return
+        channel, status = (socket.socket(fileno=descriptor) for descriptor in descriptors)
+        (length,) = struct.unpack("<Q", head)
+        text = bytearray()
+        while len(text) < length and (piece := requests.recv(length - len(text))):
+            text += piece
+        request = json.loads(bytes(text))
+        for name in filter(None, (request["module"], *request["libraries"])):  # once, for all children to come
+            with contextlib.suppress(ImportError):
+                importlib.import_module(name)
+        with channel:
+            if not request["module"]:
+                status.close()
+            elif child := os.fork():
+                children[child] = status
+            else:
+                signal.set_wakeup_fd(-1)
+                for one in (requests, woken, waking, status, *children.values()):
+                    one.close()
+                _serve_as_child(request, channel)
+
+
+def _report_ends(children: dict[int, socket.socket]) -> None:
+    """Send, for each child that has ended, the number of the signal that ended it, or 0."""
+    while children:
+        child, status = os.waitpid(-1, os.WNOHANG)
+        if not child:
+            return
+        with children.pop(child) as channel, contextlib.suppress(OSError):  # a reader that has gone needs no report
+            channel.sendall(struct.pack("<i", os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0))
+
+
+def _serve_as_child(request: dict[str, Any], channel: socket.socket) -> None:
+    try:
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        _serve(request, channel.sendall)
+    finally:
+        os._exit(0)

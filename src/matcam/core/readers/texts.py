@@ -1,0 +1,138 @@
+"""Texts that others may have made: JSON, TOML and lines, whose limits are checked before anything is parsed.
+
+A parser takes memory and time for each value, key and line: a file of 9 MB may hold millions of each. So all three are limited
+besides the size. Documents of matcam's own formats bear a version.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+from matcam.core.io import printable, reading
+from matcam.core.readers.apart import read_apart
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+SMALL_TEXT = 64 << 10
+"""Bytes of a text that is parsed in the caller's process. Its values, at most one for every two bytes, take 20 ms and 4 MiB."""
+_LARGEST_JSON = 16 << 20  # bytes; a measured curve of 100,000 samples takes 4 MiB
+_MOST_VALUES = 250_000
+"""Values in a JSON document: a measured curve of 100,000 samples has 200,000. A schema may refuse each of them in 5 us."""
+_LARGEST_LINES = 4 << 20  # bytes; 65,536 lines of three numbers take 3 MiB
+_MOST_LINES = 100_000
+"""Lines of a text: more than the 65,536 codes of a tone curve of 16 bits."""
+_LONGEST_LINE = 1000
+"""Characters in a line. A TOML key of a thousand dots takes 1 s to parse, and the time grows with their square."""
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """Read a document; `what` is what it should be, such as "a camera profile".
+
+    FileFormatError naming the file, where it is not JSON, or has more than 16 MiB or 250,000 values.
+    """
+    path = Path(path)
+    content = read_apart(f"{__name__}:decode_json", path, small=SMALL_TEXT, what=what)
+    return json.loads(content.tobytes())
+
+
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
+    """Read settings that people write; `what` is what they should be, such as "a rig".
+
+    FileFormatError naming the file, where it is not TOML, has more than 64 KiB, or lines of more than 1000 characters.
+    """
+    import tomllib
+
+    path = Path(path)
+    try:
+        with reading(path, what):
+            text = _checked_text(path, what, SMALL_TEXT).decode("utf-8-sig")
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number of too many digits is not TOMLDecodeError
+        raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
+
+
+def read_lines(path: str | Path, what: str) -> list[str]:
+    """Read a text as lines, without their ends; `what` is what it should be. Bytes that are no text are replaced.
+
+    FileFormatError naming the file, where it has more than 4 MiB, 100,000 lines, or 1000 characters in a line.
+    """
+    content = read_apart(f"{__name__}:decode_lines", Path(path), small=SMALL_TEXT, what=what)
+    text = content.tobytes().decode("utf-8-sig", "replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def decode_json(path: Path, *, what: str) -> np.ndarray:
+    """Read the bytes of a JSON document, and parse them once to find what is wrong with it."""
+
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant} is not a number")
+
+    with reading(path, what):
+        content = _bytes_of(path, what, _LARGEST_JSON)
+    values = content.count(b",") + content.count(b"[") + content.count(b"{")
+    if values > _MOST_VALUES:
+        raise FileFormatError(f"{path}: {values} values are too many for {what}")
+    try:
+        json.loads(content.decode("utf-8"), parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path}: not {what}: {error}") from None
+    return np.frombuffer(content, np.uint8)
+
+
+def decode_lines(path: Path, *, what: str) -> np.ndarray:
+    """Read the bytes of a text whose lines are within their limits."""
+    with reading(path, what):
+        return np.frombuffer(_checked_text(path, what, _LARGEST_LINES), np.uint8)
+
+
+def _bytes_of(path: Path, what: str, largest: int) -> bytes:
+    size = path.stat().st_size
+    if size > largest:
+        raise FileFormatError(f"{path}: {size} bytes is too large for {what}")
+    with path.open("rb") as file:
+        return file.read(size)  # it may have grown since
+
+
+def _checked_text(path: Path, what: str, largest: int) -> bytes:
+    content = _bytes_of(path, what, largest)
+    lines = content.splitlines()
+    if len(lines) > _MOST_LINES:
+        raise FileFormatError(f"{path}: {len(lines)} lines are too many for {what}")
+    for number, line in enumerate(lines, 1):
+        if len(line) > _LONGEST_LINE:
+            raise FileFormatError(f"{path}: line {number} has {len(line)} characters; {_LONGEST_LINE} at most are read")
+    return content
+
+
+def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
+    """Return the version of a document of ours: {"format": form, "version": one of `versions`, ...}.
+
+    FileFormatError says `where` it stands, `what` it should be, and the field.
+    """
+    if not isinstance(document, dict) or document.get("format") != form:
+        raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
+    version = document.get("version")
+    if type(version) is not int or version not in versions:  # True == 1
+        raise FileFormatError(
+            f"{where}: {form.split()[-1]} version {version!r:.60} is unknown; this matcam ({metadata.version('matcam')}) "
+            f"reads version{'s' * (len(versions) > 1)} {' and '.join(map(str, versions))}"
+        )
+    return version
+
+
+def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
+    """Return what a schema finds wrong first, in one line that names the field.
+
+    unnamed: parts of the field's place that are no names of fields.
+    """
+    first = error.errors()[0]
+    field = ".".join(str(part) for part in first["loc"] if part not in unnamed)
+    return printable(f"field {field:.100}: {first['msg'][0].lower()}{first['msg'][1:]}")

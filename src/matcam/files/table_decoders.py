@@ -1,0 +1,156 @@
+"""Decode BRDF samples (CSV) and tensor files (RGL), apart: what runs in a process of its own (core/readers/apart.py).
+
+samples.py and rgl.py describe the formats. This file imports neither xarray nor JAX, which the process would have to load.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+
+HALF = ("theta_h", "theta_d", "phi_d")
+PAIR = ("theta_i", "phi_i", "theta_o", "phi_o")
+VALUE = "_per_sr"
+_UNITS = {"rad": 1.0, "deg": np.pi / 180}
+_LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
+_LONGEST_LINE = 16 << 10
+"""Bytes in a line of a CSV file: the first line names at most 450 columns, whose values have at most 25 characters each."""
+_BLOCK = 1 << 16  # bytes
+
+RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
+RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
+_MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
+
+
+def decode_csv(path: Path) -> dict[str, Any]:
+    """Read the names of the columns, the unit of each, and the values (lines, columns)."""
+    names, scale = _columns(path)
+    _check_lines(path)
+    return {"names": names, "scale": scale, "values": _values(path, len(names))}
+
+
+def _check_lines(path: Path) -> None:
+    """Refuse a long line, for whose columns the parser takes much more time and memory than for as many lines."""
+    before, number = 0, 1
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            lengths = [len(line) for line in block.split(b"\n")]
+            lengths[0] += before
+            if max(lengths) > _LONGEST_LINE:
+                number += next(k for k, length in enumerate(lengths) if length > _LONGEST_LINE)
+                raise FileFormatError(
+                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: damaged, or no samples"
+                )
+            before, number = lengths[-1], number + len(lengths) - 1
+
+
+def _columns(path: Path) -> tuple[list[str], list[float]]:
+    """Read the names of the columns and the unit of each, in rad or 1/sr."""
+    with path.open("rb") as file:
+        head = file.readline(_LONGEST_HEAD)
+    try:
+        given = [name.strip() for name in head.decode("utf-8-sig").split(",")]
+    except UnicodeDecodeError:
+        given = []
+    names, scale = [], []
+    for name in given:
+        angle, _, unit = name.rpartition("_")
+        if angle in (*HALF, *PAIR) and unit in _UNITS:
+            names.append(angle)
+            scale.append(_UNITS[unit])
+        elif name.endswith(VALUE) and name != VALUE:
+            names.append(name.removesuffix(VALUE))
+            scale.append(1.0)
+        else:
+            raise FileFormatError(
+                f"{path}: line 1: column {name!r:.40} is neither an angle (theta_h_rad, ...) nor a channel (R_per_sr, ...)"
+            )
+    if len(set(names)) < len(names) or not (set(HALF) <= set(names) or set(PAIR) <= set(names)):
+        raise FileFormatError(f"{path}: line 1 must name, once each, {', '.join(HALF)} or {', '.join(PAIR)}")
+    if len(names) != len(PAIR if set(PAIR) <= set(names) else HALF) + sum(n.endswith(VALUE) for n in given):
+        raise FileFormatError(
+            f"{path}: line 1 must name half and difference angles, or those of light and view, not both"
+        )
+    if not any(name.endswith(VALUE) for name in given):
+        raise FileFormatError(f"{path}: line 1 names no channel of the BRDF (R_per_sr, ...)")
+    return names, scale
+
+
+def _values(path: Path, columns: int) -> np.ndarray:
+    """Read the lines below the names of the columns, (lines, columns)."""
+    import pandas as pd
+
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # whose ordinary converter loses the last digit
+    exact: Any = {"float_precision": "round_trip"} if old else {}
+    blocks, at = [], 0
+    try:
+        reader = pd.read_csv(
+            path,
+            header=None,
+            skiprows=1,
+            dtype=np.float64,
+            chunksize=_LINES_AT_ONCE,
+            index_col=False,
+            on_bad_lines="error",
+            **exact,
+        )
+        with reader:
+            for block in reader:
+                if block.shape[1] != columns:
+                    raise FileFormatError(
+                        f"{path}: line {at + 2} has {block.shape[1]} values, the columns are {columns}"
+                    )
+                blocks.append(block.to_numpy())
+                at += len(block)
+    except pd.errors.EmptyDataError:
+        pass
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
+        raise FileFormatError(f"{path}: after line {at + 1}: {' '.join(str(error).split())[:120]}") from None
+    if not blocks:
+        raise FileFormatError(f"{path}: no line follows the names of the columns")
+    return np.concatenate(blocks)
+
+
+def decode_rgl(path: Path) -> dict[str, np.ndarray]:
+    """Read all fields of a tensor file, each within it, together no longer than it."""
+    content = path.read_bytes()
+    start = len(RGL_MAGIC) + len(RGL_VERSION)
+    if content[:start] != RGL_MAGIC + RGL_VERSION:
+        raise FileFormatError(
+            f"{path}: not an RGL file: it starts with {content[:start]!r}, not {RGL_MAGIC + RGL_VERSION!r}"
+        )
+    found: dict[str, np.ndarray] = {}
+    left = len(content)
+    try:
+        (count,) = struct.unpack_from("<I", content, start)
+        if count > _MOST_FIELDS:
+            raise FileFormatError(f"{path}: byte {start} says {count} fields: damaged, or no BRDF")
+        at = start + 4
+        for _ in range(count):
+            (length,) = struct.unpack_from("<H", content, at)
+            name = content[at + 2 : at + 2 + length].decode()
+            if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
+                raise FileFormatError(f"{path}: byte {at} does not hold the name of another field")
+            at += 2 + length
+            dimensions, code, offset = struct.unpack_from("<HBQ", content, at)
+            if dimensions > _MOST_DIMENSIONS or code not in RGL_TYPES:
+                raise FileFormatError(f"{path}: field {name}: {dimensions} dimensions of type {code} are not known")
+            shape = struct.unpack_from(f"<{dimensions}Q", content, at + 11)
+            at += 11 + 8 * dimensions
+            dtype, values = np.dtype(RGL_TYPES[code]), math.prod(shape)
+            left -= values * dtype.itemsize
+            if left < 0 or offset + values * dtype.itemsize > len(content):
+                raise FileFormatError(
+                    f"{path}: truncated or damaged: field {name} is {' x '.join(map(str, shape))} values at byte {offset}, "
+                    f"the file has {len(content)} bytes"
+                )
+            found[name] = np.frombuffer(content, dtype, values, offset).reshape(shape)
+    except (struct.error, UnicodeDecodeError):
+        raise FileFormatError(f"{path}: damaged list of fields") from None
+    return found
