@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from matcam.core.arrays import is_concrete, prepare_jax
 from matcam.core.io import user_cache_folder
 from matcam.core.sealed import CompiledFunctions
 
-jax.config.update("jax_enable_x64", True)
+prepare_jax()
 
 __all__ = [
     "AnyArray",
@@ -47,11 +48,6 @@ Runs = Literal["once", "some", "many"]
 
 _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
 _SEALED = "compiled"
-
-
-def is_concrete(value: object) -> bool:
-    """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
-    return not isinstance(value, jax.core.Tracer)
 
 
 def without_derivatives(tree: T) -> T:

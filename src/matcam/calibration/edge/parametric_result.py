@@ -11,8 +11,8 @@ from matcam.calibration.edge.free_curve import SampledCurve
 from matcam.calibration.edge.measurement import LensFit
 from matcam.calibration.edge.profiles import LensModel
 from matcam.camera.camera import Camera
+from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core.io import plain
 from matcam.core.jax import AnyArray, jnp
 
