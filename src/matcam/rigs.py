@@ -12,16 +12,17 @@ from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE
-from matcam.core.module import Module, static_field
 from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, checked_azimuth, checked_azimuths, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear", "unknown"]
 UNKNOWN: CellValue = "unknown"

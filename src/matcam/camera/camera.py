@@ -14,13 +14,14 @@ from matcam.camera.pixel import BoxPixel, PixelResponse
 from matcam.camera.sensor import Sensor
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, replaced, static_field
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import write_json
-from matcam.core.module import Module, replaced, static_field
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 class Camera(Module):

@@ -24,8 +24,9 @@ from matcam.core.arrays import special, xp
 from matcam.numerics.normal import normal_density
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
+_FAR = 40.0  # standard deviations, beyond which a normal distribution is 0
 _SLIVER = 0.05  # short half width / std
 _THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
 
@@ -90,7 +91,9 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
     """Return a square pixel's reading x px inside the bright side of a 0-1 edge with a Gaussian blur."""
     long, sliver, short = _boxes(angle, half_width, std)
     safe = xp.where(sliver, std, short)
-    polynomial = _polynomial_difference(lambda u: xp.where(u > 0, (u**2 + std**2) / 2, 0), x, long, safe, far=1.0)
+    polynomial = _polynomial_difference(
+        lambda u: xp.where(u > 0, (xp.square(u) + std**2) / 2, 0), x, long, safe, far=1.0
+    )
     remainder = _second_difference(lambda u: _second_remainder(u, std), x, long, safe)
     closed = (polynomial + remainder) / (4 * long * safe)
 
@@ -165,6 +168,6 @@ def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     """Return the integral of H, less (x^2 + std^2) / 2 where x > 0."""
-    t = xp.where(x > 0, x, -x) / std
+    t = xp.minimum(xp.where(x > 0, x, -x) / std, _FAR)
     tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))
     return xp.where(x > 0, -tail, tail)

@@ -15,12 +15,13 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, replaced, static_field
 from matcam.core.errors import ArgumentError
-from matcam.core.module import Module, replaced, static_field
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
 

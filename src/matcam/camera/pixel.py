@@ -14,18 +14,18 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, special, xp
-from matcam.core.module import Module
+from matcam.core.arrays.module import Module
 from matcam.numerics.normal import normal_density
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
 
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
 
 PIXELS_SHARE = 0.3
 """Share of the pixel's half width that counts as blur of a disc: its borders are steps before a sharp lens."""
 _NARROW = 0.02  # half width / std below which differences of erf lose more digits than a series
+_FADED = 1e4  # squared standard deviations, beyond which a Gaussian is 0
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
 _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
@@ -196,7 +196,7 @@ class WindowedGaussianPixel(PixelResponse):
         weight = self.half_width * weights * self.response(t)
         f = checks.number("f", f)
         # a response too narrow for the nodes is not cut: at eight sigma there is 1e-15 of it
-        uncut = xp.exp(-2 * (xp.pi * self.sigma * f) ** 2)
+        uncut = xp.exp(-2 * xp.square(xp.pi * self.sigma * f))
         return xp.where(self.half_width > 8 * self.sigma, uncut, xp.cos(2 * xp.pi * f[..., None] * t) @ weight)
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
@@ -262,7 +262,7 @@ def _by_difference(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.A
 
 def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
     # Taylor's series of the mean about x, in Hermite polynomials: the next term is ratio^8 / 9! He8
-    z2, r2 = (x / std) ** 2, ratio**2
+    z2, r2 = xp.minimum(xp.square(xp.divide(x, std)), _FADED), ratio**2
     series = 1 + r2 * ((z2 - 1) / 6 + r2 * (((z2 - 6) * z2 + 3) / 120 + r2 * (((z2 - 15) * z2 + 45) * z2 - 15) / 5040))
     return xp.exp(-z2 / 2) / (xp.sqrt(2 * xp.pi) * std) * series
 

@@ -38,9 +38,9 @@ from matcam.camera.parameters import Provenance, Uncertainty, fields_of
 from matcam.camera.pixel import PixelResponse
 from matcam.camera.profile_schemas import FIELD_SCHEMA, MODELS, SENSOR_FIELDS, VERSION, VERSIONS, Part, json_schema
 from matcam.camera.sensor import Sensor
+from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import checked_version, first_problem, read_json
-from matcam.core.module import Module
 
 __all__ = [
     "FIELD_SCHEMA",

@@ -17,13 +17,14 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
-from matcam.core.module import Module, static_field
 from matcam.core.registry import CFAS
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _CHANNELS = "RGB"
 _DEEPEST = 32  # bits

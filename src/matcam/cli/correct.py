@@ -13,6 +13,7 @@ from matcam.cli.options import (
     Anyway,
     AsJson,
     CameraProfile,
+    Device,
     Distance,
     FamilyOrAuto,
     Force,
@@ -26,6 +27,7 @@ from matcam.cli.options import (
     SampleMm,
     SampleShape,
     Sampling,
+    choose_device,
     rig_of,
 )
 
@@ -78,6 +80,7 @@ def command(
             min=1,
         ),
     ] = None,
+    device: Device = None,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -143,6 +146,13 @@ def command(
     from matcam.core.jax import use_compilation_cache
     from matcam.core.workspace import Workspace
 
+    chosen: Any = None
+    if alone:
+        choose_device(device)
+    elif cluster is None:
+        from matcam.batch.run import faster_device
+
+        chosen = choose_device(device or ("cpu" if workers else None), faster_device())
     use_compilation_cache()
     workspace = Workspace.user()
     near: dict[str, Any] = {
@@ -185,9 +195,9 @@ def command(
                 show.remark(progress.last.reason)
 
         run = correct_all(
-            paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, compress=compress,
-            zarr=zarr, fit_camera=fit_camera, time_limit=time_limit, force=force, watch=show_progress, workspace=workspace,
-            **how,
+            paths, rig, output or "", sampling=sampling, workers=workers, device=chosen, cluster=cluster, pages=pages,
+            compress=compress, zarr=zarr, fit_camera=fit_camera, time_limit=time_limit, force=force,
+            watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip
     _print_run(run, json)
     if not run.failures:

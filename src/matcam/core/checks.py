@@ -5,6 +5,9 @@ Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +17,27 @@ from matcam.core.arrays import constant, has_jax, is_concrete, xp
 from matcam.core.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
+
+
+_trusted: ContextVar[bool] = ContextVar("trusted", default=False)
+
+
+@contextmanager
+def trusted() -> Iterator[None]:
+    """Let values pass without a look, as traced ones do: a fit may leave a range on its way."""
+    token = _trusted.set(True)
+    try:
+        yield
+    finally:
+        _trusted.reset(token)
 
 
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Return `value` as a float64 array; ArgumentError where it is not numeric or not finite."""
-    if not is_concrete(value):
+    if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
     array = _as_float64(name, value)
     if not np.all(np.isfinite(array)):
@@ -47,7 +64,7 @@ def within(
 
     An end may be open, or infinite, when infinity itself is allowed.
     """
-    if not is_concrete(value):
+    if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
     array = _as_float64(name, value)
     above = array > low if open_low else array >= low

@@ -18,11 +18,10 @@ from matcam.core.arrays import linalg, xp
 from matcam.core.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import jax
     import xarray as xr
     from jax.typing import ArrayLike
 
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
 
 GRID_SHAPE = (90, 90, 180)
 """Cells of a MERL table along (theta_h, theta_d, phi_d)."""

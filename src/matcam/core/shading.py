@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from matcam.core.arrays import xp
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 Vector = tuple["jax.Array", "jax.Array", "jax.Array"]
 """Cartesian components, each of any shape that broadcasts with the others."""
@@ -55,8 +56,8 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     return Shading(
         cos_i=_dot(light, normal),
         cos_o=_dot(view, normal),
-        slope_along=along / cos_h,
-        slope_across=across / cos_h,
+        slope_along=xp.divide(along, cos_h),
+        slope_across=xp.divide(across, cos_h),
         theta_d=xp.arcsin(xp.minimum(xp.sqrt(_dot(difference, difference)) / 2, 1.0)),
         phi_d=xp.pi - xp.mod(xp.pi - phi_d, 2 * xp.pi),
     )

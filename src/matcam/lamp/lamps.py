@@ -16,12 +16,13 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, replaced
 from matcam.core.errors import ArgumentError
-from matcam.core.module import Module, replaced
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _LARGEST_DISC = np.pi / 8
 """Largest angular radius of a lamp's disc, rad."""

@@ -16,7 +16,7 @@ from matcam.core.registry import MASKING_MODELS
 from matcam.numerics.approximation import between_entries
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 Masking = str | None
 """Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""

@@ -13,7 +13,7 @@ import numpy as np
 from matcam.core.arrays import constant, xp
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 AnyValues = TypeVar("AnyValues", bound=Any)
 

@@ -10,7 +10,7 @@ import numpy as np
 from matcam.core.arrays import compiled_by_jax, first_axis_map, has_jax, special, xp
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 _SMALL = 1e-4
 

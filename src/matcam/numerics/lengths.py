@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from matcam.core.arrays import xp
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 
 def plane_length(x: jax.Array, y: jax.Array) -> jax.Array:

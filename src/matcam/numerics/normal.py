@@ -9,10 +9,11 @@ import numpy as np
 from matcam.core.arrays import xp
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 def normal_density(x: ArrayLike, std: ArrayLike = 1.0) -> jax.Array:
     """Return exp(-x^2 / (2 std^2)) / (sqrt(2 pi) std)."""
-    return xp.exp(-(xp.divide(x, std) ** 2) / 2) / (np.sqrt(2 * np.pi) * std)
+    return xp.exp(-xp.square(xp.divide(x, std)) / 2) / (np.sqrt(2 * np.pi) * std)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from matcam.core.arrays import xp
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 # sin(x) / x as a polynomial in x^2: it agrees with it at 10 Chebyshev nodes of [0, (pi/2)^2]. From the constant upwards, which
 # is less than 1 by two roundings, since a sine above 1 has no cosine

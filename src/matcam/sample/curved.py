@@ -8,7 +8,7 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import xp
-from matcam.core.module import static_field
+from matcam.core.arrays.module import static_field
 from matcam.core.shading import Vector
 from matcam.numerics.lengths import plane_length
 from matcam.numerics.sine import sine
@@ -18,16 +18,14 @@ from matcam.sample.shape import (
     Place,
     angle_on_circle,
     checked_distance,
-    constructor_call,
     depth_of,
     is_infinite,
 )
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
 
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
 
 
 class Sphere(Curved):
@@ -214,7 +212,7 @@ class Sphere(Curved):
         return 1 + half_vector
 
     def __repr__(self) -> str:
-        return constructor_call(self)
+        return _constructor_call(self)
 
 
 class Cylinder(Curved):
@@ -328,4 +326,10 @@ class Cylinder(Curved):
         return half_vector
 
     def __repr__(self) -> str:
-        return constructor_call(self)
+        return _constructor_call(self)
+
+
+def _constructor_call(shape: Curved) -> str:
+    """Return the constructor call that makes the shape."""
+    far = "" if shape.distant else f", distance={shape.distance!s}"
+    return f"{type(shape).__name__}(radius={shape.radius!s}{far})"

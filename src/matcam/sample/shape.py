@@ -16,15 +16,14 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, repeated, xp
-from matcam.core.module import Module
+from matcam.core.arrays.module import Module
 from matcam.core.shading import Vector
 from matcam.numerics.sine import arcsine
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
 
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
 
 
 class Element(NamedTuple):
@@ -447,9 +446,3 @@ def checked_distance(distance: ArrayLike) -> jax.Array:
 def is_infinite(distance: ArrayLike) -> bool:
     """Return True for a concrete infinite distance."""
     return is_concrete(distance) and bool(np.isinf(np.asarray(distance, dtype=np.float64)))
-
-
-def constructor_call(shape: Curved) -> str:
-    """Return the constructor call that makes the shape."""
-    far = "" if shape.distant else f", distance={shape.distance!s}"
-    return f"{type(shape).__name__}(radius={shape.radius!s}{far})"

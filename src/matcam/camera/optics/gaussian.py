@@ -17,13 +17,14 @@ import numpy as np
 from matcam.camera.optics.optics import Optics, Rule, checked_isotropic, piecewise_rule
 from matcam.core import checks
 from matcam.core.arrays import constant, is_concrete, linalg, xp
+from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
-from matcam.core.module import Module
 from matcam.numerics.normal import normal_density
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _BAND_TIMES_SIGMA = 1.4  # exp(-2 pi^2 1.4^2) = 2e-17
 _TRACED_BAND = 16.0
@@ -80,7 +81,7 @@ class GaussianOptics(Optics):
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return exp(-2 pi^2 sigma^2 f^2) at f cycles/px; optics only."""
-        return xp.exp(-2 * (xp.pi * self.sigma * checks.number("f", f)) ** 2)
+        return xp.exp(-2 * xp.square(xp.pi * self.sigma * checks.number("f", f)))
 
     def band(self) -> float:
         """Return the frequency at which the MTF falls to 2e-17, cycles/px."""

@@ -11,12 +11,13 @@ from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics, Rule, checked_isotropic
 from matcam.core import checks
 from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import leaves_of
 from matcam.core.errors import ArgumentError
-from matcam.core.module import leaves_of
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px under a band of 40 cycles/px
 

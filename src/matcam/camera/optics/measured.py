@@ -10,12 +10,13 @@ import numpy as np
 from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, psf_by_quadrature, split_rule
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, has_jax, is_concrete, xp
+from matcam.core.arrays.module import static_field
 from matcam.core.errors import ArgumentError
-from matcam.core.module import static_field
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _ZERO = 1e-9
 

@@ -16,16 +16,15 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
+from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
-from matcam.core.module import Module
 from matcam.numerics.approximation import nodes_between, nodes_in_panels
 from matcam.numerics.lengths import plane_length
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
 
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
 
 ORDER = 16
 """Nodes to a panel."""

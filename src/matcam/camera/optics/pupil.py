@@ -17,8 +17,9 @@ from matcam.numerics.jinc import jinc
 from matcam.numerics.lengths import plane_length
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _TRACED_BAND = 8.0
 _WIDEST = 1000.0  # px

@@ -11,8 +11,9 @@ from matcam.camera.optics.optics import Optics, Rule
 from matcam.core.errors import ArgumentError
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 class VaryingOptics(Optics):

@@ -19,8 +19,7 @@ from matcam.lamp.lamps import STEEPEST, rings_and_spokes
 from matcam.sample.shape import Curved
 
 if TYPE_CHECKING:
-    import jax
-
+    from matcam.core.jax import jax
     from matcam.rigs import Rig
 
 _LOBE = 0.5

@@ -19,10 +19,8 @@ from matcam.numerics.approximation import nodes_between
 from matcam.numerics.jinc import jinc
 
 if TYPE_CHECKING:
-    import jax
-
     from matcam.camera.optics.optics import Rule
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
     from matcam.material.ndf.distribution import NDF
     from matcam.rigs import Rig
 

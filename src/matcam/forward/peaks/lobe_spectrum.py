@@ -18,8 +18,7 @@ from matcam.core.arrays import constant, fft, xp
 from matcam.numerics.approximation import four_about
 
 if TYPE_CHECKING:
-    import jax
-
+    from matcam.core.jax import jax
     from matcam.material.ndf.distribution import NDF
 
 _POINTS = 8192

@@ -17,8 +17,9 @@ from matcam.material.ndf.distribution import SlopeDistribution
 from matcam.rigs import Rig
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 def peak_response(

@@ -27,9 +27,7 @@ from matcam.material.ndf.distribution import NDF, MixtureNDF, SlopeDistribution
 from matcam.sample.curved import Cylinder
 
 if TYPE_CHECKING:
-    import jax
-
-    from matcam.core.jax import AnyArray
+    from matcam.core.jax import AnyArray, jax
     from matcam.rigs import Rig
 
 _VALUES = 1 << 20

@@ -9,8 +9,9 @@ from matcam.material.masking import cot_of
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_roughness
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 class Beckmann(SlopeNDF, MixtureNDF):

@@ -18,12 +18,13 @@ import numpy as np
 
 from matcam.core import checks
 from matcam.core.arrays import xp
-from matcam.core.module import Module
+from matcam.core.arrays.module import Module
 from matcam.core.shading import Shading
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _SMOOTHEST = 1e-60  # roughness: far below any surface, and powers of it are still numbers
 _FLAT = 1e-30  # squared sine of a direction that is the normal itself

@@ -12,8 +12,9 @@ from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, checked_roughness
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _SMALL = 1e-6  # squared slope below which its angle comes from a series: the root's slope is infinite at 0
 
@@ -48,7 +49,7 @@ class GaussianNDF(MixtureNDF):
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """Return D, 1/sr, proportional to exp(-theta_h^2 / (2 width^2))."""
-        return self._of_squared_angle(checks.number("theta_h", theta_h) ** 2)
+        return self._of_squared_angle(xp.square(checks.number("theta_h", theta_h)))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return P22 = D cos^4 theta_h."""

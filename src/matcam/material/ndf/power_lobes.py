@@ -12,8 +12,9 @@ from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, checked_roughness
 
 if TYPE_CHECKING:
-    import jax
     from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _NORM_NODES = np.polynomial.legendre.leggauss(96)
 _MIXTURE_NODES = 96

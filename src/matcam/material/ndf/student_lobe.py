@@ -9,7 +9,7 @@ from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import SlopeNDF
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 
 class StudentLobe(SlopeNDF):

@@ -10,7 +10,7 @@ from matcam.material.ndf.distribution import SlopeNDF
 from matcam.material.ndf.ggx import GGX
 
 if TYPE_CHECKING:
-    import jax
+    from matcam.core.jax import jax
 
 
 class TwoLobes(SlopeNDF):

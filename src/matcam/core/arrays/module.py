@@ -12,7 +12,7 @@ from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
-from matcam.core.arrays import is_concrete, when_jax_is_there
+from matcam.core.arrays.namespace import is_concrete, when_jax_is_there
 
 M = TypeVar("M", bound="Module")
 
