@@ -195,6 +195,8 @@ def correct_all(
     if device is not None:
         checks.choice("device", device, get_args(Device))
     executor = _executor(workers, cluster, time_limit, device or ("cpu" if workers else faster_device()))
+    if zarr:
+        checks.extra("a run's Zarr", "scale", "zarr")
     recipe = Recipe(rig, Options(ndf, masking, glare, anyway, workspace), sampling, pages, compress, corrector)
     _check_picklable(recipe)
     settings = recipe.settings(fit_camera=fit_camera)

@@ -129,6 +129,7 @@ def command(
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
+    from matcam.core import checks
     from matcam.core.errors import ArgumentError
 
     one_file = len(paths) == 1 and not paths[0].is_dir()
@@ -143,6 +144,9 @@ def command(
         raise ArgumentError(f"--layers is for one table, and its name must end in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
+    for wanted, what, module in ((zarr, "a run's Zarr", "zarr"), (cluster, "a cluster", "distributed")):
+        if wanted:
+            checks.extra(what, "scale", module)
     from matcam.core.jax import use_compilation_cache
     from matcam.core.workspace import Workspace
 

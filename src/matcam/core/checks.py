@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -114,6 +115,21 @@ def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
     if value not in allowed:
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {_shown(value)}")
     return value
+
+
+def extra(what: str, name: str, module: str) -> None:
+    """Refuse what needs a module that is not installed, before any work.
+
+    Args:
+        what: what needs it, for the message.
+        name: extra of this package that installs it, such as "render".
+        module: the module, which is looked for and not imported.
+
+    Raises:
+        ArgumentError: the module is not installed; the message says how to install it.
+    """
+    if find_spec(module) is None:
+        raise ArgumentError(f"{what} needs an extra: python -m pip install 'matcam[{name}]'")
 
 
 def not_masked(name: str, value: Any) -> None:

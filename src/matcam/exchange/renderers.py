@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNEL_WAVELENGTHS, CHANNELS
 from matcam.core.io import one_by_one
@@ -251,9 +252,8 @@ def _scene(
 
 
 def _mitsuba() -> Any:
-    try:
-        import mitsuba
-    except ImportError:
-        raise ArgumentError("rendering needs an extra: pip install 'matcam[render]'") from None
+    checks.extra("rendering", "render", "mitsuba")
+    import mitsuba
+
     mitsuba.set_variant(_VARIANT)
     return mitsuba
