@@ -61,7 +61,7 @@ _SEALED = "compiled"
 
 
 def has_gpu() -> bool:
-    """Tell whether JAX could compute on a GPU of this machine, without starting it: that takes seconds and memory."""
+    """Check whether JAX could compute on a GPU of this machine, without starting it: that takes seconds and memory."""
     known = any(importlib.util.find_spec(plugin) for plugin in _GPU_PLUGINS)
     return known and any(Path(device).exists() for device in _GPU_DEVICES)
 

@@ -25,7 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def has_jax(*values: Any) -> bool:
-    """Tell whether any value, or an element of a tuple or list among them, is an array of JAX."""
+    """Check whether any value, or an element of a tuple or list among them, is an array of JAX."""
     jax = sys.modules.get("jax")
     return jax is not None and _any_of(getattr(jax, "Array", ()), values)
 
@@ -35,7 +35,7 @@ def _any_of(kind: Any, values: Any) -> bool:
 
 
 def is_concrete(value: object) -> bool:
-    """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
+    """Check whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
     jax: Any = sys.modules.get("jax")
     return not (hasattr(jax, "core") and isinstance(value, jax.core.Tracer))
 

@@ -204,7 +204,7 @@ def _largest(*lengths: jax.Array) -> float:
 
 
 def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
-    """Tell whether slices are many and differ in one known number: on a distant sphere."""
+    """Check whether slices are many and differ in one known number: on a distant sphere."""
     if scale_x.size <= _CHEBYSHEV or not all(isinstance(scale, np.ndarray) for scale in (scale_x, scale_y)):
         return False
     return bool(np.all(scale_y == scale_y[0]) and np.ptp(scale_x) > 0)
